@@ -11,7 +11,7 @@ import fmpy
 import numpy as np
 
 import servocore as sc
-from crane_fmu.run import Array, nothing_left
+from crane_fmu.run import Array, simulated
 from crane_fmu.slave.interface import components
 from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
@@ -202,7 +202,7 @@ def drive(
         dtype=[("time", float), *((theirs[name], float) for name in GIVEN)],
     )
     outputs = [theirs[name] for name in SEEN]
-    found = _simulated(plant, rows, outputs, starts, step)
+    found = simulated(plant, rows, step, starts, outputs)
     wanted = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
     return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
@@ -231,27 +231,3 @@ def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str,
     there = ", ".join(each for each, causality in known.items() if causality == wanted[0]) or "none"
     what = f"no {wanted[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
     raise sc.InvalidSetting(f"{plant.name} has {what}; its {wanted[0]}s are {there}")
-
-
-def _simulated(
-    plant: Path, rows: np.recarray, outputs: Sequence[str], starts: Mapping[str, float], step: float
-) -> np.ndarray:
-    begin, end = float(rows["time"][0]), float(rows["time"][-1])
-    messages: list[str] = []
-    try:
-        with nothing_left():
-            found = fmpy.simulate_fmu(
-                str(plant), start_time=begin, stop_time=end, output_interval=step, step_size=step, input=rows,
-                output=list(outputs), start_values=dict(starts), validate=False, debug_logging=True,
-                logger=lambda *entry: messages.append(entry[-1].decode(errors="replace")),
-            )  # fmt: skip
-    except Exception as error:  # a user's FMU may fail in any way
-        raise sc.IntegrationFailed(f"{plant.name} stopped: {messages[-1] if messages else error}") from error
-    last = float(found["time"][-1]) if len(found) else begin
-    if last < end - 0.5 * step:
-        raise sc.IntegrationFailed(
-            f"{plant.name} stopped at t = {last:.6g} s of {end:.6g} s:"
-            f" {messages[-1] if messages else 'it did not say why'}"
-        )
-    result: np.ndarray = found
-    return result

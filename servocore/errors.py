@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.util import find_spec
 from numbers import Integral
+from typing import Any
 
 
 class ServocoreError(Exception):
@@ -92,6 +94,13 @@ def refused_if_missing() -> Iterator[None]:
         yield
     except ImportError as error:
         raise missing_package(error) or error from None
+
+
+def extra(name: str) -> Any:
+    """Return a module of a package that an extra of the installation brings; raises what `refused_if_missing` does."""
+    with refused_if_missing():
+        import_module(name.partition(".")[0])
+        return import_module(name)
 
 
 def described(value: object) -> str:

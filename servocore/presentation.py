@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import refused_if_missing
+from servocore.errors import extra, refused_if_missing
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -94,8 +94,7 @@ def data_frame(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
     InvalidSetting
         If pandas is missing.
     """
-    with refused_if_missing():
-        import pandas as pd  # noqa: PLC0415
+    pd = extra("pandas")
     frame = pd.DataFrame({curve.name: curve.values for curve in curves}, index=pd.Index(t, name="time"))
     frame.attrs.update(about, units={"time": "s"} | {curve.name: curve.unit for curve in curves})
     return frame
@@ -109,8 +108,7 @@ def dataset(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
     InvalidSetting
         If xarray is missing.
     """
-    with refused_if_missing():
-        import xarray as xr  # noqa: PLC0415
+    xr = extra("xarray")
     time = xr.Variable("time", t, {"units": "s", "long_name": "time"})
     variables = {
         curve.name: ("time", curve.values, {"units": curve.unit, "long_name": curve.description}) for curve in curves

@@ -142,8 +142,8 @@ class TestFigures:
         for values, run in zip(drawn, (found.base, generalized, redundant), strict=True):
             np.testing.assert_array_equal(values, run["M_w"])
 
-    def test_what_plot_draws_has_six_panels_with_units(self, found: Study) -> None:
-        figure = trajectories.inputs_and_motion(found.base)
+    def test_all_inputs_and_motions_have_labels_with_units(self, found: Study, crane: sc.Scene) -> None:
+        figure = trajectories.beside_closed_form((*INPUTS, *MOTION), found.base, crane)
         assert sorted(labels(figure)) == sorted(LABELS.values())
         assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
 
@@ -187,7 +187,8 @@ class TestFigures:
 
     def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane: sc.Scene) -> None:
         radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
-        figure = trajectories.inputs_and_motion(sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1))
+        solution = sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1)
+        figure = trajectories.beside_closed_form((*INPUTS, *MOTION), solution, radial)
         for axes in figure.axes:
             low, high = axes.get_ylim()
             assert high - low > 1e-3

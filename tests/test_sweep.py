@@ -29,8 +29,7 @@ from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
 from servocore.planning.sweep_grid import Grid, drawn
-from servocore.planning.sweep_store import Zarr
-from servocore.planning.sweep_tables import Parquet
+from servocore.planning.sweep_store import Parquet, Zarr
 from servocore.references.rest_to_rest import RestToRest
 
 pytest.importorskip("xarray")

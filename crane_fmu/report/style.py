@@ -29,9 +29,6 @@ FAINT = "#5c5c5c"
 WIDTH = 6.7
 """Width of a figure in inches: the text width of an A4 page."""
 
-WIDE = 8.2
-"""Width of a figure with panels beside each other."""
-
 _REMARK = 100
 """Most characters of a line below a figure."""
 
@@ -79,27 +76,23 @@ styled = mpl.rc_context(_RC)
 """Decorates functions that make or save figures in this style."""
 
 
-def panels(labels: Sequence[str], columns: int = 1, height: float = 1.75) -> tuple[Figure, list[Axes]]:
-    """Return a figure of labelled panels above each other that share their time axis, row by row.
+def panels(labels: Sequence[str], height: float = 1.75) -> tuple[Figure, list[Axes]]:
+    """Return a figure of labelled panels above each other that share their time axis.
 
     Parameters
     ----------
     labels : sequence of str
         What each panel shows, with its unit.
-    columns : int
-        How many panels are beside each other.
     height : float
         Height of a panel in inches.
     """
-    rows = len(labels) // columns
-    figure = Figure(figsize=(WIDTH if columns == 1 else WIDE, height * rows + 0.35), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for axis, label in zip(axes.flat, labels, strict=True):
+    figure = Figure(figsize=(WIDTH, height * len(labels) + 0.35), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(len(labels), sharex=True, squeeze=False)[:, 0])
+    for axis, label in zip(axes, labels, strict=True):
         axis.set_ylabel(label)
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    axes[-1].set_xlabel("time (s)")
     figure.align_ylabels()
-    return figure, list(axes.flat)
+    return figure, axes
 
 
 @styled

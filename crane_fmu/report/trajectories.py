@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import servocore as sc
-from crane_fmu.report.study import INPUTS, MOTION, LoadRun
+from crane_fmu.report.study import INPUTS, LoadRun
 from crane_fmu.report.style import (
     BLACK,
     BLUE,
@@ -41,7 +41,6 @@ REDUNDANT: Look = {
 PAPER_LINE: Look = {"color": VERMILLION, "linestyle": "--", "linewidth": 1.6}
 COMPUTED: Look = {"color": BLUE, "linestyle": "--", "linewidth": 2.2}
 DEFAULT_LINE: Look = {"color": BLUE, "linewidth": 2.6, "alpha": 0.45}
-PLAIN: Look = {"color": BLUE}
 SIMULATED: tuple[Look, ...] = (
     {"color": BLUE, "linestyle": "--", "linewidth": 1.6},
     {"color": BLUE, "linewidth": 1.2},
@@ -79,24 +78,17 @@ def _keep_rounding_flat(axes: Axes) -> None:
 
 
 @styled
-def stack(names: Sequence[str], curves: Sequence[Curve], columns: int = 1, height: float = 1.75) -> Figure:
-    """Return a figure with one panel a quantity, angles in degrees; several curves get a legend."""
-    figure, axes = panels([LABELS[name] for name in names], columns, height)
+def stack(names: Sequence[str], curves: Sequence[Curve], height: float = 1.75) -> Figure:
+    """Return a figure with one panel a quantity, angles in degrees."""
+    figure, axes = panels([LABELS[name] for name in names], height)
     for axis, name in zip(axes, names, strict=True):
         for curve in curves:
             values = np.degrees(curve.values[name]) if name == "phi" else curve.values[name]
             axis.plot(curve.t, values, label=curve.label, markevery=max(1, len(values) // 25), **curve.look)
         axis.margins(x=0.01)
         _keep_rounding_flat(axis)
-    if len(curves) > 1:
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
     return figure
-
-
-def inputs_and_motion(solution: sc.Solution) -> Figure:
-    """Return inputs on the left, the motion of the crane on the right: what ``--plot`` draws."""
-    names = [name for pair in zip(INPUTS, MOTION, strict=True) for name in pair]
-    return stack(names, [Curve("", solution.t, solution, PLAIN)], columns=2)
 
 
 @styled
@@ -115,7 +107,7 @@ def reference_function(reference: sc.Reference) -> Figure:
     share = jets @ way / (way @ way)
     figure, axes = panels(["share of the line", "its second derivative (1/s²)"], height=1.9)
     for axis, order in zip(axes, (0, 2), strict=True):
-        axis.plot(t, share[:, order], **PLAIN)
+        axis.plot(t, share[:, order], color=BLUE)
         axis.margins(x=0.01)
     return figure
 

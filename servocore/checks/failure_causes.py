@@ -127,16 +127,8 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
     """Return where the squares of residuals are least, and the residuals there."""
     import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    last: tuple[Array, tuple[Array, Array]] | None = None  # residuals and slopes are asked for at the same place
-
     def part(k: int) -> Callable[[Array], Array]:
-        def result(x: Array) -> Array:
-            nonlocal last
-            if last is None or not np.array_equal(last[0], x):
-                last = x.copy(), evaluate(x)
-            return np.nan_to_num(last[1][k], nan=1e6, posinf=1e6, neginf=-1e6)
-
-        return result
+        return lambda x: np.nan_to_num(evaluate(x)[k], nan=1e6, posinf=1e6, neginf=-1e6)
 
     result = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
     return result.x, evaluate(result.x)[0]

@@ -40,7 +40,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
     limits, t, values = _limited(problem)
     other, name = None, f"degree {report.degree}"
     if isinstance(path, TimedPath) and np.isfinite(report.degree9):
-        slower = polynomial_path(path, report.degree9, (report.degree - 1) // 2)
+        slower = polynomial_path(path.curve, report.degree9, (report.degree - 1) // 2)
         other = _limited(replace(problem, reference=slower))
     columns = 1 if len(limits) <= 3 else 2
     rows = -(-len(limits) // columns)

@@ -17,10 +17,9 @@ from servocore.cli.command import option
 from servocore.cli.interruption import stop_if_asked
 from servocore.cli.kinds import COUNT, FOLDER, SEED, TEXT
 from servocore.cli.options import GivenLimits, GivenPath, Subject, output
-from servocore.errors import InvalidSetting, refused_if_missing
+from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
 from servocore.planning.sweep_grid import drawn
-from servocore.planning.sweep_store import the_xarray
 
 EXAMPLES = (
     "rotary_crane --vary load_mass=50..150:100 --vary duration=10..30:50 --limit F=60 --output study",
@@ -82,7 +81,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
         shows the peak of the first input over what varies.
         """
-        the_xarray()  # what may be missing is told before the work
+        extra("xarray")  # what may be missing is told before the work
         from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
         moved = path.along(subject.chosen(), subject.model)
@@ -127,10 +126,9 @@ def _client(address: str | None) -> Iterator[Any]:
     if address is None:
         yield None
         return
-    with refused_if_missing():
-        from distributed import Client  # noqa: PLC0415 - an extra
+    distributed = extra("distributed")
     try:
-        client = Client(address, timeout="10s")
+        client = distributed.Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise InvalidSetting(f"no Dask scheduler answers at {address}: {error}") from error
     with client:

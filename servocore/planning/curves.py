@@ -12,6 +12,7 @@ import numpy as np
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
+from servocore.references.bspline import pieces_of
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.rest_to_rest import RestToRest
 
@@ -96,27 +97,14 @@ def _spline(points: Array, chords: Array, ends: Any) -> PiecewisePolynomial:
 
     s = np.append(0.0, np.cumsum(chords)) if len(chords) < len(points) else chords
     spline = make_interp_spline(s / s[-1], points, k=_DEGREE, bc_type=ends)
-    knots = np.unique(spline.t)
-    middle, length = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
-    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(_DEGREE + 1)]
-    return _curve(knots, np.stack(taylor, axis=1))
+    return _curve(*pieces_of(spline))
 
 
 def _curve(knots: Array, coefficients: Array) -> PiecewisePolynomial:
-    degree, dimension = coefficients.shape[1] - 1, coefficients.shape[2]
-    signs = np.array([[(-0.5) ** k for k in range(degree + 1)], [0.5**k for k in range(degree + 1)]])
-    return PiecewisePolynomial(
-        start_time=0.0,
-        end_time=1.0,
-        dimension=dimension,
-        max_order=degree,
-        smoothness=99 if len(knots) == 2 else degree - 1,
-        knots=knots,
-        coefficients=coefficients,
-        ends=np.stack([signs[0] @ coefficients[0], signs[1] @ coefficients[-1]]),
-        rests_before=False,
-        rests_after=False,
-    )
+    degree = coefficients.shape[1] - 1
+    ends = np.stack([np.power(u, np.arange(degree + 1)) @ coefficients[k] for k, u in ((0, -0.5), (-1, 0.5))])
+    smoothness = 99 if len(knots) == 2 else degree - 1
+    return PiecewisePolynomial.of(knots, coefficients, smoothness, ends, (False, False))
 
 
 def slopes_at(curve: PiecewisePolynomial, s: ca.SX, order: int) -> list[ca.SX]:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, refused_if_missing
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, extra
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
@@ -65,7 +65,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     >>> inputs.shape
     (3, 3)
     """
-    flatsys = _flatsys()
+    flatsys = extra("control.flatsys")
     require_scene(scene, "to_control")
     problem = Problem.of(scene, model or scene.independent_model)
     if not problem.flat:
@@ -86,12 +86,6 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
         states=[f"{quantity.name}{suffix}" for suffix in ("", "_dot") for quantity in quantities],
         params=dict(zip(maps.names, problem.p.tolist(), strict=True)),
     )
-
-
-def _flatsys() -> Any:
-    with refused_if_missing():
-        from control import flatsys  # noqa: PLC0415 - an extra
-    return flatsys
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,18 +107,8 @@ class Law:
         h = self.duration / N
         middle = self.jets(np.array([0.5]))  # (C, K + 2, N)
         factors = np.array([h**k / factorial(k) for k in range(K + 2)])
-        return PiecewisePolynomial(
-            start_time=0.0,
-            end_time=self.duration,
-            dimension=len(self.start),
-            max_order=K + 1,
-            smoothness=K,
-            knots=knots,
-            coefficients=(middle * factors[:, None]).transpose(2, 1, 0),
-            ends=np.stack([self.start, self.end]),
-            rests_before=True,
-            rests_after=True,
-        )
+        coefficients = (middle * factors[:, None]).transpose(2, 1, 0)
+        return PiecewisePolynomial.of(knots, coefficients, K, np.stack([self.start, self.end]), (True, True))
 
 
 def _states(start: Array, snaps: Array, length: int, duration: float) -> Array:

@@ -25,10 +25,10 @@ from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
 from servocore.planning.sweep_grid import DURATION, Slices
 from servocore.planning.sweep_settings import SweepSettings, checked_settings, in_time, settings_of
-from servocore.planning.sweep_store import Memory, Sink, Zarr
-from servocore.planning.sweep_tables import SUFFIX, Parquet
+from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.references.base import Reference
+from servocore.solution import Solution
 from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.solve import solve
 
@@ -120,11 +120,14 @@ def sweep(
     fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
     shape = swept.grid.block(chunk or fitting)
     settings = {**settings_of(swept), "function": sha256(work.by_expression.encode()).hexdigest() if work else None}
-    sink = _sink(swept, settings, shape, store, resume)
-    todo = [block for block in swept.grid.blocks(shape) if not sink.has(block[0])]
+    blank = blank_dataset(swept, settings)
+    kind = Parquet if store and Path(store).suffix == SUFFIX else Zarr
+    sink = Memory(blank) if store is None else kind(Path(store), swept, blank, shape, resume)
+    known = sink.known()
+    todo = [block for block in swept.grid.blocks(shape) if block[0] not in known]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     try:
-        for number, block, answers in _computed(swept, work, todo, executor, distributed):
+        for number, block, answers in _computed(swept, work, blank, todo, executor, distributed):
             _put(sink, number, block, answers, store)
             done += _count(block)
             if progress is not None:
@@ -149,16 +152,9 @@ def _require_arguments(executor: Any, distributed: Any, chunk: Any, progress: An
         require_callable(progress, "progress", "a function of (cases done, cases in all)")
 
 
-def _sink(
-    swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int], store: str | Path | None, resume: bool
-) -> Sink:
-    if store is None:
-        return Memory(swept, settings)
-    kind = Parquet if Path(store).suffix == SUFFIX else Zarr
-    return kind.opened(Path(store), swept, settings, shape, resume)
-
-
-def _put(sink: Sink, number: int, block: Slices, answers: Mapping[str, Any], store: str | Path | None) -> None:
+def _put(
+    sink: Memory | Zarr | Parquet, number: int, block: Slices, answers: Mapping[str, Any], store: str | Path | None
+) -> None:
     """Write a block; raises `InvalidSetting` if that fails, as on a full disk."""
     try:
         sink.put(number, block, answers)
@@ -197,6 +193,7 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
 def _computed(
     swept: SweepSettings,
     work: Work | None,
+    blank: Any,
     todo: list[tuple[int, Slices]],
     executor: Executor | None,
     distributed: Any,
@@ -204,7 +201,7 @@ def _computed(
     """Yield the results of blocks as they come, with the sentences of cases that failed."""
     if work is None:
         for number, block in todo:
-            yield number, block, _one_by_one(swept, block)
+            yield number, block, _one_by_one(swept, blank, block)
         return
     with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
         pool = Pool(executor or threads) if distributed is None else Cluster(distributed)
@@ -248,7 +245,7 @@ def _with_sentences(swept: SweepSettings, block: Slices, answers: dict[str, Arra
     failures = np.full(len(answers["solved"]), "", dtype=object)
     for k in np.flatnonzero(answers["solved"] == 0.0):
         failures[k] = _sentence(swept, block, int(k))
-    return {**answers, "failure": failures}
+    return {**answers, FAILURE: failures}
 
 
 def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
@@ -260,7 +257,7 @@ def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
     return f"{swept.problem.name}: not solved at all of {swept.instants} instants from the guess of the model"
 
 
-def _solved(swept: SweepSettings, block: Slices, k: int) -> Any:
+def _solved(swept: SweepSettings, block: Slices, k: int) -> Solution:
     case = swept.grid.case(block, k)
     path = swept.references[int(swept.grid.paths(block)[k])]
     law = in_time(path, case.pop(DURATION)) if DURATION in case else path
@@ -269,32 +266,30 @@ def _solved(swept: SweepSettings, block: Slices, k: int) -> Any:
     return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)
 
 
-def _one_by_one(swept: SweepSettings, block: Slices) -> dict[str, Any]:
+def _one_by_one(swept: SweepSettings, blank: Any, block: Slices) -> dict[str, Any]:
     """Solve every case of a block, as `solve` does by default."""
-    system, count = swept.problem.system, _count(block)
-    m, limits = len(system.inputs), len(swept.limits)
-    answers: dict[str, Any] = {
-        "peaks": np.full((count, m), np.nan),
-        "swing": np.full(count, np.nan),
-        "margins": np.full((count, limits), np.nan),
-        "failure": np.full(count, "", dtype=object),
-    }
-    if swept.inputs:
-        answers["inputs"] = np.full((count, swept.instants, m), np.nan)
+    count, cases = _count(block), len(swept.grid.shape)
+    answers = {name: np.full((count, *each.shape[cases:]), np.nan) for name, each in blank.items()}
+    answers[FAILURE] = np.full(count, "", dtype=object)
     for k in range(count):
         try:
-            solution = _solved(swept, block, k)
+            found = _found(swept, _solved(swept, block, k))
         except ServocoreError as error:
-            answers["failure"][k] = str(error)
+            answers[FAILURE][k] = str(error)
             continue
-        for i, quantity in enumerate(system.inputs):
-            answers["peaks"][k, i] = np.abs(solution[quantity.name]).max()
-            if swept.inputs:
-                answers["inputs"][k, :, i] = solution[quantity.name]
-        if SWING in solution:
-            answers["swing"][k] = np.abs(solution[SWING]).max()
-        for i, limit in enumerate(swept.limits):
-            if limit.quantity in solution:
-                values = solution[limit.quantity]
-                answers["margins"][k, i] = min((values - limit.bound).min(), (limit.upper - values).min())
+        for name in found.keys() & answers.keys():
+            answers[name][k] = found[name]
     return answers
+
+
+def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
+    """Return what a solution says of a case, by variable."""
+    peaks = {name: np.abs(solution[name]).max() for name in solution.names}
+    limits = [limit for limit in swept.limits if limit.quantity in solution]
+    margins = {
+        f"margin_{e.quantity}": min((solution[e.quantity] - e.bound).min(), (e.upper - solution[e.quantity]).min())
+        for e in limits
+    }
+    inputs = {quantity.name: solution[quantity.name] for quantity in swept.problem.system.inputs}
+    swing = {SWING: peaks[SWING]} if SWING in peaks else {}
+    return {**inputs, **{f"peak_{name}": peak for name, peak in peaks.items()}, **margins, **swing}

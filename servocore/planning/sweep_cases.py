@@ -44,12 +44,12 @@ class Work:
     by_expression, by_newton : str
         Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
         Newton's method. They may be the same.
-    inputs : int
-        The first rows are inputs,
+    inputs : tuple of str
+        The first rows are inputs of these names,
     swing : bool
         the next is the swing where there is one,
-    bounds : tuple of (float, float)
-        the next ones are limited so; what follows must be positive.
+    bounds : tuple of (str, float, float)
+        the next ones have limits of these names between these bounds; what follows must be positive.
     turns : tuple of int
         Rows with angles that are known up to full turns: what is limited has none of their jumps.
     kept : bool
@@ -61,9 +61,9 @@ class Work:
     title: str
     by_expression: str
     by_newton: str
-    inputs: int
+    inputs: tuple[str, ...]
     swing: bool
-    bounds: tuple[tuple[float, float], ...]
+    bounds: tuple[tuple[str, float, float], ...]
     turns: tuple[int, ...]
     kept: bool
     native: bool | None
@@ -105,10 +105,11 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     wanted += problem.resolved.must_be_positive
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
     texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
-    bounds = tuple((limit.bound, limit.upper) for limit in limits)
-    first = len(system.inputs) + swing
+    bounds = tuple((limit.quantity, limit.bound, limit.upper) for limit in limits)
+    inputs = tuple(quantity.name for quantity in system.inputs)
+    first = len(inputs) + swing
     turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))
-    return Work(problem.name, texts[0], texts[1], len(system.inputs), swing, bounds, turns, kept, native)
+    return Work(problem.name, texts[0], texts[1], inputs, swing, bounds, turns, kept, native)
 
 
 def _in_time(function: ca.Function) -> ca.Function:
@@ -143,11 +144,11 @@ def _limited(problem: Problem, limit: Limit) -> ca.SX:
 
 
 def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
-    """Return ``peaks`` (cases, inputs), ``swing`` (cases,), ``margins`` (cases, limits) and ``solved`` (cases,).
+    """Return the numbers of cases by the names that they have in a sweep's dataset, and ``solved``; shape (cases,).
 
-    Where they are kept also ``inputs``, (cases, N, inputs). Cases that are not solved at some instant hold NaN.
+    Inputs that are kept have shape (cases, N). Cases that are not solved at some instant hold NaN.
     """
-    functions, parts = _rebuilt(work), []
+    functions, m, parts = _rebuilt(work), len(work.inputs), []
     extremes = np.empty((len(cases.numbers), 2, functions.rows.function.numel_out(0)))
     for path, jets in cases.jets.items():
         of_path = np.flatnonzero(cases.path == path)
@@ -158,34 +159,31 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
             rows = _rows(functions, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
             extremes[some] = extremes_of(rows)
-            parts.append((some, rows[:, : work.inputs]))
+            parts.append((some, rows[:, :m]))
     if functions.extremes is not None:
         for case in np.flatnonzero(~np.isfinite(extremes).all(axis=(1, 2))):
             jets = cases.jets[int(cases.path[case])]
             extremes[case] = extremes_of(_rows(functions, jets, cases.numbers[case : case + 1]))[0]
     answers = _told(work, extremes)
     if work.kept:
-        answers["inputs"] = np.empty((len(extremes), next(iter(cases.jets.values())).shape[1], work.inputs))
+        inputs = np.empty((len(extremes), m, next(iter(cases.jets.values())).shape[1]))
         for some, rows in parts:
-            answers["inputs"][some] = rows.transpose(0, 2, 1)
-        answers["inputs"][answers["solved"] == 0.0] = np.nan
+            inputs[some] = rows
+        inputs[answers["solved"] == 0.0] = np.nan
+        answers |= dict(zip(work.inputs, inputs.transpose(1, 0, 2), strict=True))
     return answers
 
 
 def _told(work: Work, extremes: Array) -> dict[str, Array]:
     highest, lowest = extremes[:, 0], extremes[:, 1]
-    m, limits = work.inputs, work.inputs + work.swing
-    solved = np.isfinite(extremes).all(axis=(1, 2)) & (lowest[:, limits + len(work.bounds) :] > 0.0).all(axis=1)
+    first = len(work.inputs) + work.swing
+    solved = np.isfinite(extremes).all(axis=(1, 2)) & (lowest[:, first + len(work.bounds) :] > 0.0).all(axis=1)
     extremes[~solved] = np.nan
-    peaks = np.maximum(highest, -lowest)
-    low, high = np.array(work.bounds).reshape(-1, 2).T
-    among = slice(limits, limits + len(work.bounds))
-    return {
-        "peaks": peaks[:, :m],
-        "swing": peaks[:, m] if work.swing else np.empty(len(peaks)),
-        "margins": np.minimum(lowest[:, among] - low, high - highest[:, among]),
-        "solved": solved.astype(float),
-    }
+    names = (*map("peak_{}".format, work.inputs), *([SWING] if work.swing else []))
+    answers = {name: np.maximum(highest[:, k], -lowest[:, k]) for k, name in enumerate(names)}
+    for k, (name, low, high) in enumerate(work.bounds, first):
+        answers[f"margin_{name}"] = np.minimum(lowest[:, k] - low, high - highest[:, k])
+    return {**answers, "solved": solved.astype(float)}
 
 
 def _rows(functions: _Functions, jets: Array, numbers: Array) -> Array:

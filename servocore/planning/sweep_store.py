@@ -1,265 +1,281 @@
-"""Stores of a sweep's results: in memory, or block by block in a Zarr store that a later run can complete."""
+"""The dataset of a sweep, filled in memory, or block by block in a store that a later run can complete."""
 
 from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, refused_if_missing
+from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
+from servocore.planning.sweep_cases import SWING
 from servocore.planning.sweep_grid import CASE, DURATION, PATH, Slices
 from servocore.planning.sweep_settings import SweepSettings
 
 INSTANT = "instant"
 """The dimension of the inputs over time: the share of the duration that has passed."""
 
-DONE = "blocks/done"
-"""Which blocks of a store are complete; no part of the dataset."""
+FAILURE = "failure"
+"""The variable of sentences, empty where a case is solved."""
 
-_SETTINGS = "settings"
+SUFFIX = ".parquet"
+"""How the name of a store ends that is a folder of tables."""
 
+_DONE = "blocks/done"  # which blocks of a store are complete; no part of the dataset
+_SETTINGS, _SETTINGS_FILE = "settings", "_settings.json"  # readers of tables pass over names that begin so
 
-class Sink(Protocol):
-    """What takes the results of blocks."""
-
-    def has(self, number: int, /) -> bool:
-        """Whether a block is there."""
-
-    def put(self, number: int, block: Slices, answers: Mapping[str, Any], /) -> None:
-        """Take the results of a block."""
-
-    def dataset(self) -> Any:
-        """Return all that was taken."""
+Answers = Mapping[str, Any]
+"""The results of a block by variable, shape (cases,), or (cases, N) over time."""
 
 
-@dataclass(frozen=True)
-class Variable:
-    """One variable of the dataset: which result it is, with its unit; instants too where they are kept."""
+def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
+    """Return the xarray.Dataset of a sweep of which nothing is computed: NaN and empty sentences, in next to no memory.
 
-    name: str
-    result: str
-    column: int | None
-    unit: str
-    described: str
-    over_time: bool = False
+    Raises
+    ------
+    InvalidSetting
+        If xarray is missing.
+    """
+    xarray, system, grid = extra("xarray"), swept.problem.system, swept.grid
+    dimensions, instants = tuple(grid.dimensions), np.linspace(0.0, 1.0, swept.instants)
 
+    def numbers(described: str, unit: str, *over_time: int) -> Any:
+        values = np.broadcast_to(np.nan, (*grid.shape, *over_time))
+        return (*dimensions, *[INSTANT] * len(over_time)), values, {"long_name": described, "units": unit}
 
-def variables_of(swept: SweepSettings) -> list[Variable]:
-    """Return the variables of a sweep's dataset."""
-    system, quantities = swept.problem.system, swept.problem.system.inputs
-    variables = [
-        Variable(f"peak_{e.name}", "peaks", k, e.unit, f"largest magnitude of {e.name}")
-        for k, e in enumerate(quantities)
-    ]
-    swing = next((observable for observable in system.observables if observable.name == "swing"), None)
-    if swing is not None:
-        variables.append(Variable("swing", "swing", None, swing.unit, "largest swing angle"))
-    variables += [
-        Variable(f"margin_{e.quantity}", "margins", k, e.unit, f"least distance of {e.quantity} from its limit")
-        for k, e in enumerate(swept.limits)
-    ]
+    variables = {f"peak_{e.name}": numbers(f"largest magnitude of {e.name}", e.unit) for e in system.inputs}
+    variables |= {e.name: numbers("largest swing angle", e.unit) for e in system.observables if e.name == SWING}
+    for limit in swept.limits:
+        least = f"least distance of {limit.quantity} from its limit"
+        variables[f"margin_{limit.quantity}"] = numbers(least, limit.unit)
     if swept.inputs:
-        variables += [Variable(e.name, "inputs", k, e.unit, e.description, True) for k, e in enumerate(quantities)]
-    return [*variables, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
-
-
-def units_of(swept: SweepSettings) -> dict[str, str]:
-    """Return the units of all that can vary."""
-    return {parameter.name: parameter.unit for parameter in swept.problem.system.parameters.declared} | {DURATION: "s"}
-
-
-def _coordinates(swept: SweepSettings) -> dict[str, tuple[str, Any, dict[str, str]]]:
-    units = units_of(swept)
-    coordinates: dict[str, tuple[str, Any, dict[str, str]]] = {
-        name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in swept.grid.columns.items()
+        variables |= {e.name: numbers(e.description, e.unit, swept.instants) for e in system.inputs}
+    why = {"long_name": "why the case is not solved; empty where it is"}
+    variables[FAILURE] = (dimensions, np.broadcast_to(np.array("", dtype=object), grid.shape), why)
+    units = {parameter.name: parameter.unit for parameter in system.parameters.declared} | {DURATION: "s"}
+    coordinates: dict[str, Any] = {
+        name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in grid.columns.items()
     }
-    for name in (PATH, CASE):
-        if name in swept.grid.dimensions:
-            coordinates[name] = (name, np.arange(swept.grid.dimensions[name]), {})
-    if swept.inputs:
-        coordinates[INSTANT] = (INSTANT, np.linspace(0.0, 1.0, swept.instants), {"units": "1"})
-    return coordinates
+    coordinates |= {name: np.arange(grid.dimensions[name]) for name in (PATH, CASE) if name in grid.dimensions}
+    coordinates |= {INSTANT: (INSTANT, instants, {"units": "1"})} if swept.inputs else {}
+    return xarray.Dataset(variables, coordinates, {_SETTINGS: json.dumps(settings)})
 
 
-def placed(swept: SweepSettings, variable: Variable, answers: Mapping[str, Any], block: Slices) -> Any:
-    """Return the values of a variable for a block, in its shape."""
-    values = answers[variable.result]
-    values = values if variable.column is None else values[..., variable.column]
+def _placed(blank: Any, block: Slices, answers: Answers) -> Iterator[tuple[str, Any]]:
+    """Yield the values of all variables of a dataset for a block, in its shape."""
     shape = tuple(slice_.stop - slice_.start for slice_ in block)
-    return values.reshape(*shape, swept.instants) if variable.over_time else values.reshape(shape)
-
-
-def the_xarray() -> Any:
-    """Return the package xarray; raises `InvalidSetting` if it is missing."""
-    with refused_if_missing():
-        import xarray  # noqa: PLC0415 - an extra
-    return xarray
+    for name in blank:
+        yield name, answers[name].reshape(*shape, *blank[name].shape[len(shape) :])
 
 
 class Memory:
-    """Arrays of the whole sweep.
+    """Results in memory.
 
     Parameters
     ----------
-    swept : SweepSettings
-        What is swept.
-    settings : mapping
-        Become attributes of the dataset.
+    blank : xarray.Dataset
+        The dataset of a sweep.
     """
 
-    def __init__(self, swept: SweepSettings, settings: Mapping[str, Any]) -> None:
-        self._xarray, self._swept, self._settings = the_xarray(), swept, settings
-        self._arrays: dict[str, Any] = {}
-        for variable in variables_of(swept):
-            shape = (*swept.grid.shape, swept.instants) if variable.over_time else swept.grid.shape
-            text = variable.result == "failure"
-            self._arrays[variable.name] = np.full(shape, "" if text else np.nan, dtype=object if text else np.float64)
+    def __init__(self, blank: Any) -> None:
+        copies = {name: (each.dims, np.array(each), each.attrs) for name, each in blank.items()}
+        self._filled = blank.assign(copies)
 
-    def has(self, _: int) -> bool:
-        """Nothing is there before it is put."""
-        return False
+    def known(self) -> set[int]:
+        """Return nothing: no block is there before it is put."""
+        return set()
 
-    def put(self, _: int, block: Slices, answers: Mapping[str, Any]) -> None:
+    def put(self, _: int, block: Slices, answers: Answers) -> None:
         """Take the results of a block."""
-        for variable in variables_of(self._swept):
-            self.take(variable, block, placed(self._swept, variable, answers, block))
-
-    def take(self, variable: Variable, block: Slices, values: Any) -> None:
-        """Take the values of one variable for a block, in whatever shape."""
-        target = self._arrays[variable.name][block]
-        target[...] = values.reshape(target.shape)
+        for name, values in _placed(self._filled, block, answers):
+            self._filled[name].values[block] = values
 
     def dataset(self) -> Any:
         """Return the dataset."""
-        swept, dimensions = self._swept, tuple(self._swept.grid.dimensions)
-        data = {}
-        for variable in variables_of(swept):
-            values = self._arrays[variable.name]
-            held = values.astype(str) if variable.result == "failure" else values
-            data[variable.name] = (dimensions + (INSTANT,) * variable.over_time, held, _attributes(variable))
-        return self._xarray.Dataset(data, _coordinates(swept), {_SETTINGS: json.dumps(self._settings)})
+        return self._filled.assign({FAILURE: self._filled[FAILURE].astype(str)})
 
 
-class Zarr:
-    """A store in a folder, written block by block: a block of it is a chunk of every array.
+class Store(ABC):
+    """Results of a sweep in a folder, written block by block: each is there as a whole or not at all.
 
     Parameters
     ----------
     path : Path
-        Of the store.
+        Of the folder.
     swept : SweepSettings
         What is swept.
+    blank : xarray.Dataset
+        Its dataset, with the settings of this sweep.
+    shape : sequence of int
+        Of the blocks.
+    resume : bool
+        Whether one that is there already is completed.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is one already that is not to be resumed, or its settings are other ones, or it cannot be made.
     """
 
-    def __init__(self, path: Path, swept: SweepSettings) -> None:
-        self._path, self._swept, self._xarray = path, swept, the_xarray()
-        self._group = _zarr().open_group(path, mode="r+")
-        self._arrays = {variable.name: self._group[variable.name] for variable in variables_of(swept)}
-        self._done = self._group[DONE]
-        self._known = np.asarray(self._done[:], dtype=bool)
+    package: ClassVar[str]
 
-    @classmethod
-    def opened(
-        cls, path: Path, swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int], resume: bool
-    ) -> Zarr:
-        """Make a store, or open the one that is to be completed.
+    def __init__(self, path: Path, swept: SweepSettings, blank: Any, shape: Sequence[int], resume: bool) -> None:
+        extra(self.package)
+        settings = {**json.loads(blank.attrs[_SETTINGS]), "block": list(shape)}
+        self._path, self._grid, self._blocks = path, swept.grid, list(swept.grid.blocks(shape))
+        self._blank = blank.assign_attrs({_SETTINGS: json.dumps(settings)})
+        if path.exists():
+            self._require_settings(settings, resume)
+            return
+        try:
+            self._make(shape)
+        except OSError as error:
+            raise not_written(path, error) from error
 
-        Raises
-        ------
-        InvalidSetting
-            If there is one already that is not to be resumed, or its settings are other ones.
-        """
-        held = {**settings, "block": list(shape)}
-        the_xarray()
-        if not path.exists():
-            _made(path, swept, held)
-            return cls(path, swept)
-        require_settings(path, held, lambda: _settings_of(path), resume)
-        return cls(path, swept)
+    def _require_settings(self, settings: Mapping[str, Any], resume: bool) -> None:
+        """Raise `InvalidSetting` unless what is there already is a store of these settings, and to be resumed."""
+        path = self._path
+        try:
+            stored = json.loads(self._stored_settings())
+        except (KeyError, ValueError, OSError) as error:
+            raise InvalidSetting(f"cannot write {path}: it is there already, and is no store of a sweep") from error
+        if not resume:
+            raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
+        other = sorted(name for name in {*settings, *stored} if settings.get(name) != stored.get(name))
+        if other:
+            raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
 
-    def has(self, number: int) -> bool:
-        """Whether a block is complete."""
-        return bool(self._known[number])
+    @abstractmethod
+    def _make(self, shape: Sequence[int]) -> None:
+        """Make a store without results."""
 
-    def put(self, number: int, block: Slices, answers: Mapping[str, Any]) -> None:
+    @abstractmethod
+    def _stored_settings(self) -> str:
+        """Return the settings of what is there; raises `KeyError`, `ValueError` or `OSError` if it is no store."""
+
+    @abstractmethod
+    def known(self) -> set[int]:
+        """Return the numbers of the blocks that are complete."""
+
+    @abstractmethod
+    def put(self, number: int, block: Slices, answers: Answers) -> None:
+        """Write a block."""
+
+    @abstractmethod
+    def dataset(self) -> Any:
+        """Return the dataset of all that was written."""
+
+
+class Zarr(Store):
+    """A Zarr store: a block is a chunk of every array."""
+
+    package = "zarr"
+
+    def _make(self, shape: Sequence[int]) -> None:
+        zarr = extra("zarr")
+        with _quiet():
+            group = zarr.open_group(self._path, mode="w-")
+            for name, each in self._blank.items():
+                text = name == FAILURE
+                group.create_array(
+                    name, shape=each.shape, chunks=(*shape, *each.shape[len(shape) :]),
+                    dtype=str if text else np.float64, fill_value="" if text else np.nan,
+                    dimension_names=each.dims, attributes=each.attrs,
+                )  # fmt: skip
+            for name, each in self._blank.coords.items():
+                group.create_array(name, data=each.to_numpy(), dimension_names=each.dims, attributes=each.attrs)
+            blocks = len(self._blocks)
+            group.create_array(_DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
+            # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is told otherwise.
+            group.attrs.update({**self._blank.attrs, "coordinates": " ".join(self._blank.coords)})
+            # What describes the store is complete here and stays: xarray opens it by its name alone, without a warning.
+            zarr.consolidate_metadata(group.store)
+
+    def _stored_settings(self) -> str:
+        group = extra("zarr").open_group(self._path, mode="r")
+        group[_DONE]
+        return str(group.attrs[_SETTINGS])
+
+    @cached_property  # every block writes into all of them
+    def _arrays(self) -> Mapping[str, Any]:
+        group = extra("zarr").open_group(self._path, mode="r+")
+        return {name: group[name] for name in (*self._blank, _DONE)}
+
+    def known(self) -> set[int]:
+        """Return the numbers of the blocks that are complete."""
+        return set(np.flatnonzero(self._arrays[_DONE][:]).tolist())
+
+    def put(self, number: int, block: Slices, answers: Answers) -> None:
         """Write a block, and then that it is there."""
         with _quiet():
-            for variable in variables_of(self._swept):
-                if variable.result != "failure" or answers["failure"].any():  # a store has empty sentences by itself
-                    self._arrays[variable.name][block] = placed(self._swept, variable, answers, block)
-        self._done[number] = 1
+            for name, values in _placed(self._blank, block, answers):
+                if name != FAILURE or values.any():  # a store has empty sentences by itself
+                    self._arrays[name][block] = values
+        self._arrays[_DONE][number] = 1
 
     def dataset(self) -> Any:
         """Return the dataset, of which nothing is read before it is used."""
         with _quiet():  # without chunks of Dask, whose import takes seconds
-            return self._xarray.open_zarr(self._path, chunks=None)
+            return extra("xarray").open_zarr(self._path, chunks=None)
 
 
-def require_settings(path: Path, settings: Mapping[str, Any], read: Callable[[], str], resume: bool) -> None:
-    """Raise `InvalidSetting` unless what is there already is a store of these settings, and to be resumed."""
-    try:
-        stored = json.loads(read())
-    except (KeyError, ValueError, OSError) as error:
-        raise InvalidSetting(f"cannot write {path}: it is there already, and is no store of a sweep") from error
-    if not resume:
-        raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
-    other = sorted(name for name in {*settings, *stored} if settings.get(name) != stored.get(name))
-    if other:
-        raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
+class Parquet(Store):
+    """A folder of Parquet files: a file a block, a row a case, inputs over time as lists.
 
+    Columns are what varies, then the variables; a file holds the settings and, of every column, the unit.
+    """
 
-def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None:
-    """Make a store without results."""
-    zarr, dimensions = _zarr(), tuple(swept.grid.dimensions)
-    block = tuple(settings["block"])
-    blocks = int(np.prod([-(-n // part) for n, part in zip(swept.grid.shape, block, strict=True)]))
-    try:
-        with _quiet():
-            group = zarr.open_group(path, mode="w-")
-            for variable in variables_of(swept):
-                over_time = (swept.instants,) if variable.over_time else ()
-                text = variable.result == "failure"
-                group.create_array(
-                    variable.name, shape=(*swept.grid.shape, *over_time), chunks=(*block, *over_time),
-                    dtype=str if text else np.float64, fill_value="" if text else np.nan,
-                    dimension_names=(*dimensions, *([INSTANT] if variable.over_time else [])),
-                    attributes=_attributes(variable),
-                )  # fmt: skip
-            coordinates = _coordinates(swept)
-            for name, (dimension, values, attributes) in coordinates.items():
-                group.create_array(name, data=np.asarray(values), dimension_names=(dimension,), attributes=attributes)
-            group.create_array(DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
-            # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is told otherwise.
-            group.attrs.update({_SETTINGS: json.dumps(settings), "coordinates": " ".join(coordinates)})
-            # What describes the store is complete here and stays: xarray opens it by its name alone, without a warning.
-            zarr.consolidate_metadata(group.store)
-    except OSError as error:
-        raise not_written(path, error) from error
+    package = "pyarrow"
 
+    def _make(self, shape: Sequence[int]) -> None:  # noqa: ARG002 - files are as long as blocks are
+        self._path.mkdir(parents=True)
+        (self._path / _SETTINGS_FILE).write_text(self._blank.attrs[_SETTINGS], encoding="utf-8")
 
-def _settings_of(path: Path) -> str:
-    """Return the settings of a store; raises `KeyError` if it lacks them, or the marks of its blocks."""
-    group = _zarr().open_group(path, mode="r")
-    group[DONE]
-    return str(group.attrs[_SETTINGS])
+    def _stored_settings(self) -> str:
+        return (self._path / _SETTINGS_FILE).read_text(encoding="utf-8")
 
+    def known(self) -> set[int]:
+        """Return the numbers of the blocks that are complete."""
+        return {number for number, _ in self._blocks if self._part(number).exists()}
 
-def _attributes(variable: Variable) -> dict[str, str]:
-    attributes = {"long_name": variable.described}
-    return attributes if variable.result == "failure" else {**attributes, "units": variable.unit}
+    def put(self, number: int, block: Slices, answers: Answers) -> None:
+        """Write a block beside its place, and then put it there."""
+        arrow, grid = extra("pyarrow"), self._grid
+        columns: dict[str, Any] = {PATH: grid.paths(block)} if PATH in grid.dimensions else {}
+        columns |= {name: grid.values(name, block) for name in grid.columns}
+        columns |= {name: list(answers[name]) if self._is_over_time(name) else answers[name] for name in self._blank}
+        fields = [
+            arrow.field(name, arrow.array(values).type, metadata={"units": self._blank[name].attrs.get("units", "")})
+            for name, values in columns.items()
+        ]
+        part = self._part(number)
+        beside = part.with_name(f"_{part.name}")
+        table = arrow.table(columns, schema=arrow.schema(fields, metadata=self._blank.attrs))
+        extra("pyarrow.parquet").write_table(table, beside)
+        beside.replace(part)
 
+    def dataset(self) -> Any:
+        """Return all that was written, read into memory."""
+        memory, read_table = Memory(self._blank), extra("pyarrow.parquet").read_table
+        for number, block in self._blocks:
+            table = read_table(self._part(number))
+            columns = {name: table.column(name).to_numpy() for name in self._blank}
+            answers = {name: np.stack(each) if self._is_over_time(name) else each for name, each in columns.items()}
+            memory.put(number, block, answers)
+        return memory.dataset()
 
-def _zarr() -> Any:
-    with refused_if_missing():
-        import zarr  # noqa: PLC0415 - an extra
-    return zarr
+    def _is_over_time(self, name: str) -> bool:
+        return INSTANT in self._blank[name].dims
+
+    def _part(self, number: int) -> Path:
+        return self._path / f"part-{number:06d}{SUFFIX}"
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from servocore.problem import Problem
 from servocore.references.base import Reference, points
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
-from servocore.references.timed_path import TimedPath, chained
+from servocore.references.timed_path import chained
 
 Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
 """A reference, of which the curve counts and not the times, or waypoints (n, m)."""
@@ -109,7 +109,7 @@ def _of_motion(corners: Sequence[Problem], curve: PiecewisePolynomial) -> bool:
 def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePolynomial, duration: float) -> bool:
     """Whether limits of two models are the same along the smooth polynomial law."""
     length = one[0].array.reference_order
-    path = polynomial_path(TimedPath.of(curve, _unit_law(length)), duration, length)
+    path = polynomial_path(curve, duration, length)
     values = []
     for problem in (*one, *other):
         rows = limit_rows(problem, curve.ends[0])
@@ -270,8 +270,7 @@ def _begun(
             continue
         if not np.isfinite(duration):
             continue
-        begun = TimedPath.of(curve, _unit_law(task.length))
-        path = polynomial_path(begun, 1.02 * duration, task.length)
+        path = polynomial_path(curve, 1.02 * duration, task.length)
         jets = path.jet(np.linspace(0.0, path.duration, intervals + 1), task.length).transpose(1, 0, 2)
         law = sampled_law(jets, path.duration, task.length)
         starts.append((space.clearance(path, gravity) <= 0.0, duration, f"law along {name}", law))
@@ -289,9 +288,3 @@ def _directions(way: Array) -> list[tuple[str, Array]]:
         return [("above", up)]
     left = np.cross(up, way)
     return [("above", up), ("to the left", left), ("to the right", -left)]
-
-
-def _unit_law(length: int) -> PiecewisePolynomial:
-    """Return a law of one second, only to be replaced."""
-    derivatives = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, 11), length).T[:, :, None]
-    return sampled_law(derivatives, 1.0, length).path()

@@ -10,6 +10,7 @@ import numpy as np
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.transcription import Task
+from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import DEGREE9, DEGREE13, PolynomialProfile, Profile, polynomial, three_phase
 from servocore.references.timed_path import TimedPath
 
@@ -53,11 +54,11 @@ def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
     return sampled_law(jets, duration, task.length)
 
 
-def polynomial_path(path: TimedPath, duration: float, length: int) -> TimedPath:
-    """Return the curve of a path with the polynomial law in another duration, for pictures: nearly exact."""
+def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
+    """Return a curve with the polynomial law in a duration, for pictures: nearly exact."""
     columns = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, _DRAWN + 1), length).T
     jets = columns[:, :, None] / duration ** np.arange(length + 1)[:, None, None]
-    return TimedPath.of(path.curve, sampled_law(jets, duration, length).path())
+    return TimedPath.of(curve, sampled_law(jets, duration, length).path())
 
 
 def shortest(task: Task, shape: Shape) -> float:

@@ -6,19 +6,16 @@ A reference is a value: nothing about it changes after it was made, and asking t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,23 +6,21 @@ FMU evaluates references and must run where SciPy is not installed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import factorial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidReference
+from servocore.references.base import FloatArray
 from servocore.references.piecewise import PiecewisePolynomial
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy.typing as npt
     from scipy.interpolate import BSpline
     from scipy.sparse import csc_array, csr_array
-
-    from servocore.references.base import FloatArray
 
 
 REST_ORDER = 4
@@ -223,22 +221,17 @@ def to_path(spline: BSpline, ends: Ends, fit_error: float | None) -> PiecewisePo
     PiecewisePolynomial
         C^(degree - 1) inside; C^order over all time if an end rests.
     """
+    smoothness = ends.order if ends.start or ends.end else ends.degree - 1
+    limits = np.array(spline.c[[0, -1]])
+    return PiecewisePolynomial.of(*pieces_of(spline), smoothness, limits, (ends.start, ends.end), fit_error)
+
+
+def pieces_of(spline: BSpline) -> tuple[FloatArray, FloatArray]:
+    """Return the knots of a spline, and of every piece the factors of the powers of u; see `PiecewisePolynomial`."""
     knots = np.unique(spline.t)
     middle, length = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
-    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(ends.degree + 1)]
-    return PiecewisePolynomial(
-        start_time=float(knots[0]),
-        end_time=float(knots[-1]),
-        dimension=spline.c.shape[1],
-        max_order=ends.degree,
-        smoothness=ends.order if ends.start or ends.end else ends.degree - 1,
-        fit_error=fit_error,
-        knots=knots,
-        coefficients=np.stack(taylor, axis=1),
-        ends=np.array(spline.c[[0, -1]]),
-        rests_before=ends.start,
-        rests_after=ends.end,
-    )
+    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(spline.k + 1)]
+    return knots, np.stack(taylor, axis=1)
 
 
 def joined(legs: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:

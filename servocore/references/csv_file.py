@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from os import PathLike
 
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind
 from servocore.files import csv_text
-from servocore.references.base import Reference
+from servocore.references.base import FloatArray, Reference
 from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.csv_table import PREFIXES, Table, doubtful_units, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import fewest_samples, joined_legs, sampled
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from servocore.references.base import FloatArray
 
 COLUMNS = ("x", "y", "z")
 """Position columns if no others are named: of a load in space."""

@@ -16,16 +16,13 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
-from servocore.references.base import LONGEST_TIME
+from servocore.references.base import LONGEST_TIME, FloatArray
 from servocore.references.time_stamps import EXAMPLE, with_seconds
-
-if TYPE_CHECKING:
-    from servocore.references.base import FloatArray
 
 PREFIXES = ("", "v", "a", "j", "s")
 """What stands before the name of a position column: nothing, or the order of its derivative by time."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import comb, factorial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from servocore.references.base import FloatArray
 from servocore.references.piecewise import PiecewisePolynomial
-
-if TYPE_CHECKING:
-    from servocore.references.base import FloatArray
 
 REDUNDANT = 1e-10
 """Rows are left out for good if the others give them back to this fraction of the peaks."""
@@ -154,18 +152,7 @@ def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], tay
     data[:, 0], data[:, order + 1] = 0.0, rows[1:, 0] - origin
     coefficients = np.einsum("ij,njd->nid", taylor, data)
     coefficients[:, 0] += origin
-    return PiecewisePolynomial(
-        start_time=float(t[0]),
-        end_time=float(t[-1]),
-        dimension=rows.shape[2],
-        max_order=2 * order + 1,
-        smoothness=order,
-        knots=t.copy(),
-        coefficients=coefficients,
-        ends=rows[[0, -1], 0].copy(),
-        rests_before=rests[0],
-        rests_after=rests[1],
-    )
+    return PiecewisePolynomial.of(t.copy(), coefficients, order, rows[[0, -1], 0].copy(), rests)
 
 
 def _taylor_from_ends(order: int) -> FloatArray:

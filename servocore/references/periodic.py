@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy.typing as npt
-
 
 MOST_STRETCHES = 1000
 """Of longer runs a stretch holds several turns; they repeat what was looked at before."""

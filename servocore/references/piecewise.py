@@ -46,6 +46,31 @@ class PiecewisePolynomial(Reference):
         for array in (self.knots, self.coefficients, self.ends):
             array.setflags(write=False)
 
+    @classmethod
+    def of(
+        cls,
+        knots: FloatArray,
+        coefficients: FloatArray,
+        smoothness: int,
+        ends: FloatArray,
+        rests: tuple[bool, bool],
+        fit_error: float | None = None,
+    ) -> PiecewisePolynomial:
+        """Return a path with times, dimension and highest derivative of its pieces; `rests` are before and after."""
+        return cls(
+            start_time=float(knots[0]),
+            end_time=float(knots[-1]),
+            dimension=coefficients.shape[2],
+            max_order=coefficients.shape[1] - 1,
+            smoothness=smoothness,
+            fit_error=fit_error,
+            knots=knots,
+            coefficients=coefficients,
+            ends=ends,
+            rests_before=rests[0],
+            rests_after=rests[1],
+        )
+
     @property
     def stretches(self) -> FloatArray:
         """The knots."""

@@ -8,19 +8,14 @@ elapsed and the time remaining, and is written in products and sums of positive 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import comb, factorial, isfinite
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind, require_real
-from servocore.references.base import Values, either, least, most, powers, where
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servocore.references.base import FloatArray
+from servocore.references.base import FloatArray, Values, either, least, most, powers, where
 
 DEFAULT_RAMP = 0.25
 """Part of the duration that `three_phase` accelerates when no ramp is given."""

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
 from servocore.references.base import FloatArray, numbers_of, points, positive_time
 from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
+from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    import numpy.typing as npt
     from scipy.interpolate import BSpline
-
-    from servocore.references.piecewise import PiecewisePolynomial
 
 ROUNDING = 1e-12
 """Samples without a tolerance are taken as exact up to this fraction of the largest coordinate."""

@@ -1,4 +1,4 @@
-"""Scenes: one file each, with sketch, equations, parameters, closed form; one line each in the registry."""
+"""Scenes: one file each, with sketch, equations, parameters, closed form; one line each in the list below."""
 
 from collections.abc import Callable
 
@@ -14,30 +14,19 @@ from servocore.scenes.passive_joint_arm import passive_joint_arm
 from servocore.scenes.quadrotor_with_load import quadrotor_with_load
 from servocore.scenes.rotary_crane import rotary_crane
 
-REGISTRY: dict[str, Callable[[], Scene]] = {
-    "rotary_crane": rotary_crane,
-    "overhead_crane": overhead_crane,
-    "gantry_crane": gantry_crane,
-    "boom_crane": boom_crane,
-    "cars": cars,
-    "mass_on_car": mass_on_car,
-    "passive_joint_arm": passive_joint_arm,
-    "elastic_bar": elastic_bar,
-    "quadrotor_with_load": quadrotor_with_load,
-}
-"""All scenes by name; what is listed here inherits the whole test suite."""
-
-__all__ = [
-    "REGISTRY",
-    "Limit",
-    "Scene",
+__all__ = [  # noqa: RUF022 - in the order in which they are listed everywhere
+    "rotary_crane",
+    "overhead_crane",
+    "gantry_crane",
     "boom_crane",
     "cars",
-    "elastic_bar",
-    "gantry_crane",
     "mass_on_car",
-    "overhead_crane",
     "passive_joint_arm",
+    "elastic_bar",
     "quadrotor_with_load",
-    "rotary_crane",
 ]
+
+REGISTRY: dict[str, Callable[[], Scene]] = {name: globals()[name] for name in __all__}
+"""All scenes by name; what is listed above inherits the whole test suite."""
+
+__all__ += ["REGISTRY", "Limit", "Scene"]

@@ -138,14 +138,11 @@ def generalized() -> MechanicalSystem:
     base = points()
     coordinates, p, gamma = Coordinates(PHI, LUFFING, ROPE, *SWINGS), base.parameters, base.gamma
     phi, theta, length, inside, outside = ca.vertsplit(coordinates.q)
-    along, across = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    along = ca.vertcat(ca.cos(phi), ca.sin(phi))
     boom = ca.vertcat(ca.cos(theta) * along, ca.sin(theta))
-    level = ca.sin(inside) * ca.cos(outside) * along + ca.sin(outside) * across
-    rope = length * ca.vertcat(level, -ca.cos(inside) * ca.cos(outside))
+    rope = length * hanging_load.rope_beside(along, inside, outside)
     tip = ca.vertcat(p["foot_offset"] * along, 0) + p["boom_length"] * boom
     column, raised, hanging, _ = ca.vertsplit(_hanging(gamma, p), [0, 2, 5, 6, 9])
-    towards = -_direction(gamma, p)
-    sideways = column[0] * towards[1] - column[1] * towards[0]
     return generalise(
         base,
         coordinates,
@@ -154,8 +151,7 @@ def generalized() -> MechanicalSystem:
             ca.atan2(column[1], column[0]),
             ca.atan2(raised[2], ca.dot(column, raised[:2])),
             hanging,
-            ca.atan2(ca.dot(column, towards[:2]), -towards[2]),
-            ca.asin(sideways),
+            hanging_load.swings_beside(column, -_direction(gamma, p)),
         ),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={TENSION: hanging_load.tension(gamma, p), SWING: hanging_load.swing_angle(rope)},

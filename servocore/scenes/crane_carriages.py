@@ -3,14 +3,59 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import casadi as ca
 
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters
-from servocore.scenes.crane_levels import Drive, Frame
 
 _TURNS = 2 * ca.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive of the carriage: what it measures, its position, and the coordinates' share in its rate.
+
+    Attributes
+    ----------
+    measured : Quantity
+        Name and unit of its position.
+    position : casadi.SX
+        Expression of q.
+    row : casadi.SX
+        Shape (1, n): the rate is row times v, and a force f of the drive is row^T f.
+    friction : str
+        Name of the parameter of its dry friction.
+    """
+
+    measured: Quantity
+    position: ca.SX
+    row: ca.SX
+    friction: str
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a carriage brings into a model.
+
+    Attributes
+    ----------
+    kinetic, potential : casadi.SX
+        Energies in J.
+    constraints : casadi.SX
+        Column; may be empty.
+    exit : casadi.SX
+        Where the rope leaves the trolley.
+    drives : tuple of Drive
+        One an input but for the winch's.
+    """
+
+    kinetic: ca.SX
+    potential: ca.SX
+    constraints: ca.SX
+    exit: ca.SX
+    drives: tuple[Drive, ...]
 
 
 def _is_flexible(effects: frozenset[str]) -> bool:
@@ -20,6 +65,11 @@ def _is_flexible(effects: frozenset[str]) -> bool:
 def _offset(p: Parameters, effects: frozenset[str]) -> tuple[ca.SX, ca.SX]:
     """Return how far to the side of the trolley, and how far below the rail, the rope leaves it."""
     return (p["exit_side"], p["exit_drop"]) if "rope exit" in effects else (ca.SX(0), ca.SX(0))
+
+
+def exit_height(p: Parameters, effects: frozenset[str]) -> ca.SX:
+    """Return the height of the rope's exit in m, from the rail upwards."""
+    return -_offset(p, effects)[1]
 
 
 def _stiffness(inertia: ca.SX, p: Parameters) -> ca.SX:
@@ -56,7 +106,10 @@ class Rails:
         return (*self.rails, self._motor) if _is_flexible(effects) else self.rails
 
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
-        """Return its energies; the first rail's drive is the flexible one."""
+        """Return its energies; the first rail's drive is the flexible one.
+
+        The mass of the trolley may be less than the parameter says.
+        """
         masses = [trolley_mass if mass == "trolley_mass" else p[mass] for mass in self.masses]
         own, carried = masses[0], sum(masses[1:], ca.SX(0))
         positions, first = [c[rail.name] for rail in self.rails], self.rails[0].name
@@ -85,10 +138,6 @@ class Rails:
         positions = exit_[:-1]
         positions[-1] -= side
         return ca.vertcat(positions, positions[0]) if _is_flexible(effects) else positions
-
-    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
-        """Return the height of the rope's exit in m, from the rail upwards."""
-        return -_offset(p, effects)[1]
 
 
 PHI_MOTOR = Quantity("phi_motor", "rad", "angle of the slewing drive, before the flexible bridge", wraps=True)
@@ -144,6 +193,6 @@ class SlewingBridge:
         d = ca.vertcat(s * x + side * y, s * y - side * x) / (x**2 + y**2)
         return ca.vertcat(d, s * d, s, d) if _is_flexible(effects) else ca.vertcat(d, s * d, s)
 
-    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
-        """Return the height of the rope's exit in m, from the rail upwards."""
-        return -_offset(p, effects)[1]
+
+Carriage: TypeAlias = Rails | SlewingBridge
+"""What a crane's rope hangs from."""

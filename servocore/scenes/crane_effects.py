@@ -20,7 +20,8 @@ from servocore.model.effects import Effect, Effects, parameters_with
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.scenes.crane_levels import Carriage, assemble, overhang
+from servocore.scenes.crane_carriages import Carriage
+from servocore.scenes.crane_levels import assemble, overhang
 from servocore.scenes.hanging_load import ROPE
 
 MOST_LUMPS = 4

@@ -19,80 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import casadi as ca
 
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.scenes.crane_carriages import Carriage, Drive, exit_height
 from servocore.scenes.hanging_load import ROPE, TENSION, swing_angle
 
 _SMOOTH_WIND = 0.01  # m/s: below it the drag is linear in the velocity, and differentiable at rest
 
 STRETCHED = Quantity("stretched", "m", "elastic rope between its lumps and the trolley, under its load", positive=True)
 ROPE_ABOVE = Quantity("rope_above", "m", "rope between its lumps and the trolley", positive=True)
-
-
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """A drive of the carriage: what it measures, its position, and the coordinates' share in its rate.
-
-    Attributes
-    ----------
-    measured : Quantity
-        Name and unit of its position.
-    position : casadi.SX
-        Expression of q.
-    row : casadi.SX
-        Shape (1, n): the rate is row times v, and a force f of the drive is row^T f.
-    friction : str
-        Name of the parameter of its dry friction.
-    """
-
-    measured: Quantity
-    position: ca.SX
-    row: ca.SX
-    friction: str
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """What a carriage brings into a model.
-
-    Attributes
-    ----------
-    kinetic, potential : casadi.SX
-        Energies in J.
-    constraints : casadi.SX
-        Column; may be empty.
-    exit : casadi.SX
-        Where the rope leaves the trolley.
-    drives : tuple of Drive
-        One an input but for the winch's.
-    """
-
-    kinetic: ca.SX
-    potential: ca.SX
-    constraints: ca.SX
-    exit: ca.SX
-    drives: tuple[Drive, ...]
-
-
-class Carriage(Protocol):
-    """What a crane's rope hangs from."""
-
-    def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
-        """Return its coordinates."""
-
-    def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
-        """Return its energies and constraints; the mass of the trolley may be less than the parameter says."""
-
-    def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
-        """Return its coordinates with the rope's exit where it is to be (its last component is `height`)."""
-
-    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
-        """Return the height of the rope's exit in m, from the rail upwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +232,7 @@ def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effect
         points.append(points[-1] + link * direction)
     for each in chain.masses:
         mass += each
-    height = carriage.height(p, effects)
+    height = exit_height(p, effects)
     distance = (height - points[-1][-1]) / direction[-1]
     exit_ = points[-1] + distance * direction
     stretch = 1 + mass * ca.norm_2(pull) / p["rope_stiffness"] if "elastic rope" in effects else 1

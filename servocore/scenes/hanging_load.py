@@ -58,6 +58,19 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     return gamma[:-1, 0] - length * direction[:-1], length, direction
 
 
+def rope_beside(along: ca.SX, inside: ca.SX, outside: ca.SX) -> ca.SX:
+    """Return a rope's direction from its swing angles in the plane of a level direction, outwards, and out of it."""
+    across = ca.vertcat(-along[1], along[0])
+    level = ca.sin(inside) * ca.cos(outside) * along + ca.sin(outside) * across
+    return ca.vertcat(level, -ca.cos(inside) * ca.cos(outside))
+
+
+def swings_beside(along: ca.SX, rope: ca.SX) -> ca.SX:
+    """Return these angles of a rope's direction; at 90 degrees the second makes the first undefined."""
+    outwards, sideways = ca.dot(along, rope[:2]), along[0] * rope[1] - along[1] * rope[0]
+    return ca.vertcat(ca.atan2(outwards, -rope[2]), ca.asin(sideways))
+
+
 def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope force on the load by its mass: acceleration less gravity."""
     return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])

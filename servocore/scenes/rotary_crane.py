@@ -134,9 +134,7 @@ def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     )  # fmt: skip
     phi, s, rope_length, alpha, beta = ca.vertsplit(coordinates.q)
     along = ca.vertcat(ca.cos(phi), ca.sin(phi))
-    across = ca.vertcat(-ca.sin(phi), ca.cos(phi))
-    horizontal = ca.sin(alpha) * ca.cos(beta) * along + ca.sin(beta) * across
-    rope = rope_length * ca.vertcat(horizontal, -ca.cos(alpha) * ca.cos(beta))
+    rope = rope_length * hanging_load.rope_beside(along, alpha, beta)
     load = rope + ca.vertcat(s * along, 0)
     start = base.gamma
     return generalise(
@@ -154,12 +152,8 @@ def _swinging_guess(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Return (phi, s, l, swing angles) with the rope along the load's acceleration less gravity."""
     trolley, rope_length, direction = hanging_load.suspension(gamma, p)
     s = ca.norm_2(trolley)
-    along = trolley / s
-    outwards = ca.dot(along, direction[:2])
-    sidewards = along[0] * direction[1] - along[1] * direction[0]
-    return ca.vertcat(
-        ca.atan2(trolley[1], trolley[0]), s, rope_length, ca.atan2(outwards, -direction[2]), ca.asin(sidewards)
-    )
+    swings = hanging_load.swings_beside(trolley / s, direction)
+    return ca.vertcat(ca.atan2(trolley[1], trolley[0]), s, rope_length, swings)
 
 
 def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
