@@ -96,7 +96,7 @@ def test_a_run_with_the_cross_check_files_gives_their_results(line: str) -> None
     found = simulate_fmu("cars.fmu", stop_time=stop, output_interval=step, input=signals)
     assert len(found) == len(wanted) == 1001
     if line:
-        assert (signals["time"][-1], signals[signals.dtype.names[1]][-1]) == (4.0, pytest.approx(3.0))
+        assert list(signals[-1])[:2] == [4.0, pytest.approx(3.0)]
     # The highest derivative is held over a step: a thousandth of the duration, in which u changes by about as much.
     assert np.abs(found["u"] - wanted["u"]).max() < 2e-3 * np.abs(wanted["u"]).max()
 
