@@ -132,7 +132,7 @@ class CommandLine(click.Group):
         """Return what to say of a command line that Click does not take."""
         message = (error.message or error.format_message()).rstrip(".")
         for name, now in self.former.items():
-            if error.ctx is not None and error.ctx.command is self and f"'{name}'" in message:
+            if error.ctx is not None and error.ctx.command is self and name in message.replace("'", " ").split():
                 return now
         near = [each for each in getattr(error, "possibilities", None) or () if each != "--help"]
         meant = f"; did you mean {' or '.join(near)}" if near else ""

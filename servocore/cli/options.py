@@ -60,7 +60,7 @@ class Subject:
     title: ClassVar[str] = "System"
 
     scene: str = option(
-        kind=text("rotary_crane"), metavar="SCENE", default=...,
+        kind=Kind("scene", "rotary_crane", str), metavar="SCENE", default=...,
         help="A scene of the library, as servocore scenes lists them, or module:function of your own.",
     )  # fmt: skip
     parameters: Path | None = option(
