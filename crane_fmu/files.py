@@ -1,17 +1,16 @@
-"""Files in folders, folders that appear filled or not at all, and the files that paths are read from."""
+"""Files in folders, and folders that appear filled or not at all."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 
 import servocore as sc
-from servocore.files import made_folder, not_written, path_option, rename_together, require_writable
+from servocore.files import made_folder, not_written, rename_together, require_writable
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -87,33 +86,3 @@ def _move(draft: Path, target: Path) -> None:
             made.pop_all()
     except OSError as error:
         raise not_written(target, error) from error
-
-
-def path_in_file(
-    reference: Path | None, waypoints: Path | None, tolerance: float | None, others: Sequence[str] = ()
-) -> Callable[[], sc.Reference] | None:
-    """Return what reads the path of the file that is given.
-
-    Parameters
-    ----------
-    reference, waypoints : Path or None
-        Samples of a path, or points that it goes through.
-    tolerance : float or None
-        How far the path may stay away from samples, in m.
-    others : sequence of str
-        Options that were given and describe a path without a file.
-
-    Returns
-    -------
-    callable or None
-        Without arguments, returns the path; None if no file is given.
-
-    Raises
-    ------
-    InvalidSetting
-        If options exclude each other.
-    """
-    path_option(reference, waypoints, tolerance, others)  # refuses what excludes each other
-    if reference is not None:
-        return partial(sc.from_csv, reference, tolerance)
-    return None if waypoints is None else partial(sc.waypoints_from_csv, waypoints)

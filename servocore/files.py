@@ -57,39 +57,6 @@ def require_picture(file: Path | None) -> None:
     require_package("matplotlib")
 
 
-def path_option(
-    reference: Path | None, waypoints: Path | None, tolerance: float | None, others: Sequence[str] = ()
-) -> str | None:
-    """Return the option that names the file of a path.
-
-    Parameters
-    ----------
-    reference, waypoints : Path or None
-        Samples of a path, or points that it goes through.
-    tolerance : float or None
-        How far the path may stay away from samples, in m.
-    others : sequence of str
-        Options that were given and describe a path without a file.
-
-    Returns
-    -------
-    str or None
-        None if no file is given.
-
-    Raises
-    ------
-    InvalidSetting
-        If options exclude each other.
-    """
-    files = [name for name, file in (("--reference", reference), ("--waypoints", waypoints)) if file is not None]
-    given = [*files, *others]
-    if files and len(given) > 1:
-        raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-    if tolerance is not None and reference is None:
-        raise InvalidSetting("--tolerance belongs to --reference")
-    return files[0] if files else None
-
-
 def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | None] = ()) -> None:
     """Refuse results that cannot be written: before the work rather than after it.
 

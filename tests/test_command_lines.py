@@ -298,7 +298,7 @@ WRONG = [
     ("crane-fmu drive p.fmu --map F", "--map F: it must be OURS=THEIRS"),
     ("crane-fmu drive p.fmu --set a", "--set a: it must be NAME=NUMBER"),
     # words that there are not, and those that there were
-    (f"{FF} --spep 3", "no such option '--spep'; did you mean --step; see crane-fmu feedforward --help"),
+    (f"{FF} --spep 3", "did you mean --step; see crane-fmu feedforward --help"),
     (f"{FF} --free", "see crane-fmu feedforward --help"),
     (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu --help"),
     (f"{FF} more", "got unexpected extra argument (more); see crane-fmu feedforward --help"),

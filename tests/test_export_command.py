@@ -84,8 +84,9 @@ def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene() -> 
 
 
 @pytest.mark.usefixtures("compiler")
-def test_a_run_with_the_cross_check_files_gives_their_results() -> None:
-    result = run("export", "cars", "-o", "cars.fmu", "--fmi", "2", "--targets", "host", "--cross-check")
+@pytest.mark.parametrize("line", ["", "--from 1 --to 3 --duration 4"], ids=["own path", "line"])
+def test_a_run_with_the_cross_check_files_gives_their_results(line: str) -> None:
+    result = run("export", "cars", "-o", "cars.fmu", "--fmi", "2", "--targets", "host", "--cross-check", *line.split())
     assert result.exit_code == 0, result.output
     signals, wanted = (
         np.genfromtxt(f"cars_{kind}.csv", delimiter=",", names=True, deletechars="") for kind in ("in", "ref")
@@ -94,6 +95,8 @@ def test_a_run_with_the_cross_check_files_gives_their_results() -> None:
     stop, step = float(options["StopTime"]), float(options["StepSize"])
     found = simulate_fmu("cars.fmu", stop_time=stop, output_interval=step, input=signals)
     assert len(found) == len(wanted) == 1001
+    if line:
+        assert list(signals[-1])[:2] == [4.0, pytest.approx(3.0)]
     # The highest derivative is held over a step: a thousandth of the duration, in which u changes by about as much.
     assert np.abs(found["u"] - wanted["u"]).max() < 2e-3 * np.abs(wanted["u"]).max()
 

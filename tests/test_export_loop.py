@@ -166,7 +166,7 @@ def test_a_path_from_a_file_is_the_same_in_both_systems(seed: int, tmp_path: Pat
     rows = np.column_stack([t, path.jet(t, 0)[:, 0]])
     file = tmp_path / "path.csv"
     file.write_text("time,x,y,z\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()))
-    read = present(Wishes(file, tolerance=1e-6).reference())
+    read = sc.from_csv(file, 1e-6)
     written = sc.export_trajectory(
         sc.scenes.rotary_crane(), tmp_path / "native.fmu", sc.TrajectoryWishes(read), fmi=2, targets="host"
     )

@@ -16,6 +16,7 @@ from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import commands
 from servocore.cli.command import Command
 from servocore.cli.commands import app, described
+from servocore.cli.console import advised_here
 from servocore.scenes import REGISTRY
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
@@ -67,7 +68,8 @@ class TestAnalyse:
         result = run("analyse", scene, *(("--model", model) if model else ()))
         assert result.exit_code == 0
         assert result.stderr == ""
-        assert result.stdout == f"{sc.analyse(sc.scenes.REGISTRY[scene](), model=model)}\n"
+        assert result.stdout == advised_here(f"{sc.analyse(sc.scenes.REGISTRY[scene](), model=model)}\n")
+        assert "Reduced" not in result.stdout
 
     def test_parameters_from_a_file_change_the_answer(self) -> None:
         result = run("analyse", "mass_on_car", "--parameters", write("flat.toml", "inclination = 0\ndamping = 0.0\n"))

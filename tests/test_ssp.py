@@ -226,8 +226,7 @@ def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
 
 
 def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
-    path = tmp_path / "path.csv"
-    path.write_text(sc.csv_of(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)))
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)
     with pytest.raises(sc.InvalidReference, match="slack"):
         build_ssp(tmp_path / "out", wishes=Wishes(path=path, parameters={"gravity": 1.6}, targets="host"))
     assert not (tmp_path / "out").exists()
@@ -297,11 +296,24 @@ def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package: str) -> No
     assert np.linalg.norm(found - GOAL) < 1e-4
 
 
-def test_waypoints_are_a_path_to_carry_as_well() -> None:
+def test_waypoints_are_a_path_to_carry_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     file = Path(__file__).parents[1] / "examples" / "working_cycle_waypoints.csv"
-    path, expected = Wishes(waypoints=file).reference(), sc.waypoints_from_csv(file)
+    given: list[Wishes] = []
+
+    def built(folder: Path, _: object, wishes: Wishes) -> tuple[Path, ...]:
+        given.append(wishes)
+        return (folder,)
+
+    monkeypatch.setattr("crane_fmu.build.build_ssp", built)
+    assert CliRunner().invoke(app, ["ssp", "--waypoints", str(file)]).exit_code == 0
+    path, expected = given[0].path, sc.waypoints_from_csv(file)
     assert path is not None
     assert (path.jet(7.0, 4) == expected.jet(7.0, 4)).all()
+
+
+def test_a_path_beside_a_time_law_is_refused() -> None:
+    with pytest.raises(sc.InvalidSetting, match="give either a path or a profile"):
+        Wishes(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -4.0), 9.0), profile="degree9")
 
 
 @pytest.mark.parametrize(

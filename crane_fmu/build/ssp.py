@@ -23,7 +23,7 @@ from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import NativeWishes, native_fmu
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
-from crane_fmu.files import filled_folder, path_in_file, put
+from crane_fmu.files import filled_folder, put
 from crane_fmu.slave.interface import (
     DIMENSION,
     FEEDBACK_INPUTS,
@@ -57,46 +57,35 @@ class Wishes:
 
     Attributes
     ----------
-    path : Path, optional
-        A table of a load path that the trajectory shall carry.
-    waypoints : Path, optional
-        Instead, a table of points with times, joined from rest to rest.
-    tolerance : float, optional
-        How far the path may stay away from the positions in the table, in m.
+    path : Reference, optional
+        The path of the load that the trajectory shall carry.
     profile : str, optional
-        Time law of the straight line.
+        Time law of the straight line, in place of a path.
     parameters : mapping of str to float
         Of the crane.
     native : bool
         Whether the FMUs shall be in C, without Python.
     targets : str, optional
         Platforms of native FMUs, as of `sc.export_fmu`.
-    line : Reference, optional
-        A path that is no table's.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such time law, or a path is given beside it.
     """
 
-    path: Path | None = None
-    waypoints: Path | None = None
-    tolerance: float | None = None
+    path: sc.Reference | None = None
     profile: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     native: bool = False
     targets: str | None = None
-    line: sc.Reference | None = None
 
-    def reference(self) -> sc.Reference | None:
-        """Return the path in a table, or None without one; raises `InvalidSetting` for wishes that exclude others.
-
-        Returns
-        -------
-        Reference or None
-            In m and s.
-        """
+    def __post_init__(self) -> None:
+        """Refuse what excludes each other."""
         if self.profile is not None:
             chosen(PROFILES, self.profile, "profile")
-        others = [] if self.profile is None else ["--profile"]
-        read = path_in_file(self.path, self.waypoints, self.tolerance, others)
-        return self.line if read is None else read()
+            if self.path is not None:
+                raise sc.InvalidSetting("a path has its own time law: give either a path or a profile")
 
 
 def build_ssp(
@@ -123,15 +112,15 @@ def build_ssp(
     Raises
     ------
     ServocoreError
-        If a file cannot be read or written, wishes exclude each other, the crane cannot follow the path, the path
-        moves where it starts after the run, or an FMU fails its check.
+        If a file cannot be written, the crane cannot follow the path, the path moves where it starts after the run, or
+        an FMU fails its check.
 
     Warns
     -----
     ServocoreWarning
         If the path ends in motion.
     """
-    reference = wishes.reference()
+    reference = wishes.path
     starts: dict[str, float | str] = dict(wishes.parameters)
     duration = 20.0
     if wishes.profile is not None:

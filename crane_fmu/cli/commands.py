@@ -14,7 +14,7 @@ import servocore as sc
 from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
-from servocore.cli.kinds import FILE_READ, FOLDER, TEXT
+from servocore.cli.kinds import FILE_READ, FOLDER, text
 from servocore.cli.options import NO_POINTS_BETWEEN, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
@@ -77,10 +77,8 @@ def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platfo
     line = path.path(crane) if law is None else None
     from crane_fmu.build import Wishes, build_ssp  # noqa: PLC0415
 
-    profile = None if law is None else next(name for name, known in sc.TIME_LAWS.items() if known == law)
-    wishes = Wishes(
-        line=line, profile=profile, parameters=subject.changes(crane), native=place.native, targets=platforms.targets
-    )
+    profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
+    wishes = Wishes(line, profile, subject.changes(crane), place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
         files = build_ssp(place.output, progress.describe, wishes)
     print(*files, sep="\n")
@@ -94,12 +92,13 @@ class Plant:
 
     plant: Path = option(kind=FILE_READ, metavar="PLANT.fmu", default=..., help="An FMU of a crane, your own say.")
     mapped: tuple[str, ...] = option(
-        "--map", kind=TEXT, metavar="OURS=THEIRS", default=(),
+        "--map", kind=text("F=trolley.force"), metavar="OURS=THEIRS", default=(),
         help="What M_b, F, M_w and the load's x, y, z are called in the FMU, or a TOML file that says so.",
     )  # fmt: skip
     settings: tuple[str, ...] = option(
-        "--set", kind=TEXT, metavar="NAME=NUMBER", default=(), help="A start value of the FMU, in its own unit."
-    )
+        "--set", kind=text("start.swing=0.1"), metavar="NAME=NUMBER", default=(),
+        help="A start value of the FMU, in its own unit.",
+    )  # fmt: skip
 
 
 def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, rows: Rows, table: Table) -> None:

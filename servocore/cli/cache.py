@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from servocore.cli.command import option
 from servocore.cli.console import table_console
-from servocore.cli.kinds import TEXT
+from servocore.cli.kinds import text
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 
@@ -19,8 +19,8 @@ class Order:
 
     title = "Cache"
 
-    what: str = option(
-        kind=TEXT, metavar="[clear]", default="", help="Clear the cache; without this word it is only described."
+    what: str | None = option(
+        kind=text("clear"), metavar="[clear]", help="Clear the cache; without this word it is only described."
     )
 
 
@@ -30,7 +30,7 @@ def show_cache(order: Order) -> None:
     Whatever is removed is compiled again when it is needed. The folder is the user's own for caches, or the one that
     the environment variable SERVOCORE_CACHE names.
     """
-    if order.what not in ("", "clear"):
+    if order.what not in (None, "clear"):
         raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {order.what}")
     kept, console = CodeCache.of_user(), table_console()
     refusal = kept.refusal()

@@ -99,13 +99,15 @@ class Command(click.Command):
         for each in self.params:
             if each.type is PICTURE:
                 require_picture(values[str(each.name)])
-        values |= self.fixed
-        self.function(
-            **{
-                name: group(**{each.name: values[each.name] for each in fields(group) if each.name in values})
-                for name, group in self.groups.items()
-            }
-        )
+        self.function(**self.given(values))
+
+    def given(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the groups of its function, filled with values of options and those that are fixed."""
+        known = {**values, **self.fixed}
+        return {
+            name: group(**{each.name: known[each.name] for each in fields(group) if each.name in known})
+            for name, group in self.groups.items()
+        }
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a command line."""

@@ -15,7 +15,7 @@ from servocore.analysis import analyse
 from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, view
 from servocore.cli import sweep as sweeping
 from servocore.cli.command import Command
-from servocore.cli.console import CommandLine, table_console
+from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import NO_POINTS_BETWEEN, Subject
 from servocore.model.scene import Scene
 from servocore.planning.sweep import sweep
@@ -67,7 +67,7 @@ def analyse_scene(subject: Subject) -> None:
     condition of the system Jacobian along the default path, how often which equation is differentiated, and what to
     do. A problem that is singular somewhere is an answer as well (exit code 0): the reason is printed, with the time.
     """
-    report = str(analyse(subject.chosen(), model=subject.model))
+    report = advised_here(str(analyse(subject.chosen(), model=subject.model)))
     console = table_console()
     if console.is_terminal:
         report = "\n".join(hanging(line, console.width) for line in report.splitlines())

@@ -44,10 +44,24 @@ def _show_version(ctx: click.Context, param: click.Parameter, wanted: bool) -> N
 
 ON_THE_COMMAND_LINE = {
     "plan with parts=('load',)": "plan with --parts load",
+    "give plants of your own: plant=dict(name=factory)": "a scene of your own may declare some",
+    ", points take a higher rest_order": ": use --from, --to and --duration",
     "waypoints, which waypoints_from_csv reads": "waypoints, which --waypoints reads",
     "the default route, solve without a form and a method,": "the default, without --formulation and --method,",
     "the method BoundaryValue finds the bounded solution": "without --formulation and --method the bounded solution is"
     " found",
+    "BoundaryValue: forward in time": "feedforward without --formulation and --method: forward in time",
+    "leave its horizon to BoundaryValue, with a smaller tolerance": "BoundaryValue in Python takes a smaller tolerance",
+    "Reduced: the inputs follow": "feedforward without --formulation: the inputs follow",
+    "Reduced with a method that integrates": "feedforward --formulation reduced, with a --method that integrates",
+    "Reduced() with a method computes": "--formulation reduced with a --method computes",
+    "such as Reduced()": "such as --formulation reduced",
+    "use the form Reduced()": "use --formulation reduced",
+    "in the form Reduced()": "with --formulation reduced",
+    "sc.solve steps them": "feedforward steps them",
+    "solve with RadauIIA steps them": "feedforward --method radau3 steps them",
+    "solve with BoundaryValue bounds them": "feedforward without --formulation and --method bounds them",
+    "resume=True (--resume) does": "--resume does",
 }
 """What sentences of the library advise in Python, and what the same is here."""
 
@@ -118,7 +132,7 @@ class CommandLine(click.Group):
         """Return what to say of a command line that Click does not take."""
         message = (error.message or error.format_message()).rstrip(".")
         for name, now in self.former.items():
-            if error.ctx is not None and error.ctx.command is self and f"'{name}'" in message:
+            if error.ctx is not None and error.ctx.command is self and name in message.replace("'", " ").split():
                 return now
         near = [each for each in getattr(error, "possibilities", None) or () if each != "--help"]
         meant = f"; did you mean {' or '.join(near)}" if near else ""
@@ -171,7 +185,7 @@ class CommandLine(click.Group):
 
             def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
                 if issubclass(category, ServocoreWarning):
-                    print(f"{self.name}: note: {_advised_here(str(message))}", file=sys.stderr)
+                    print(f"{self.name}: note: {advised_here(str(message))}", file=sys.stderr)
                 else:
                     others(message, category, *place, **more)
 
@@ -180,7 +194,7 @@ class CommandLine(click.Group):
             yield
 
     def _refuse(self, sentence: str) -> NoReturn:
-        print(f"{self.name}: {_advised_here(' '.join(sentence.split()))}", file=sys.stderr)
+        print(f"{self.name}: {advised_here(' '.join(sentence.split()))}", file=sys.stderr)
         sys.exit(REFUSED)
 
 
@@ -194,7 +208,7 @@ def _quiet_where_nobody_reads() -> Iterator[None]:
         raise Exit(UNREAD) from None
 
 
-def _advised_here(sentence: str) -> str:
+def advised_here(sentence: str) -> str:
     """Return a sentence of the library with its advice for the command line."""
     for python, here in ON_THE_COMMAND_LINE.items():
         sentence = sentence.replace(python, here)

@@ -11,7 +11,7 @@ import rich.table
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.kinds import FILE, NUMBER, TEXT, quantity
+from servocore.cli.kinds import FILE, NUMBER, quantity, text
 from servocore.cli.options import GivenPath, Subject
 from servocore.effects.drives import Drives
 from servocore.effects.report import HEADINGS, EffectsReport
@@ -35,7 +35,7 @@ class Question:
     title = "Effects"
 
     deviation: str = option(
-        "--deviation", kind=TEXT, metavar="LENGTH", default="5mm",
+        "--deviation", kind=text("5mm"), metavar="LENGTH", default="5mm",
         help="How far the load may be off its path, with its unit. Default: 5mm.",
     )  # fmt: skip
     bandwidth: float | None = option(

@@ -47,7 +47,7 @@ class Products:
     output: Path | None = output("FILE.fmu", "The FMU to write.")
     fmi: int | None = option("--fmi", kind=_FMI, metavar="2|3", help=f"Version of FMI. Default: {NEWEST}.")
     cross_check: bool = option(
-        "--cross-check", help="Write a run along the scene's own path beside the FMU: _in.csv, _ref.csv."
+        "--cross-check", help="Write a run along the path, or the scene's own, beside the FMU: _in.csv, _ref.csv."
     )
     c: Path | None = option("--c", kind=FOLDER, metavar="DIR", help="Write C source into this new folder as well.")
     wasm: Path | None = option(
@@ -67,8 +67,8 @@ class Products:
         if self.plant and self.trajectory:
             raise InvalidSetting("--plant and --trajectory are FMUs of their own: ask for one at a time")
         carried = path.options()
-        if carried and not self.trajectory:
-            raise InvalidSetting(f"{carried[0]} belongs to --trajectory")
+        if carried and not (self.trajectory or self.cross_check):
+            raise InvalidSetting(f"{carried[0]} belongs to --trajectory or --cross-check")
         inverse = _given({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check or None})
         if inverse and (self.plant or self.trajectory):
             which = "--plant" if self.plant else "--trajectory"
@@ -100,6 +100,7 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
     scene needs, its outputs the inputs of the mechanical system and what its model observes. Scenes whose internal
     dynamics are unstable are refused. With --plant it is the forward dynamics that is exported, with --trajectory a
     generator of the path and its derivatives, which carries the path of --reference, --waypoints or --from and --to.
+    With --cross-check the run goes along that path.
     """
     targets = platforms.targets
     products.require_consistent(path, targets)
@@ -136,7 +137,7 @@ def _export(
         wishes = TrajectoryWishes(path.path(scene, model))
         export_trajectory(scene, file, wishes, fmi=products.version, model=model, targets=targets, tell=tell)
         return
-    results: dict[Path, str | bytes] = {}
+    scene, results = path.along(scene, model), dict[Path, str | bytes]()
     with ExitStack() as folders:
         made = Path(folders.enter_context(TemporaryDirectory(prefix="servocore_")))
         if file is not None and products.cross_check:

@@ -50,7 +50,7 @@ class Kind(ParamType):
         except InvalidSetting as error:
             raise InvalidSetting(f"{option}: {error}; {right}") from None
         except ValueError:
-            raise InvalidSetting(f"{option} {value} is no {self.what}: {right}") from None
+            raise InvalidSetting(f"{option} {value or repr(value)} is no {self.what}: {right}") from None
 
 
 class FileRead(Kind):
@@ -90,6 +90,11 @@ def choice(kind: str, table: Mapping[str, Any]) -> Kind:
     return Kind(kind, next(iter(table)), read)
 
 
+def text(example: str) -> Kind:
+    """Return the kind of words that a command looks at once it knows its scene, none of them empty."""
+    return Kind("text", example, _written)
+
+
 def quantity(option: str, text: str, unit: str, example: str) -> float:
     """Return a text such as ``5mm`` as a number in the unit that a scene has; raises `InvalidSetting` as `Kind`."""
     try:
@@ -102,10 +107,14 @@ def _plain(name: str) -> str:
     return re.sub(r"[-_\s]", "", name).lower()
 
 
-def _file(text: str) -> Path:
+def _written(text: str) -> str:
     if not text:
         raise ValueError
-    return Path(text)
+    return text
+
+
+def _file(text: str) -> Path:
+    return Path(_written(text))
 
 
 def _number(text: str) -> float:
@@ -137,7 +146,6 @@ def _point(text: str) -> tuple[float, ...]:
     return tuple(float(word) for word in _BETWEEN_NUMBERS.split(text.strip(" ,;")))
 
 
-TEXT = Kind("text", "NAME", str)
 NUMBER = Kind("number", "1e-3", _number)
 COUNT = Kind("whole number of 1 or more", "100", _count)
 SEED = Kind("whole number of 0 or more", "1", _seed)

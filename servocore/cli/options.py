@@ -13,7 +13,7 @@ import numpy as np
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
-from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, TEXT, TIME, Kind, choice, quantity
+from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, TIME, Kind, choice, quantity, text
 from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
 from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
@@ -59,14 +59,16 @@ class Subject:
 
     title: ClassVar[str] = "System"
 
-    scene: str = option(kind=TEXT, metavar="SCENE", default=..., help="A scene of the library, as servocore scenes"
-                        " lists them, or module:function of your own.")  # fmt: skip
+    scene: str = option(
+        kind=Kind("scene", "rotary_crane", str), metavar="SCENE", default=...,
+        help="A scene of the library, as servocore scenes lists them, or module:function of your own.",
+    )  # fmt: skip
     parameters: Path | None = option(
         "--parameters", kind=FILE_READ, metavar="FILE.toml",
         help="Other data in SI units, one line each, such as load_mass = 80.0; what is left out keeps its default.",
     )  # fmt: skip
     model: str | None = option(
-        "--model", kind=TEXT, metavar="NAME", help="Model of the scene. Default: its first, the smallest."
+        "--model", kind=text("points"), metavar="NAME", help="Model of the scene. Default: its first, the smallest."
     )
 
     def chosen(self) -> Scene:
@@ -91,7 +93,7 @@ class GivenPath:
         " vx,vy,vz. Few rows are taken as waypoints. A plan takes the curve alone.",
     )  # fmt: skip
     tolerance: str | None = option(
-        "--tolerance", kind=TEXT, metavar="LENGTH",
+        "--tolerance", kind=text("1mm"), metavar="LENGTH",
         help="How far the path may stay away from rounded or noisy samples: 1mm, or a number of metres.",
     )  # fmt: skip
     waypoints: Path | None = option(
@@ -201,7 +203,7 @@ class GivenLimits:
     title: ClassVar[str] = "Limits"
 
     limit: tuple[str, ...] = option(
-        "--limit", kind=TEXT, metavar="NAME=VALUE", default=(),
+        "--limit", kind=text("F=60"), metavar="NAME=VALUE", default=(),
         help="A limit of an input, of what is reported, or of its rate: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2.",
     )  # fmt: skip
     limits: Path | None = option(
@@ -288,7 +290,7 @@ class Table:
 
     output: Path | None = output("FILE.csv", "Where the table goes. Default: the standard output stream.")
     columns: str | None = option(
-        "--columns", kind=TEXT, metavar="NAMES",
+        "--columns", kind=text("F,swing"), metavar="NAMES",
         help="What the table holds after the time, divided by commas: inputs, observables such as swing, outputs,"
         " coordinates.",
     )  # fmt: skip
@@ -305,7 +307,7 @@ class Platforms:
     title: ClassVar[str] = "Platforms"
 
     targets: str | None = option(
-        "--targets", kind=TEXT, metavar="LIST",
+        "--targets", kind=text(HOST), metavar="LIST",
         help=f"all, {HOST}, or some of {', '.join(TARGETS)}, with commas. Default: all with the package ziglang, else"
         f" {HOST}.",
     )  # fmt: skip

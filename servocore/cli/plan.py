@@ -10,7 +10,7 @@ import numpy as np
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.kinds import FILE, TEXT
+from servocore.cli.kinds import FILE, text
 from servocore.cli.options import GivenLimits, GivenPath, Rows, Subject, Table
 from servocore.cli.run_summary import chosen_columns, table_pieces
 from servocore.errors import InvalidSetting
@@ -42,16 +42,16 @@ class Freedom:
     title = "Plan"
 
     robust: tuple[str, ...] = option(
-        "--robust", kind=TEXT, metavar="NAME=LOW..HIGH", default=(),
+        "--robust", kind=text("load_mass=0.9..1.1"), metavar="NAME=LOW..HIGH", default=(),
         help="Keep the limits for these factors of a parameter, too: load_mass=0.9..1.1.",
     )  # fmt: skip
     free: bool = option("--free", help="Let the plan choose the way between --from and --to, too.")
     keep_out: tuple[str, ...] = option(
-        "--keep-out", kind=TEXT, metavar="BODY", default=(),
+        "--keep-out", kind=text("'sphere 1 2 -3 0.5'"), metavar="BODY", default=(),
         help="With --free: 'sphere X Y Z RADIUS' or 'box X Y Z HALF HALF HALF' (m) for load and rope.",
     )  # fmt: skip
     parts: str | None = option(
-        "--parts", kind=TEXT, metavar="LIST",
+        "--parts", kind=text("load,rope"), metavar="LIST",
         help="With --keep-out: what keeps clear, of load,rope,bridge. Default: load,rope.",
     )  # fmt: skip
     path: Path | None = option(

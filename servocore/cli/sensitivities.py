@@ -11,7 +11,7 @@ import rich.table
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.kinds import TEXT
+from servocore.cli.kinds import text
 from servocore.cli.options import GivenPath, Rows, Subject, Table
 from servocore.files import write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
@@ -28,8 +28,9 @@ class ByParameters:
     title = "Sensitivities"
 
     wrt: tuple[str, ...] = option(
-        "--wrt", kind=TEXT, metavar="NAME", default=(), help="Differentiate by this parameter. Default: all."
-    )
+        "--wrt", kind=text("load_mass"), metavar="NAME", default=(),
+        help="Differentiate by this parameter. Default: all.",
+    )  # fmt: skip
 
 
 def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows: Rows, results: Table) -> None:

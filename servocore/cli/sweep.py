@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from servocore.cli.command import option
 from servocore.cli.interruption import stop_if_asked
-from servocore.cli.kinds import COUNT, FOLDER, SEED, TEXT
+from servocore.cli.kinds import COUNT, FOLDER, SEED, text
 from servocore.cli.options import GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
@@ -39,7 +39,7 @@ class Cases:
 
     output: Path = output("DIR", f"Where {_STORE} and the page go.", FOLDER, ...)
     vary: tuple[str, ...] = option(
-        "--vary", kind=TEXT, metavar="NAME=LOW..HIGH:COUNT", default=(),
+        "--vary", kind=text("load_mass=50..150:100"), metavar="NAME=LOW..HIGH:COUNT", default=(),
         help="Vary a parameter, or the duration, from LOW to HIGH; of several, all combinations. With --sample without"
         " :COUNT.",
     )  # fmt: skip
@@ -54,8 +54,9 @@ class Cases:
     )
     inputs: bool = option("--inputs", help="Store the inputs over time, too.")
     scheduler: str | None = option(
-        "--scheduler", kind=TEXT, metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."
-    )
+        "--scheduler", kind=text("tcp://localhost:8786"), metavar="ADDRESS",
+        help="Compute on the workers of this Dask scheduler.",
+    )  # fmt: skip
     resume: bool = option("--resume", help="Complete a store that an earlier run left.")
     parquet: bool = option("--parquet", help=f"Write a folder of tables, {_TABLES}, instead.")
 

@@ -137,8 +137,8 @@ class EffectsReport:
         refused = [row.name for row in self.rows if row.how == REFUSED]
         declared = {effect.name for effect in self.scene.effects.declared}
         undeclared = [name for name in self.needed if name not in declared]
-        call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
-        how = f"scene.with_effects({call})".replace("'", '"') if call else "the scene as it is"
+        changes = [f"{', '.join(names)} {what}" for names, what in ((added, "added"), (without, "left out")) if names]
+        how = " and ".join(changes) if changes else "the scene as it is"
         addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
             f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"

@@ -156,7 +156,7 @@ class _Study:
         declared = self.scene.effects
         if not (declared.declared or plant):
             raise InvalidModel(
-                f"{self.scene.name} declares no effects; give plants of your own: plant={{'name': factory}}"
+                f"{self.scene.name} declares no effects; give plants of your own: plant=dict(name=factory)"
             )
         if not self.measured:
             raise InvalidSetting(

@@ -15,7 +15,7 @@ STEPS = 1000
 
 
 def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str) -> dict[str, str]:
-    """Return inputs along the scene's own path, what a solution says of it, and the options of a run, by file name.
+    """Return inputs along a scene's path, what a solution says of it, and the options of a run, by file name.
 
     The inputs stand at the times that they belong to: a run with `input_time` = start continues them over each step,
     and differs from the reference by that.
