@@ -30,7 +30,6 @@ from pythonfmu.builder import FmuBuilder
 import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.build.flatness import flat_motion
-from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 BATCHES, CYCLES, STEP = 200, 20, 0.005
 SETTINGS: dict[str, dict[str, str]] = {
@@ -127,7 +126,7 @@ def path() -> np.ndarray:
 def with_measured(inputs: np.ndarray) -> np.ndarray:
     """Return inputs with what is measured of a crane that is on its path."""
     crane = sc.scenes.rotary_crane().parameter_values()
-    p = [crane[name] for name in CRANE_PARAMETERS]
+    p = [crane[name] for name in sc.scenes.rotary_crane().model().parameters.names]
     states = np.array(flat_motion().map(len(inputs))(inputs.T, np.tile(np.array(p)[:, None], len(inputs)))[0]).T
     (x, y), (x_dot, y_dot) = states[:, :2].T, states[:, 5:7].T
     s, length = np.hypot(x, y), np.linalg.norm(inputs[:, :3] - np.pad(states[:, :2], [(0, 0), (0, 1)]), axis=1)

@@ -7,9 +7,7 @@ outputs, and the crane's PythonFMU. Times are those of the fastest of many round
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -70,7 +68,6 @@ def measured_time(
         capture_output=True,
         text=True,
         check=True,
-        env=os.environ | {"CRANE_FMU_PYTHON": sys.executable},
     )
     step, start = map(float, done.stdout.split())
     return step, start

@@ -11,13 +11,12 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.build import STEP, Wishes, build_ssp
-from crane_fmu.catalogue import ROTARY_CRANE
+from crane_fmu.catalogue import ROTARY_CRANE, components
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
 from crane_fmu.report.page import Illustration, Part, Table, page
 from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, Study, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
-from crane_fmu.slave.interface import components
 from servocore.cli.run_summary import COLUMNS, table_pieces
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"

@@ -11,8 +11,8 @@ import fmpy
 import numpy as np
 
 import servocore as sc
+from crane_fmu.catalogue import components
 from crane_fmu.run import Array, simulated
-from crane_fmu.slave.interface import components
 from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
 

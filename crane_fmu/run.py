@@ -16,7 +16,7 @@ import numpy.typing as npt
 from fmpy.ssp.simulation import simulate_ssp
 
 import servocore as sc
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, ORDERS, PATH_INPUTS
+from crane_fmu.catalogue import FEEDBACK_INPUTS, ORDERS, PATH_INPUTS
 
 Array = npt.NDArray[np.float64]
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +25,7 @@ FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 MORE_SPACE = "free some space"
 """What helps then."""
 
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the first date that archives know
 _ROWS = 4096  # of a piece
 _TRIAL = 4096  # bytes: a disk that is full takes a file, but nothing in it
 
@@ -252,3 +256,21 @@ def rename_together(moves: Sequence[tuple[Path, Path, Path]]) -> None:
 def _put_back(old: Path, file: Path) -> None:
     if os.path.lexists(old):
         old.replace(file)
+
+
+def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
+    """Pack files by path in a fixed order, with fixed dates and rights: equal files give equal bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(members, key=lambda each: (each != first, each)):
+            entry = zipfile.ZipInfo(name, _LONG_AGO)
+            entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(entry, members[name])
+    return stream.getvalue()
+
+
+def xml_document(root: ET.Element) -> bytes:
+    """Return a whole XML document, indented."""
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()

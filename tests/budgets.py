@@ -69,7 +69,7 @@ def function_of(case: str) -> str:
 
 
 def budget_of(item: pytest.Item) -> float:
-    """Return the budget of a test's file: the longest are begun first, so that no process waits for another at the end."""
+    """Return the budget of a test's file: the longest begin, so that both processes end together."""
     return budgets().get(item.nodeid.partition("::")[0].removeprefix("tests/"), UNLISTED)
 
 

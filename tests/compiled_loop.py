@@ -14,8 +14,6 @@ from loops import CRANE, STEPS, Case, jets_at
 import servocore as sc
 from crane_fmu.build.feedback_law import SIZES, feedback_functions
 from crane_fmu.build.flatness import continued, flat_motion
-from crane_fmu.build.machine_code import c_compiler
-from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 _SYSTEM = CRANE.model("generalized")
 _PLANT_STEP = 0.005  # of the Runge-Kutta method, in s
@@ -40,7 +38,7 @@ def compiled_deviation_over(
     t = longest * np.arange(count + 1) if even else np.concatenate([[0.0], np.cumsum(steps)])
     jets = jets_at(case.reference, case.reference.start_time + t).reshape(-1, _JET)
     values = CRANE.parameter_values() | case.crane
-    p = np.array([values[name] for name in CRANE_PARAMETERS])
+    p = np.array([values[name] for name in CRANE.model().parameters.names])
     functions = _compiled(at)
     inputs = np.array(functions["flat"](jets[0], p)[1]).ravel()
     x, y, z = jets[0, :3]
@@ -83,7 +81,7 @@ def _ahead() -> ca.Function:
 @cache
 def _seen() -> ca.Function:
     """Return (state, p) -> what is measured."""
-    x, p = ca.MX.sym("x", _STATE), ca.MX.sym("p", len(CRANE_PARAMETERS))
+    x, p = ca.MX.sym("x", _STATE), ca.MX.sym("p", len(CRANE.model().parameters))
     plant = _plant()
     names = [each.name for each in plant.channels]
     values = plant.observe(x, ca.MX.zeros(_INPUTS), ca.MX.zeros(3), p)
@@ -105,14 +103,11 @@ def _compiled(at: str) -> dict[str, ca.Function]:
     generator = ca.CodeGenerator("loop.c")
     for each in functions:
         generator.add(each)
-    compiler = c_compiler()
-    if compiler is None:
-        return {each.name(): each for each in functions}
     folder = Path(tempfile.mkdtemp(prefix="loop "))
     source, library = folder / "loop.c", folder / "loop.so"
     source.write_text(generator.dump())
     options = ["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
-    subprocess.run([*compiler, *options, str(source), "-o", str(library), "-lm"], check=True)
+    subprocess.run([*sc.c_compiler(), *options, str(source), "-o", str(library), "-lm"], check=True)
     return {each.name(): ca.external(each.name(), str(library)) for each in functions}
 
 

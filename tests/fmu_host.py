@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from budgets import shared_by_all_files
@@ -22,8 +23,7 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2Ca
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.catalogue import KINDS
-from crane_fmu.slave.interface import ORDERS, Interface
+from crane_fmu.catalogue import KINDS, ORDERS
 from servocore.numerics.compiled_calls import Array
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
@@ -176,6 +176,7 @@ def in_a_process(
     )
 
 
-def interface(name: str = "RotaryCrane") -> Interface:
-    """Return the table of variables."""
-    return KINDS[name].interface()
+def described(name: str = "RotaryCrane", causality: str = "") -> list[Any]:
+    """Return the variables in the model description, of one causality where one is asked for."""
+    every = read_model_description(str(fmu_file(name)), validate=False).modelVariables
+    return [each for each in every if causality in ("", each.causality)]

@@ -12,7 +12,7 @@ import numpy as np
 from compiled_loop import compiled_deviation_over
 from loops import Case, fastest, random_case
 
-from crane_fmu.slave.interface import LARGEST_TURN
+from crane_fmu.build.native import LARGEST_TURN
 
 LONGEST, FACTORS = (0.1, 0.05, 0.01), (2, 3, 10, 30)
 KINDS = {

@@ -14,10 +14,9 @@ from called import Feedback
 from loops import CRANE
 
 import servocore as sc
-from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 _MODEL = CRANE.model("generalized")
-P = np.array([CRANE.parameter_values()[name] for name in CRANE_PARAMETERS])
+P = np.array(list(CRANE.parameter_values().values()))
 _COST, _PATH = 100, 21  # of the memory: the cost-to-go first, and last what does not depend on the state
 _NO_LIMITS = [1e9] * 3
 

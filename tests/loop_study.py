@@ -29,7 +29,7 @@ from loop_information import smallest_distance
 from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, STEPS, Case, PlantRefusedError, deviation, fastest, random_case
 
-from crane_fmu.slave.interface import LARGEST_TURN
+from crane_fmu.build.native import LARGEST_TURN
 
 TARGET = Path(__file__).parents[1] / "docs" / "pictures"
 MASTERS = {"start": "Jacobi", "end": "Gauss-Seidel"}

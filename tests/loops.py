@@ -13,7 +13,7 @@ from fmu_host import JET, Host, fmu_file
 from native_fmu import native_file
 
 import servocore as sc
-from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_INPUTS
+from crane_fmu.catalogue import FEEDBACK_INPUTS
 
 CRANE = sc.scenes.rotary_crane()
 FORCES = ("M_b", "F", "M_w")
@@ -136,7 +136,7 @@ def random_case(
     profiles = {"degree 9": sc.DEGREE9, "degree 13": sc.DEGREE13, "three phases": sc.three_phase()}
     default = CRANE.parameter_values()
     while True:
-        values = {name: default[name] * (rng.uniform(0.5, 1.5) if any_crane else 1.0) for name in CRANE_PARAMETERS}
+        values = {name: default[name] * (rng.uniform(0.5, 1.5) if any_crane else 1.0) for name in default}
         angle, radius, height = rng.uniform(-np.pi, np.pi, 2), rng.uniform(2.0, 9.0, 2), rng.uniform(-8.0, -2.0, 2)
         ends = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
         name, duration = str(rng.choice(list(profiles))), round(float(rng.uniform(8.0, 25.0)), 1)

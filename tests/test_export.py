@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Sequence
-from pathlib import Path
-from xml.etree import ElementTree as ET
-
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
-from fmu_host import fmu_file
 from native_fmu import (
     DISCARD,
     END,
@@ -102,39 +96,6 @@ def test_with_internal_dynamics_its_inputs_are_those_of_solve(
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
     own = solution[exported(name).of("local")[0].name.split(".")[1]]
     assert np.abs(state[0] - own[-1]) <= 1e-12 * np.abs(own).max()
-
-
-def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu() -> None:
-    def run(file: Path, names: Sequence[str], t: Array, jets: Array) -> Array:
-        columns = [("time", float), *((name, float) for name in names)]
-        signals = np.array([(time, *jet.ravel()) for time, jet in zip(t, jets, strict=True)], dtype=columns)
-        result = simulate_fmu(str(file), stop_time=20.0, output_interval=0.1, input=signals)
-        return np.column_stack([result[name] for name in ("M_b", "F", "M_w")])
-
-    t = unstepped("rotary_crane", 200)
-    names = exported("rotary_crane").of("input")
-    scalars = [scalar for each in names for scalar in each.scalar_names]
-    native = run(native_file("rotary_crane", 2), scalars, t, jets_of("rotary_crane", t))
-    python = run(fmu_file(), scalars, t, jets_of("rotary_crane", t))
-    exact = sc.ExactInversion(scene_called("rotary_crane"))(t)
-    assert native.shape == python.shape == exact.shape
-    # FMPy rounds the times at which it evaluates signals; beyond that both continue the same polynomial.
-    np.testing.assert_allclose(native, python, rtol=0.0, atol=1e-9 * np.abs(exact).max())
-    assert np.abs(native - exact).max() <= 1.0001 * np.abs(python - exact).max()
-
-
-def test_the_rotary_crane_has_the_variables_of_the_python_fmu() -> None:
-    def table(file: Path) -> dict[str, tuple[str | None, str | None]]:
-        root = ET.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
-        variables = root.iter("ScalarVariable")
-        return {each.attrib["name"]: (each.get("causality"), each[0].get("unit")) for each in variables}
-
-    native, python = table(native_file("rotary_crane", 2)), table(fmu_file())
-    left_out = {name for name in python if name.startswith(("measured.", "limit.", "feedback"))}
-    left_out |= {"connected", "model", "formulation", "internal_step", "input_time"}
-    assert {name: row for name, row in native.items() if name != "input_time"} == {
-        name: row for name, row in python.items() if name not in left_out
-    }
 
 
 def test_fmi_3_has_the_path_as_vectors() -> None:
@@ -278,25 +239,6 @@ def test_a_start_cannot_be_moved_once_the_run_has_begun() -> None:
         with pytest.raises(FMICallException):
             host.set(**{"start.s.position": 0.1})
         assert host.messages[-1] == "start.s.position cannot change after the initialization; the new value is ignored"
-
-
-@pytest.mark.parametrize(
-    ("time", "h", "sentence"),
-    [
-        (0.0, 0.0, "the communication step is 0 s, it must be above 0 s"),
-        (0.0, -0.1, "the communication step is -0.1 s"),
-        (0.0, np.nan, "the communication step is nan s"),
-        (np.nan, 0.1, "the communication point must be a finite number"),
-        (1.0, 0.1, "lies ahead of the FMU's time 0 s"),
-        (-1.0, 0.1, "lies behind the FMU's time 0 s"),
-    ],
-)
-def test_a_call_that_makes_no_sense_is_an_error(time: float, h: float, sentence: str) -> None:
-    with Native("rotary_crane", 3) as host:
-        host.start()
-        assert host.step(time, h) == ERROR
-        assert sentence in host.messages[-1].replace("-nan", "nan")
-        assert host.step(0.0, 0.1) == OK
 
 
 @pytest.mark.parametrize(("input_time", "instant"), [(START, "0.1"), (END, "0.2")])

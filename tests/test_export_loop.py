@@ -24,10 +24,9 @@ from thinned import thinned
 
 import servocore as sc
 from crane_fmu.build import Wishes, build_fmu, build_ssp
-from crane_fmu.catalogue import KINDS
+from crane_fmu.catalogue import FROM_FILE, KINDS
 from crane_fmu.cli.commands import app as crane_app
 from crane_fmu.run import nothing_left
-from crane_fmu.slave.interface import FROM_FILE
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of
 from servocore.references.rest_to_rest import RestToRest

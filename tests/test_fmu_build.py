@@ -6,23 +6,22 @@ import io
 import subprocess
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
-from fmu_host import Host, fmu_file, in_a_process, interface, scratch
+from fmu_host import Host, described, fmu_file, in_a_process, scratch
 from present import present
 
 import servocore as sc
 from crane_fmu.build import fmu as build
 from crane_fmu.build.archive import packed
-from crane_fmu.build.bundle import Content, collect
-from crane_fmu.build.native import NativeWishes
-from crane_fmu.build.page import user_page
-from crane_fmu.catalogue import ROTARY_CRANE
+from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
+from crane_fmu.slave import kernel
 from servocore.export.units import base_units
 
 ROOT = Path(__file__).parents[1]
@@ -34,8 +33,9 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def content() -> Content:
-    return collect(wishes=NativeWishes(targets="host"))
+def native() -> bytes:
+    """Return a native FMU that is soon compiled."""
+    return native_fmu(LOAD_TRAJECTORY, NativeWishes(targets="host", judged_late=True))
 
 
 def test_fmpy_finds_no_problems() -> None:
@@ -65,40 +65,44 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
 
 
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
-    content: Content, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken = replace(content, slave="raise RuntimeError('broken')\n")
-    monkeypatch.setattr(build, "collect", lambda *_: broken)
-    (tmp_path / "RotaryCrane.fmu").write_text("older")
-    # PythonFMU's own look at the slave meets it first
-    with pytest.raises(RuntimeError, match="broken"):
-        build.build_fmu(tmp_path)
+    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
+    (tmp_path / "LoadTrajectory.fmu").write_text("older")
+    broken = tmp_path / "slave.py"
+    broken.write_text("raise RuntimeError('broken')\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(kernel, "__file__", str(broken))
+        # PythonFMU's own look at the slave meets it first
+        with pytest.raises(RuntimeError, match="broken"):
+            build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
+    broken.unlink()
     monkeypatch.setattr(build, "packed", lambda *_: b"no archive")
     with pytest.raises(sc.ServocoreError, match="failed its check"):
-        build.build_fmu(tmp_path)
+        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
     assert [each.read_text() for each in tmp_path.iterdir()] == ["older"]
 
 
 def test_a_library_missing_from_the_bundle_is_found_by_the_check(
-    content: Content, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_libraries(content: Content, _: object) -> bytes:
+    def without_libraries(*given: Any) -> bytes:
         stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w") as archive:
-            for name, data in members(io.BytesIO(packed(content))).items():
-                archive.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
+        with zipfile.ZipFile(stream, "w") as file:
+            for name, data in members(io.BytesIO(packed(*given))).items():
+                file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
         return stream.getvalue()
 
-    monkeypatch.setattr(build, "collect", lambda *_: content)
+    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
-        build.build_fmu(tmp_path)
+        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
     assert not list(tmp_path.iterdir())
 
 
-def test_building_leaves_no_traces_in_the_process(content: Content) -> None:
+def test_building_leaves_no_traces_in_the_process(native: bytes) -> None:
     path, modules = list(sys.path), set(sys.modules)
-    packed(content)
+    packed(native, LOAD_TRAJECTORY)
     assert sys.path == path
     assert not {each for each in set(sys.modules) - modules if each.startswith("rotary_crane")}
 
@@ -121,21 +125,18 @@ def test_the_archive_holds_what_is_needed_and_nothing_else() -> None:
 def test_all_variables_have_units_with_their_dimension() -> None:
     description = ET.fromstring(members(fmu_file())["modelDescription.xml"])
     defined = {each.get("name"): each.find("BaseUnit") for each in description.iter("Unit")}
-    table = {each.name: each for each in interface().variables}
-    for element in description.iter("ScalarVariable"):
-        variable = table[element.get("name", "")]
-        if not variable.is_choice:
-            assert element[0].get("unit") == variable.unit
-            exponents = {base: int(n) for base, n in present(defined[variable.unit]).attrib.items()}
-            assert exponents == base_units(variable.unit)
-    displays = {(each.get("name")) for each in description.iter("DisplayUnit")}
-    assert {"deg", "kN"} <= displays
+    units = [each.unit for each in described() if each.type == "Real"]
+    assert None not in units
+    for unit in set(units):
+        exponents = {base: int(n) for base, n in present(defined[unit]).attrib.items()}
+        assert exponents == base_units(unit)
+    assert {"deg", "kN"} <= {each.get("name") for each in description.iter("DisplayUnit")}
 
 
 def test_defaults_and_bounds_are_those_of_the_crane_to_the_last_bit() -> None:
-    described = {each.name: each for each in read_model_description(str(fmu_file())).modelVariables}
+    rows = {each.name: each for each in described()}
     for each in sc.scenes.rotary_crane().model().parameters.declared:
-        found = described[each.name]
+        found = rows[each.name]
         assert (float(found.start), float(found.min), float(found.max)) == (each.default, each.lower, each.upper)
         assert found.unit == each.unit
 
@@ -157,21 +158,27 @@ def test_the_description_offers_states_and_variable_steps() -> None:
     assert not offered.canBeInstantiatedOnlyOncePerProcess
 
 
-def test_the_identifier_changes_with_the_content(content: Content) -> None:
-    assert read_model_description(str(fmu_file())).guid.strip("{}") == content.token.strip("{}")
-    assert replace(content, slave=content.slave + "\n").name != content.name
-    assert replace(content, libraries={}).name != content.name
+def test_the_identifier_changes_with_the_content(
+    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def entry() -> str:
+        return members(io.BytesIO(packed(native, LOAD_TRAJECTORY)))["resources/slavemodule.txt"].decode()
+
+    usual = entry()
+    other = tmp_path / "kernel.py"
+    other.write_text(Path(str(kernel.__file__)).read_text(encoding="utf-8") + "\n")
+    monkeypatch.setattr(kernel, "__file__", str(other))
+    assert entry() != usual
 
 
-def test_two_builds_of_different_content_live_in_one_process() -> None:
+def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of the slave, and of the library: the crane has a lighter load."""
-    lighter = collect(wishes=NativeWishes(targets="host", starts={"load_mass": 50.0}))
-    assert "def do_step" in lighter.slave
-    hasty = replace(
-        lighter, slave=lighter.slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)")
-    )
+    lighter = native_fmu(ROTARY_CRANE, NativeWishes(targets="host", starts={"load_mass": 50.0}, judged_late=True))
+    slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
+    (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
+    monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))
     other = scratch() / "another.fmu"
-    other.write_bytes(packed(hasty))
+    other.write_bytes(packed(lighter, ROTARY_CRANE))
     with Host() as usual, Host(other) as another:
         assert usual.start().step(0.0, 0.1)
         assert another.start().step(0.0, 0.1)
@@ -218,13 +225,3 @@ def test_it_runs_from_a_path_with_a_space(tmp_path: Path) -> None:
     (tmp_path / "with space").mkdir()
     done = in_a_process(CLEAN, fmu_file(), TMPDIR=str(tmp_path / "with space"))
     assert done.returncode == 0, done.stderr
-
-
-def test_the_page_in_the_documentation_is_the_one_in_the_fmu() -> None:
-    page = user_page(ROTARY_CRANE)
-    written = (ROOT / "docs" / "fmu.md").read_text(encoding="utf-8")
-    assert written == page, "run: python build_fmu.py --page docs/fmu.md"
-    html = members(fmu_file())["documentation/index.html"].decode()
-    assert html.startswith("<!DOCTYPE html>")
-    assert "<table>" in html
-    assert "fmi2Discard" in html

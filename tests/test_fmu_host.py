@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import gc
-import json
 import math
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmu_host import JET, Host, fmu_file, follow, in_a_process
+from fmu_host import Host, fmu_file, follow, in_a_process
 
 import servocore as sc
 from crane_fmu.build.page import REFUSALS
@@ -66,37 +64,6 @@ def test_every_refusal_is_the_sentence_that_the_page_promises(mistake: Callable[
     with Host() as host:
         assert not mistake(host)
         assert host.messages[-1] == sentence
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("name", JET)
-def test_no_input_may_be_anything_but_a_finite_number(name: str, value: float) -> None:
-    with Host() as host:
-        host.start().set(**{name: value})
-        before = host.outputs()
-        assert not host.step(0.0, 0.1)
-        assert name in host.messages[0]
-        assert host.outputs().tolist() == before.tolist()
-
-
-@pytest.mark.parametrize("h", [0.0, -0.0, -1.0, math.nan, math.inf, -math.inf, 1e9, 1e300])
-def test_no_step_may_be_anything_but_positive_and_moderate(h: float) -> None:
-    with Host() as host:
-        assert not host.start().step(0.0, h)
-        assert "the communication step is" in host.messages[0]
-
-
-@pytest.mark.parametrize("time", [math.nan, math.inf, -1.0, 0.3])
-def test_time_neither_jumps_nor_loses_its_value(time: float) -> None:
-    with Host() as host:
-        assert not host.start().step(time, 0.1)
-        assert "communication point" in host.messages[0]
-
-
-def test_a_step_that_round_off_swallows_is_refused() -> None:
-    with Host() as host:
-        assert not host.start(time=1e9).step(1e9, 1e-9)
-        assert "round-off" in host.messages[0]
 
 
 @pytest.mark.parametrize(("h", "reached"), [(20.0, 0.0), (5.0, 10.0)])  # the first step, and one like the step before
@@ -175,22 +142,6 @@ def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(
         assert host.start().step(0.0, 0.1)
 
 
-@pytest.mark.parametrize(("name", "value"), [("gravity", 1.6), ("winch_radius", 0.2), ("model", "bodies")])
-def test_fixed_parameters_keep_their_value_after_the_initialization(name: str, value: float | str) -> None:
-    with Host() as host:
-        host.start().set(**{name: value})
-        assert host.messages == [f"{name} cannot change after the initialization; the new value is ignored"]
-        assert host.step(0.0, 0.1)
-        assert host["tension"] == pytest.approx(981.0)
-
-
-def test_outputs_cannot_be_set() -> None:
-    with Host() as host:
-        host.start().set(M_b=7.0)
-        assert host["M_b"] == pytest.approx(0.0, abs=1e-9)
-        assert "cannot be set" in host.messages[0]
-
-
 def test_a_terminated_fmu_refuses_steps() -> None:
     with Host() as host:
         host.start().fmu.terminate()
@@ -245,37 +196,6 @@ def test_a_state_also_holds_what_failed_and_what_has_not_begun() -> None:
         host.fmu.setFMUState(failed)
         assert not host.step(0.0, 0.1)
         assert "gravity" in host.messages[-1]
-
-
-CONTINUE = """
-import sys, json
-from pathlib import Path
-import numpy as np
-from fmu_host import Host
-file, state, t, jets = Path(sys.argv[1]), *(json.loads(Path(each).read_text()) for each in sys.argv[2:])
-with Host(file) as host:
-    host.fmu.setFMUState(host.fmu.deSerializeFMUstate(bytes(state)))
-    for k in range(len(t) - 1):
-        assert host.tell(jets[k]).step(t[k], t[k + 1] - t[k]), host.messages
-    print(json.dumps(host.outputs().tolist()))
-"""
-
-
-def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path: Path) -> None:
-    t = 5.0 + np.arange(31.0) * 0.1
-    jets = CRANE.reference.jet(t, 4)
-    with Host() as host:
-        host.set(model="bodies").start(jets[0], t[0])
-        drive(host, t[:16], jets[:16])
-        state = host.fmu.serializeFMUstate(host.fmu.getFMUState())
-        wanted = drive(host, t[15:], jets[15:])[-1]
-    files = []
-    for name, content in (("state", list(bytes(state))), ("t", t[15:].tolist()), ("jets", jets[15:].tolist())):
-        files.append(tmp_path / name)
-        files[-1].write_text(json.dumps(content))
-    done = in_a_process(CONTINUE, fmu_file(), *files)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == wanted
 
 
 @pytest.mark.parametrize("wrong", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "rotary crane state 1", "guid": "x"}'])

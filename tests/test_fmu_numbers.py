@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-import fmu_host
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
@@ -97,13 +96,6 @@ def test_the_error_falls_in_proportion_to_the_step(formulation: str, at: str) ->
         errors.append(worst(found, CRANE.exact(t), ("M_b", "F")))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (abs(orders - 1.0) < 0.1).all(), errors
-
-
-def test_the_reduced_formulation_has_no_step_error() -> None:
-    t = np.arange(201.0) * 0.1
-    with Host() as host:
-        found = follow(host, CRANE.reference, t, at="end")
-    assert worst(found, CRANE.exact(t)) < 1e-11
 
 
 @pytest.mark.parametrize("at", ["start", "end"])
@@ -220,17 +212,3 @@ def test_tunable_parameters_take_effect_at_the_next_step(model: str, name: str) 
             if k >= 82:
                 for output, value in zip(OUTPUTS, host.outputs(), strict=True):
                     assert value == pytest.approx(wanted[output][k], abs=1e-8 * np.abs(wanted[output]).max())
-
-
-def test_every_model_of_the_scene_is_in_the_fmu() -> None:
-    table = {each.name: each for each in fmu_host.interface().variables}
-    assert table["model"].choices == MODELS
-    assert table["formulation"].choices == tuple(FORMULATIONS)
-
-
-def test_the_table_of_variables_is_the_model_description() -> None:
-    with Host() as host:
-        names = [each.name for each in host.description.modelVariables]
-    assert names[:15] == list(JET)
-    assert [each.name for each in host.description.modelVariables if each.causality == "output"] == list(OUTPUTS)
-    assert {each.name for each in fmu_host.interface().variables} == set(names)

@@ -17,7 +17,7 @@ from present import present
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification
-from crane_fmu.slave.interface import ORDERS
+from crane_fmu.catalogue import ORDERS
 from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
@@ -241,25 +241,6 @@ def test_positions_alone_are_enough_for_the_default_manoeuvre() -> None:
         assert np.abs(found[name] - wanted[name]).max() < 0.03 * np.abs(wanted[name]).max(), name
 
 
-@pytest.mark.parametrize("connected", ORDERS[:-1])
-def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_and_then_refused(connected: str) -> None:
-    t = np.arange(30.0) * 0.1
-    with Host() as host:
-        host.start(_told(sine(0.0)[0], connected))
-        steps = []
-        for k in range(3):
-            host.tell(_told(sine(t[k])[0], connected))
-            steps.append(host.step(t[k], 0.1))
-            if not steps[-1]:
-                break
-        assert steps == [True, True, False]
-        assert f"the load's {connected} changes, but its" in host.messages[0]
-        assert "and the next such step is refused" in host.messages[0]
-        assert f"set connected = {connected}" in host.messages[1]
-        assert host.step(t[2], 0.1) is False
-        assert host.tell(sine(t[2])[0]).step(t[2], 0.1)
-
-
 def test_the_default_manoeuvre_gives_no_cause_for_remarks() -> None:
     for step in (0.01, 0.1, 1.0):
         _, _, said = driven(step, "snap", 20.0, jets=lambda t: CRANE.reference.jet(np.atleast_1d(t), 4))
@@ -281,14 +262,6 @@ def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_star
         assert host.step(0.0, 0.01)
         assert host["M_w"] == pytest.approx(-98.1)
         assert not host.step(0.01, 0.01)
-
-
-def test_measured_values_are_needed_all_or_none() -> None:
-    with Host() as host:
-        host.start().set(**{"measured.phi": 0.1})
-        assert not host.step(0.0, 0.01)
-        assert "feedback = 0 does without" in host.messages[0]
-        assert host.set(feedback=0.0).step(0.0, 0.01)
 
 
 def test_the_state_of_the_feedback_is_rolled_back_too() -> None:

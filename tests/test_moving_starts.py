@@ -17,9 +17,9 @@ from native_fmu import END, OK, Native, exported
 
 import servocore as sc
 from crane_fmu.build.ssp import path_starts
+from crane_fmu.catalogue import ORDERS, components
 from crane_fmu.cli.commands import app
 from crane_fmu.run import run_ssp
-from crane_fmu.slave.interface import START_ORDERS, components
 from servocore.files import csv_text
 
 run = CommandLine(app, "crane-fmu")
@@ -89,7 +89,7 @@ def plants(name: str) -> Native:
 
 @pytest.mark.usefixtures("compiler")
 def test_both_plants_begin_where_an_exact_inversion_has_them() -> None:
-    random, names = np.random.default_rng(5), components(*(f"start.{order}" for order in START_ORDERS))
+    random, names = np.random.default_rng(5), components(*(f"start.{order}" for order in ORDERS[:4]))
     for _ in range(20):
         jet = np.zeros((5, 3))
         jet[:4] = random.standard_normal((4, 3))
@@ -182,7 +182,7 @@ def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(varia
         each.get("name"): float(each[0].get("value", "")) for each in root.iter() if each.tag.endswith("}Parameter")
     }
     jet = path.jet(0.0, 3)
-    assert [bound[name] for name in components(*(f"start.{order}" for order in START_ORDERS))] == jet.ravel().tolist()
+    assert [bound[name] for name in components(*(f"start.{order}" for order in ORDERS[:4]))] == jet.ravel().tolist()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         found = run_ssp(system, 7.995, 0.01)

@@ -21,7 +21,6 @@ from crane_fmu.build.feedback_law import (
 from crane_fmu.build.flatness import flat_motion
 from crane_fmu.build.riccati import riccati_step, riccati_steps
 from crane_fmu.build.sampling import sampled
-from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 LOAD = slice(2, 5)
 
@@ -79,7 +78,7 @@ def test_the_first_gains_are_those_of_scipys_stationary_solution(at: str, h: flo
     random = np.random.default_rng(13)
     for case in (Case(), *(random_case(random, any_crane=True) for _ in range(4))):
         place = case.reference.jet(0.0, 0)[0]
-        p = np.array([(CRANE.parameter_values() | case.crane)[name] for name in CRANE_PARAMETERS])
+        p = np.array([(CRANE.parameter_values() | case.crane)[name] for name in CRANE.model().parameters.names])
         A, B, *cost = regulated(at, place, p, h)
         exact, left_open = stationary(A, B, *cost)
         (gain, _), (best, inverse) = (gains(each, A, B, *cost[1:]) for each in (cost_at_start(at, place, p, h), exact))

@@ -1,4 +1,4 @@
-"""The archive of an FMU: PythonFMU's, completed, rearranged and reproducible.
+"""The archive of an FMU: PythonFMU's, around the libraries and the description of the native FMU of the same kind.
 
 All FMUs of one Python process share its modules, so the bundled sources become one package whose name holds a hash of
 all its content: builds never meet each other, nor an installed servocore. The archive is packed again in fixed order
@@ -7,83 +7,122 @@ with fixed dates: equal sources give equal bytes.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import sys
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import fmpy
 from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
-from crane_fmu.build.bundle import PREFIX, Content, Progress
-from crane_fmu.build.description import wrapped
 from crane_fmu.build.page import documentation_page
-from crane_fmu.build.shim import with_shim
+from crane_fmu.catalogue import FmuKind
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
+from crane_fmu.slave import kernel
+from servocore.export.targets import libraries
+from servocore.files import xml_document, zipped
 
-_ICON = Path(__file__).parent / "resources" / "model.png"
+Progress = Callable[[str], None]
+"""Called with what is being done."""
+
+DATE, AUTHOR = "2026-01-01T00:00:00Z", "The authors of servocore"
+"""Of every FMU: two builds of one source shall be equal."""
+
+PREFIX = "rotary_crane_"
+"""How the names of all entry modules begin."""
+
+REAL_BINARY = "pythonfmu.so"
+"""Name of PythonFMU's binary beside the one in front of it."""
+
+_TOOL = "servocore"
+_HERE = Path(__file__).parent
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
+_ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
+
+import ctypes as _ctypes
+
+from {bundle} import kernel as _kernel
+
+# For every instance PythonFMU 0.7 gives away a reference to this module's names that it does not own; without one
+# more each time, they would be destroyed when none is left, and a later instance would find an empty module.
+_ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 
-def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
-    """Return the archive with everything that belongs into it."""
-    members = _rearranged(_packed_by_pythonfmu(content), content.bundle)
+class {name}(_kernel.Slave):
+    """What the host sees; everything else is in the bundle."""
+    token = {token!r}
+'''
+
+
+def packed(native: bytes, kind: FmuKind) -> bytes:
+    """Return the archive of an FMU whose slave hands its calls to the libraries of a native one.
+
+    Parameters
+    ----------
+    native : bytes
+        The archive of the native FMU.
+    kind : FmuKind
+        Which FMU it is.
+    """
+    with zipfile.ZipFile(io.BytesIO(native)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    description = members["modelDescription.xml"]
+    token = ET.fromstring(description).get("guid", "")
+    behind = {name.removeprefix("binaries/"): each for name, each in members.items() if name.startswith("binaries/")}
+    entry, files = _staged(kind, token, behind)
+    members = _rearranged(_packed_by_pythonfmu(kind, entry, files), entry)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
     members |= {
-        "modelDescription.xml": wrapped(content.native, content.kind.name, notes),
-        "documentation/index.html": documentation_page(content.kind).encode(),
+        "modelDescription.xml": _wrapped(description, kind.name, notes),
+        "documentation/index.html": documentation_page(kind, native).encode(),
         "documentation/licenses/pythonfmu.txt": _licence("pythonfmu"),
-        "model.png": _ICON.read_bytes(),
+        "model.png": (_HERE / "resources" / "model.png").read_bytes(),
     }
-    return zipped(with_shim(members, content.kind.name, content.token, tell))
+    of_linux = [path for path in behind if path.startswith("linux64/")]
+    if of_linux:
+        members |= _in_front(members, kind, token, f"resources/{entry}_bundle/{kernel.LIBRARIES}/{of_linux[0]}")
+    return zipped(members)
 
 
-def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
-    """Pack with fixed order, dates and rights."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in sorted(members, key=lambda each: (each != first, each)):
-            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = 3
-            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            archive.writestr(entry, members[name])
-    return stream.getvalue()
+def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str, dict[str, str | bytes]]:
+    """Return the name of the entry module, unique to the content, and what PythonFMU packs: it and its bundle."""
+    slave = Path(kernel.__file__).read_text(encoding="utf-8")
+    digest = hashlib.sha256(f"{kind.name}{_ENTRY}{metadata.version('pythonfmu')}{token}{slave}".encode())
+    for path, library in sorted(behind.items()):
+        digest.update(path.encode() + library)
+    entry = f"{PREFIX}{digest.hexdigest()[:16]}"
+    bundle = f"{entry}_bundle"
+    return entry, {
+        f"{entry}.py": _ENTRY.format(bundle=bundle, name=kind.name, token=token),
+        f"{bundle}/__init__.py": f'"""What {kind.file_name} runs on."""\n',
+        f"{bundle}/kernel.py": slave,
+        **{f"{bundle}/{kernel.LIBRARIES}/{path}": library for path, library in behind.items()},
+    }
 
 
-def _licence(package: str) -> bytes:
-    """Return the terms under which a package's files may be passed on."""
-    found = [file for file in metadata.files(package) or () if file.name.upper().startswith("LICENSE")]
-    if not found:
-        raise sc.ServocoreError(f"the installed {package} has no licence file to pass on with the FMU")
-    return found[0].read_binary()
-
-
-def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
-    """Stage the bundle, let PythonFMU pack it and return the members of its archive."""
+def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | bytes]) -> dict[str, bytes]:
+    """Let PythonFMU pack an entry module and its bundle, and return the members of its archive."""
     with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
         folder = Path(scratch)
-        put(folder, content.files)
+        put(folder, files)
         archive = FmuBuilder.build_FMU(
-            folder / f"{content.name}.py",
-            folder / content.kind.file_name,
-            project_files=[folder / content.bundle],
+            folder / f"{entry}.py",
+            folder / kind.file_name,
+            project_files=[folder / f"{entry}_bundle"],
             canGetAndSetFMUstate=True,
             canSerializeFMUstate=True,
         )
         with zipfile.ZipFile(archive) as members:
             return {name: members.read(name) for name in members.namelist()}
-
-
-def _privately(source: str, bundle: str) -> str:
-    """Let a source import PythonFMU from the bundle."""
-    return re.sub(r"^(\s*)from pythonfmu\b", rf"\1from {bundle}.pythonfmu", source, flags=re.MULTILINE)
 
 
 @contextmanager
@@ -104,15 +143,63 @@ def _no_traces() -> Iterator[None]:
         sys.dont_write_bytecode = write_bytecode
 
 
-def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:
+def _rearranged(members: Mapping[str, bytes], entry: str) -> dict[str, bytes]:
     """Move PythonFMU's own modules into the bundle, those that are needed, and import them from there."""
-    kept = {f"resources/pythonfmu/{name}.py": f"resources/{bundle}/pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
-    result = {f"resources/{bundle}/pythonfmu/__init__.py": b""}
+    home = f"resources/{entry}_bundle/"
+    kept = {f"resources/pythonfmu/{name}.py": f"{home}pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
+    result = {f"{home}pythonfmu/__init__.py": b""}
     for name, data in members.items():
-        if name in kept:
-            result[kept[name]] = data
-        elif name.endswith(".py") and name.startswith(f"resources/{bundle}/"):
-            result[name] = _privately(data.decode(), bundle).encode()
-        elif not name.startswith("resources/pythonfmu/"):
-            result[name] = data
+        if name.endswith(".py") and name.startswith(home):
+            result[name] = re.sub(rb"(?m)^(\s*)from pythonfmu\b", rb"\1from %b_bundle.pythonfmu" % entry.encode(), data)
+        elif name in kept or not name.startswith("resources/pythonfmu/"):
+            result[kept.get(name, name)] = data
     return result
+
+
+def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
+    """Return a native FMU's model description with what PythonFMU makes different; notes are a vendor annotation.
+
+    Outputs change in doStep only, so no input feeds through then, and no derivatives of them are offered.
+    """
+    root = ET.fromstring(native)
+    root.attrib |= {"modelName": name, "generationDateAndTime": DATE, "author": AUTHOR, "license": "MIT"}
+    root.set("generationTool", f"{_TOOL} with PythonFMU {notes['pythonfmu']}")
+    root.set("guid", root.get("guid", "").strip("{}"))  # as PythonFMU writes it
+    (simulation,) = root.iter("CoSimulation")
+    simulation.attrib |= {"modelIdentifier": name, "needsExecutionTool": "true"}
+    simulation.attrib.pop("providesDirectionalDerivative", None)
+    for sources in simulation.findall("SourceFiles"):
+        simulation.remove(sources)
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
+    annotations = ET.Element("VendorAnnotations")
+    ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
+    root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
+    return xml_document(root)
+
+
+def _licence(package: str) -> bytes:
+    """Return the terms under which a package's files may be passed on."""
+    found = [file for file in metadata.files(package) or () if file.name.upper().startswith("LICENSE")]
+    if not found:
+        raise sc.ServocoreError(f"the installed {package} has no licence file to pass on with the FMU")
+    return found[0].read_binary()
+
+
+def _in_front(members: Mapping[str, bytes], kind: FmuKind, token: str, library: str) -> dict[str, bytes]:
+    """Return the binary of 64-bit Linux, with which hosts that are not Python run the FMU too, and PythonFMU's.
+
+    There it hands every call to the library in C that the slave uses, at a path in the FMU; see `shim.c`.
+    """
+    texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": f"../../{library}"}
+    sources = {
+        "shim.c": (_HERE / "shim.c").read_text(encoding="utf-8"),
+        "shim_config.h": "".join(f'#define {name} "{text}"\n' for name, text in texts.items()),
+        **{
+            each.name: each.read_text(encoding="utf-8")
+            for each in (Path(fmpy.__file__).parent / "c-code").glob("fmi2*.h")
+        },
+    }
+    (built,) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+    place, binary = built
+    return {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}

@@ -22,7 +22,10 @@ from itertools import accumulate
 import casadi as ca
 import numpy as np
 
-from crane_fmu.slave.interface import DIMENSION, ORDERS, SHORTEST_STEP
+from crane_fmu.catalogue import DIMENSION, ORDERS
+
+SHORTEST_STEP = 1e-6
+"""Below this many seconds second differences drown in round-off: a sample is left out."""
 
 SAMPLES = len(ORDERS) + 2
 """Samples that it takes to know the derivatives above a position; one less for each derivative that is connected."""

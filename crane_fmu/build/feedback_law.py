@@ -39,7 +39,7 @@ from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured
 from crane_fmu.build.quick_functions import function
 from crane_fmu.build.riccati import riccati_gain, riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
-from crane_fmu.slave.interface import DIMENSION, ORDERS
+from crane_fmu.catalogue import DIMENSION, ORDERS
 
 LAW_MODEL = "points"
 """The model of the rotary crane that the law is made from."""

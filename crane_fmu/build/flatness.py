@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import casadi as ca
 
-from crane_fmu.slave.interface import DIMENSION, ORDERS
+from crane_fmu.catalogue import DIMENSION, ORDERS
 
 RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
 """How a load that begins off its path is led back: accelerations in g that this may take, how far a step may go, and

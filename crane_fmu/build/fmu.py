@@ -10,13 +10,15 @@ import tempfile
 from pathlib import Path
 
 import servocore as sc
-from crane_fmu.build.archive import packed
-from crane_fmu.build.bundle import Progress, collect
-from crane_fmu.build.native import NativeWishes
+from crane_fmu.build.archive import Progress, packed
+from crane_fmu.build.native import NativeWishes, native_fmu
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from servocore.files import made_folder, require_writable, write_together
+
+USUAL_TARGETS = "host,x86_64-windows"
+"""Platforms whose libraries an FMU has where nothing else is asked for."""
 
 _CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
@@ -64,9 +66,10 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        content = collect(kind, progress, NativeWishes(path, starts, targets))
+        wishes = NativeWishes(path, starts, targets or USUAL_TARGETS, judged_late=True)
+        native = native_fmu(kind, wishes, progress)
         progress(f"packing {kind.file_name}")
-        archive = packed(content, progress)
+        archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a process of its own")
         _check(archive, kind, starts)
         write_together({target: archive})
@@ -121,7 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
     kind = KINDS[chosen.fmu]
     try:
         if chosen.page:
-            write_together({chosen.page: user_page(kind).encode()})
+            described = native_fmu(kind, NativeWishes(targets="none", judged_late=True))
+            write_together({chosen.page: user_page(kind, described).encode()})
             return 0
         file = build_fmu(
             chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind, targets=chosen.targets

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,19 +14,25 @@ from crane_fmu.build.estimates import estimate_functions, in_motion, too_rough
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
 from crane_fmu.catalogue import (
     CRANE_PLANT,
+    DIMENSION,
+    FEEDBACK_INPUTS,
     FORMULATIONS,
+    FROM_FILE,
     LOAD_TRAJECTORY,
     METHODS,
     MODELS,
     NO_STARTS,
+    ORDERS,
     ROTARY_CRANE,
     FmuKind,
     Starts,
 )
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN, ORDERS
 
 _COORDINATES = "generalized"  # of the plant: without constraints
 _DISTANCE = 0.5  # m, from the path
+
+LARGEST_TURN = 1.0
+"""Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +57,11 @@ class NativeWishes:
     judged_late: bool = False
 
 
-def native_fmu(folder: Path, kind: FmuKind, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
-    """Write trajectory, inverse model or plant, FMI 2, named and with variables as that of PythonFMU.
+def native_fmu(kind: FmuKind, wishes: NativeWishes, tell: Callable[[str], None] = lambda _: None) -> bytes:
+    """Return the archive of trajectory, inverse model or plant, FMI 2, with the variables of that with PythonFMU.
 
     Parameters
     ----------
-    folder : Path
-        Where it goes.
     kind : FmuKind
         Which of them.
     wishes : NativeWishes
@@ -67,7 +72,8 @@ def native_fmu(folder: Path, kind: FmuKind, wishes: NativeWishes, tell: Callable
     crane = sc.scenes.rotary_crane()
     own = {name: value for name, value in wishes.starts.items() if name in crane.model().parameters.names}
     crane = crane.with_parameters(**{name: float(value) for name, value in own.items()})
-    return _WRITERS[kind.name](crane, folder / kind.file_name, wishes, tell)
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        return _WRITERS[kind.name](crane, Path(folder, kind.file_name), wishes, tell).read_bytes()
 
 
 def _trajectory(crane: sc.Scene, file: Path, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
@@ -111,7 +117,7 @@ _WRITERS = {LOAD_TRAJECTORY.name: _trajectory, ROTARY_CRANE.name: _inverse, CRAN
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
     """Return the crane's feedback as an exported inverse model carries it: the same functions as in the PythonFMU."""
     return sc.SampledFeedback(
-        measured=_measured(),
+        measured=_measured(crane),
         laws=feedback_functions(crane.model(LAW_MODEL)),
         judge=_judge(),
         not_measured="the measured rope length is %g m and the measured height of the load %g m: the feedback needs the"
@@ -135,19 +141,15 @@ def estimates_of(crane: sc.Scene, connected: str = ORDERS[-1]) -> sc.SampledEsti
     )
 
 
-def _measured() -> tuple[tuple[sc.Quantity, int | None], ...]:
+def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
     """Return what is measured with the sizes of vectors, in the order in which the law takes it."""
-    units = {variable.name: variable.unit for variable in ROTARY_CRANE.interface().of("input")}
-    sizes: dict[str, int | None] = {}
-    for name in FEEDBACK_INPUTS:
-        of, _, index = name.partition("[")
-        sizes[of] = int(index.rstrip("]")) if index else None
-    found = []
-    for name, size in sizes.items():
-        unit = units[f"{name}[1]" if size else name]
-        quantity = name.removeprefix("measured.")
-        found.append((sc.Quantity(quantity, unit, f"{quantity} of the load" if size else quantity), size))
-    return tuple(found)
+    units = {each.name: each.unit for each in crane.model().observables}
+    motion = [(name, units[name]) for name in ("phi", "s", "l")]
+    rates = [(f"{name}_dot", f"{unit}/s") for name, unit in motion]
+    load = [
+        (sc.Quantity(*each, f"{each[0]} of the load"), DIMENSION) for each in (("position", "m"), ("velocity", "m/s"))
+    ]
+    return *((sc.Quantity(*each, each[0]), None) for each in (*motion, *rates)), *load
 
 
 def _judge() -> ca.Function:

@@ -1,17 +1,22 @@
-"""The user page of an FMU: one text, written as ``docs/fmu*.md`` and as the page behind a tool's Help button."""
+"""The user page of an FMU: one text, written as ``docs/fmu*.md`` and as the page behind a tool's Help button.
+
+Its tables of variables are those of the FMU's own model description.
+"""
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import fmpy
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 from crane_fmu.build.estimates import amplification
-from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, FmuKind
-from crane_fmu.slave.interface import ORDERS, Causality, Variable
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ORDERS, ROTARY_CRANE, FmuKind
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
 _TEMPLATES = Path(__file__).parent / "resources"
@@ -106,43 +111,60 @@ _STYLE = (
 )
 
 
-def user_page(kind: FmuKind) -> str:
-    """Return the page of an FMU as Markdown."""
-    table = kind.interface()
+def user_page(kind: FmuKind, fmu: bytes) -> str:
+    """Return the page of an FMU as Markdown.
+
+    Parameters
+    ----------
+    kind : FmuKind
+        Which one.
+    fmu : bytes
+        Its archive, or that of the native one; all that is read is the model description.
+    """
+    described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
     template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
     return template.render(
-        table=lambda causality: _table(table.of(causality)),
+        table=lambda causality: _table(described.modelVariables, causality),
         refusals=REFUSALS[kind.name],
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 
 
-def documentation_page(kind: FmuKind) -> str:
+def documentation_page(kind: FmuKind, fmu: bytes) -> str:
     """Return the page as a complete HTML document."""
-    alone = _LOCAL_LINK.sub(r"\1", user_page(kind))  # inside the FMU there are no other pages
+    alone = _LOCAL_LINK.sub(r"\1", user_page(kind, fmu))  # inside the FMU there are no other pages
     body = MarkdownIt("commonmark").enable("table").render(alone)
     head = f'<meta charset="utf-8"><title>{kind.file_name}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
 
 
-def _table(variables: tuple[Variable, ...]) -> str:
+def _table(variables: list[Any], causality: str) -> str:
+    """Return the variables of one causality, those of `fmpy`, as a table."""
+    third = {"input": "start", "output": "range", "parameter": "default, range, change"}[causality]
     rows = [
-        f"| `{variable.name}` | {variable.unit or 'choice'} | {_extent(variable)} | {variable.description} |"
-        for variable in variables
+        f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {_text(each)} |"
+        for each in variables
+        if each.causality == causality
     ]
-    third: dict[Causality, str] = {"input": "start", "output": "range", "parameter": "default, range, change"}
-    header = f"| name | unit | {third[variables[0].causality]} | |"
-    return "\n".join([header, "|---|---|---|---|", *rows])
+    return "\n".join([f"| name | unit | {third} | |", "|---|---|---|---|", *rows])
 
 
-def _extent(variable: Variable) -> str:
+def _text(variable: Any) -> str:
+    """Return the description, of a choice with the numbers of its items."""
+    items = variable.declaredType.items if variable.type == "Enumeration" else []
+    return ": ".join([variable.description, *([", ".join(f"{e.value} {e.name}" for e in items)] if items else [])])
+
+
+def _extent(variable: Any) -> str:
     """Start value, range and variability in a few characters."""
-    low, high = variable.minimum, variable.maximum
+    low, high, start = (None if each is None else float(each) for each in (variable.min, variable.max, variable.start))
     if low is not None and high is not None:
         bounds = f"{low:g} to {high:g}"
     else:
         bounds = f">= {low:g}" if low is not None else f"<= {high:g}" if high is not None else ""
-    start = "" if variable.start is None else f"{variable.start:g}" if not variable.is_choice else f"`{variable.start}`"
     change = variable.variability if variable.causality == "parameter" else ""
-    return ", ".join(each for each in (start, bounds, change) if each)
+    begun = "" if start is None else f"{start:g}"
+    if variable.type == "Enumeration" and start is not None:
+        begun = f"`{variable.declaredType.items[int(start) - 1].name}`"
+    return ", ".join(each for each in (begun, bounds, change) if each)

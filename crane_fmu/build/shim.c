@@ -1,24 +1,16 @@
-/* The FMU's binary: forwards every FMI function to PythonFMU's binary beside it.
+/* The FMU's binary. In a process where Python runs it forwards every FMI function to PythonFMU's binary beside it, in any
+   other to the library in C that PythonFMU's slave hands its calls to: no Python is needed there.
 
-   PythonFMU's binary needs Python in the process, undoes no escape of an address but %20 and trusts every pointer.
-   This one opens libpython where the host has none, undoes all escapes, compares the GUID, tells the host's logger
-   in a sentence why an instance cannot be made, and refuses null pointers. shim_config.h is written at build:
-   FMU_GUID, REAL_BINARY (a file name), REQUIRED_PACKAGES and PYTHON_LIBRARIES (what to try, best first).
-
-   Environment, for hosts that are not Python:
-     CRANE_FMU_LIBPYTHON  the Python library to open, a file or a name; nothing else is tried then
-     CRANE_FMU_PYTHON     the Python interpreter whose packages are used, for instance that of a virtual environment */
+   PythonFMU's binary undoes no escape of an address but %20 and trusts every pointer. This one undoes all escapes,
+   compares the GUID, tells the host's logger in a sentence why an instance cannot be made, and refuses null pointers.
+   shim_config.h is written at build: FMU_GUID, REAL_BINARY (PythonFMU's, a file name) and LIBRARY (the path from the
+   folder of this binary). */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
-#include <pthread.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
-#include <unistd.h>
-#include <wchar.h>
 
 #include "fmi2Functions.h"
 #include "shim_config.h"
@@ -43,17 +35,9 @@ static struct {
     FUNCTIONS(MEMBER)
 } real;
 
-static pthread_mutex_t loading = PTHREAD_MUTEX_INITIALIZER;
-static int loaded;
+static char not_loaded[LONGEST]; /* why the library behind is not there */
 
-/* --- sentences ---------------------------------------------------------------------------------------------------- */
-
-static void sentence(char *text, const char *format, ...) {
-    va_list arguments;
-    va_start(arguments, format);
-    vsnprintf(text, LONGEST, format, arguments);
-    va_end(arguments);
-}
+#define SAY(text, ...) snprintf(text, LONGEST, __VA_ARGS__)
 
 /* The logger takes a format: percent signs are doubled. */
 static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, const char *text) {
@@ -67,160 +51,7 @@ static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, co
     functions->logger(functions->componentEnvironment, instance, fmi2Error, "logStatusError", escaped);
 }
 
-/* --- Python ------------------------------------------------------------------------------------------------------- */
-
-static void *python(const char *name) { return dlsym(RTLD_DEFAULT, name); }
-
-/* The folder of the version that an environment is made of, as in lib/python3.12/site-packages, or an empty text. */
-static void version_of(const char *interpreter, char *version) {
-    static const char *const known[] = {"3.13", "3.12", "3.11"};
-    char path[LONGEST];
-    const char *slash = strrchr(interpreter, '/');
-    const int folder = slash ? (int)(slash - interpreter) : 0;
-    version[0] = '\0';
-    for (size_t k = 0; slash && k < sizeof known / sizeof *known; k++) {
-        snprintf(path, sizeof path, "%.*s/../lib/python%s/site-packages", folder, interpreter, known[k]);
-        if (!access(path, R_OK)) strcpy(version, known[k]);
-    }
-}
-
-static int is_program(const char *path) {
-    struct stat found;
-    return !stat(path, &found) && S_ISREG(found.st_mode) && !access(path, X_OK); /* folders may be "run" as well */
-}
-
-/* The interpreter that is asked for: CRANE_FMU_PYTHON, or that of the active virtual environment, or an empty text. */
-static int chosen_interpreter(char *path, char *why) {
-    const char *chosen = getenv("CRANE_FMU_PYTHON"), *environment = getenv("VIRTUAL_ENV");
-    path[0] = '\0';
-    if (chosen && *chosen) {
-        snprintf(path, LONGEST, "%s", chosen);
-        if (!is_program(path)) {
-            sentence(why, "CRANE_FMU_PYTHON = %s is no program that can be run: it must be the path of a Python interpreter",
-                     chosen);
-            return 0;
-        }
-    } else if (environment && *environment) {
-        snprintf(path, LONGEST, "%s/bin/python", environment);
-        if (!is_program(path)) path[0] = '\0';
-    }
-    return 1;
-}
-
-/* Make the symbols of a Python library visible to PythonFMU's binary and to extension modules. */
-static int open_python(char *why) {
-    static const char *const candidates[] = {PYTHON_LIBRARIES};
-    const size_t count = sizeof candidates / sizeof *candidates;
-    const char *wanted = getenv("CRANE_FMU_LIBPYTHON");
-    char interpreter[LONGEST], version[8], name[64];
-    if (python("Py_Initialize")) return 1;
-    if (!chosen_interpreter(interpreter, why)) return 0;
-    if (wanted && *wanted) {
-        if (dlopen(wanted, RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
-        const char *reason = dlerror();
-        sentence(why, "CRANE_FMU_LIBPYTHON = %s is no Python library: %s", wanted, reason ? reason : "no Py_Initialize");
-        return 0;
-    }
-    /* a host may have opened one for itself alone: two of them in a process would not do */
-    for (size_t k = 0; k < count; k++)
-        if (dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL | RTLD_NOLOAD) && python("Py_Initialize")) return 1;
-    /* the environment that is asked for decides: packages of one version are of no use to another */
-    version_of(interpreter, version);
-    if (*version) {
-        char real_path[LONGEST];
-        snprintf(name, sizeof name, "libpython%s.so.1.0", version);
-        for (size_t k = 0; k < count; k++)
-            if (strstr(candidates[k], name) && dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize"))
-                return 1;
-        if (realpath(interpreter, real_path) && strrchr(real_path, '/')) { /* beside the interpreter it was made of */
-            char beside[2 * LONGEST];
-            snprintf(beside, sizeof beside, "%.*s/../lib/%s", (int)(strrchr(real_path, '/') - real_path), real_path, name);
-            if (dlopen(beside, RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
-        }
-        sentence(why, "%s is Python %s, but no library %s was found: install it, or name it in the environment variable"
-                      " CRANE_FMU_LIBPYTHON", interpreter, version, name);
-        return 0;
-    }
-    for (size_t k = 0; k < count; k++)
-        if (dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
-    sentence(why, "the host has no Python and no Python library was found (tried %s first); name one in the environment"
-                  " variable CRANE_FMU_LIBPYTHON", candidates[0]);
-    return 0;
-}
-
-static char packages_of[LONGEST]; /* the interpreter that was asked for, for the sentence on what it lacks */
-
-/* Let the interpreter find the packages of CRANE_FMU_PYTHON, or of the active virtual environment, or of the interpreter
-   that the library belongs to: without that it would take those of any python3 on the search path. */
-static void choose_packages(void) {
-    void (*set_name)(const wchar_t *) = (void (*)(const wchar_t *))python("Py_SetProgramName");
-    wchar_t *(*decode)(const char *, size_t *) = (wchar_t * (*)(const char *, size_t *)) python("Py_DecodeLocale");
-    char path[LONGEST], unused[LONGEST];
-    Dl_info library;
-    if (!chosen_interpreter(path, unused)) return;
-    strcpy(packages_of, path);
-    if (!*path && dladdr(python("Py_Initialize"), &library) && library.dli_fname && strchr(library.dli_fname, '/')) {
-        const int folder = (int)(strrchr(library.dli_fname, '/') - library.dli_fname);
-        snprintf(path, sizeof path, "%.*s/../bin/python3", folder, library.dli_fname);
-        if (access(path, X_OK)) return; /* Python looks for python3 on the search path itself */
-    }
-    if (!*path) return;
-    wchar_t *name = set_name && decode ? decode(path, NULL) : NULL;
-    if (name) set_name(name); /* Python keeps the pointer */
-}
-
-/* Start Python without its signal handlers. It is never ended: NumPy cannot be loaded a second time. */
-static int start_python(char *why) {
-    int (*running)(void) = (int (*)(void))python("Py_IsInitialized");
-    void (*start)(int) = (void (*)(int))python("Py_InitializeEx");
-    void *(*release)(void) = (void *(*)(void))python("PyEval_SaveThread");
-    if (!running || !start || !release) {
-        sentence(why, "the Python library in this process lacks functions that the FMU needs");
-        return 0;
-    }
-    if (running()) return 1;
-    int *utf8 = (int *)python("Py_UTF8Mode"); /* paths are UTF-8 whatever the host's locale says */
-    if (utf8) *utf8 = 1;
-    choose_packages();
-    start(0);
-    release();
-    return 1;
-}
-
-/* Import what the FMU stands on. PythonFMU would meet a failure later, and harm the host's memory over it. */
-static int import_packages(char *why) {
-    static const char *const packages[] = {REQUIRED_PACKAGES};
-    int (*hold)(void) = (int (*)(void))python("PyGILState_Ensure");
-    void (*release)(int) = (void (*)(int))python("PyGILState_Release");
-    void *(*import)(const char *) = (void *(*)(const char *))python("PyImport_ImportModule");
-    void (*fetch)(void **, void **, void **) = (void (*)(void **, void **, void **))python("PyErr_Fetch");
-    void *(*text)(void *) = (void *(*)(void *))python("PyObject_Str");
-    const char *(*utf8)(void *) = (const char *(*)(void *))python("PyUnicode_AsUTF8");
-    void (*give_back)(void *) = (void (*)(void *))python("Py_DecRef");
-    if (!hold || !release || !import || !fetch || !text || !utf8 || !give_back) return 1;
-    const int state = hold();
-    int done = 1;
-    for (size_t k = 0; done && k < sizeof packages / sizeof *packages; k++) {
-        void *module = import(packages[k]), *error[3] = {NULL, NULL, NULL};
-        if (module) {
-            give_back(module);
-            continue;
-        }
-        fetch(&error[0], &error[1], &error[2]);
-        void *message = error[1] ? text(error[1]) : NULL;
-        const char *reason = message ? utf8(message) : NULL;
-        sentence(why, "the FMU needs a Python with ctypes, but importing %s%s%s failed: %s; name an interpreter that has it in the"
-                      " environment variable CRANE_FMU_PYTHON", packages[k],
-                 *packages_of ? " with the packages of " : "", packages_of, reason ? reason : "no reason given");
-        give_back(message);
-        for (int part = 0; part < 3; part++) give_back(error[part]);
-        done = 0;
-    }
-    release(state);
-    return done;
-}
-
-/* --- PythonFMU's binary ------------------------------------------------------------------------------------------- */
+/* --- the library behind ------------------------------------------------------------------------------------------- */
 
 /* PythonFMU 0.7 gives its hold on Python back twice when the process ends, the second time from freed memory: now and
    then the process was killed at its very end. Asked to give it back before, it finds nothing to do later. */
@@ -228,38 +59,26 @@ static void (*give_back_python)(void);
 
 static void at_the_end(void) { give_back_python(); }
 
-static int open_real(char *why) {
+static int python_runs(void) {
+    int (*running)(void) = (int (*)(void))dlsym(RTLD_DEFAULT, "Py_IsInitialized");
+    return running && running();
+}
+
+__attribute__((constructor)) static void open_real(void) {
     Dl_info self;
     char path[LONGEST];
-    if (!dladdr((void *)&real, &self) || !self.dli_fname) {
-        sentence(why, "the FMU's binary does not find its own folder");
-        return 0;
-    }
-    const char *slash = strrchr(self.dli_fname, '/');
+    const char *slash = dladdr((void *)&real, &self) && self.dli_fname ? strrchr(self.dli_fname, '/') : NULL;
     const int folder = slash ? (int)(slash - self.dli_fname) + 1 : 0;
-    snprintf(path, sizeof path, "%.*s%s", folder, self.dli_fname, REAL_BINARY);
+    snprintf(path, sizeof path, "%.*s%s", folder, slash ? self.dli_fname : "", python_runs() ? REAL_BINARY : LIBRARY);
     void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
     if (!library) {
-        sentence(why, "the second binary of the FMU does not load: %s", dlerror());
-        return 0;
+        SAY(not_loaded, "the second binary of the FMU does not load: %s", dlerror());
+        return;
     }
 #define FIND(name) real.name = (fmi2##name##TYPE *)dlsym(library, "fmi2" #name);
     FUNCTIONS(FIND)
-    if (!real.Instantiate || !real.FreeInstance) {
-        sentence(why, "%s is no FMI 2.0 binary", path);
-        return 0;
-    }
     give_back_python = (void (*)(void))dlsym(library, "finalizePythonInterpreter");
     if (give_back_python) atexit(at_the_end); /* runs before what the library has registered while it was opened */
-    return 1;
-}
-
-static int load(char *why) {
-    pthread_mutex_lock(&loading);
-    if (!loaded) loaded = open_python(why) && start_python(why) && import_packages(why) && open_real(why);
-    const int done = loaded;
-    pthread_mutex_unlock(&loading);
-    return done;
 }
 
 /* Python makes a text of valid UTF-8 only. */
@@ -279,11 +98,11 @@ static int is_utf8(const char *text) {
 
 /* --- what the host says ------------------------------------------------------------------------------------------- */
 
-/* Equal but for braces around them. */
-static int same_guid(const char *given, const char *own) {
-    const size_t length = strlen(given);
-    const int braces = length >= 2 && given[0] == '{' && given[length - 1] == '}';
-    return strlen(own) == length - 2 * (size_t)braces && !strncmp(given + braces, own, strlen(own));
+/* Equal to FMU_GUID, which has braces, but for braces. */
+static int is_ours(const char *guid) {
+    const size_t length = strlen(guid), own = strlen(FMU_GUID);
+    const int braces = length >= 2 && guid[0] == '{' && guid[length - 1] == '}';
+    return length + 2 * (size_t)!braces == own && !strncmp(guid + braces, &FMU_GUID[1], own - 2);
 }
 
 static int digit(char c) {
@@ -310,11 +129,11 @@ static int plain_location(const char *address, char *plain, char *why) {
     }
     plain[k] = '\0';
     if (*address || k == 7 || strlen(plain) != k)
-        sentence(why, "the resource location that the host gives is empty, too long or no path");
+        SAY(why, "the resource location that the host gives is empty, too long or no path");
     else if (!is_utf8(plain))
-        sentence(why, "the FMU is unpacked into a folder whose name is not UTF-8; it cannot be used from there");
+        SAY(why, "the FMU is unpacked into a folder whose name is not UTF-8; it cannot be used from there");
     else if (strstr(plain, "%20"))
-        sentence(why, "the FMU is unpacked into %s; a folder with %%20 in its name cannot be used", plain + 7);
+        SAY(why, "the FMU is unpacked into %s; a folder with %%20 in its name cannot be used", plain + 7);
     else
         return 1;
     return 0;
@@ -332,12 +151,12 @@ fmi2Component fmi2Instantiate(fmi2String instance, fmi2Type type, fmi2String gui
     if (!functions || !functions->logger) return NULL;
     if (!instance || !is_utf8(instance)) instance = "";
     if (type != fmi2CoSimulation)
-        sentence(why, "the FMU offers co-simulation only");
-    else if (!guid || !same_guid(guid, FMU_GUID))
-        sentence(why, "the host's description of the FMU has the GUID %s, its binary %s", guid ? guid : "", FMU_GUID);
-    else if (plain_location(location ? location : "", plain, why) && load(why))
-        return real.Instantiate(instance, type, guid, plain, functions, visible, logging);
-    tell(functions, instance, why);
+        SAY(why, "the FMU offers co-simulation only");
+    else if (!guid || !is_ours(guid))
+        SAY(why, "the host's description of the FMU has the GUID %s, its binary %s", guid ? guid : "", FMU_GUID);
+    else if (plain_location(location ? location : "", plain, why) && real.Instantiate)
+        return real.Instantiate(instance, type, FMU_GUID, plain, functions, visible, logging);
+    tell(functions, instance, *why ? why : not_loaded);
     return NULL;
 }
 
@@ -380,10 +199,9 @@ FORWARD(GetBooleanStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Boole
 FORWARD(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *value), (c, kind, value))
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String values[]) {
-    if (!c || !real.SetString) return fmi2Error;
     for (size_t k = 0; k < n; k++)
         if (!values || !values[k] || !is_utf8(values[k])) return fmi2Error;
-    return real.SetString(c, vr, n, values);
+    return c && real.SetString ? real.SetString(c, vr, n, values) : fmi2Error;
 }
 
 /* PythonFMU takes every state for a living one: a null pointer would end the host. */

@@ -6,34 +6,41 @@ parameters are bound inline.
 
 from __future__ import annotations
 
+import io
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
+import fmpy
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.archive import zipped
-from crane_fmu.build.bundle import Progress
+from crane_fmu.build.archive import Progress
 from crane_fmu.build.crosscheck import cross_check
-from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import NativeWishes, native_fmu
-from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
-from crane_fmu.files import filled_folder, put
-from crane_fmu.slave.interface import (
+from crane_fmu.catalogue import (
+    CRANE_PLANT,
     DIMENSION,
     FEEDBACK_INPUTS,
     FROM_FILE,
+    KINDS,
+    LOAD_TRAJECTORY,
+    NO_STARTS,
     ORDERS,
     PATH_INPUTS,
-    START_ORDERS,
-    Variable,
+    PROFILES,
+    ROTARY_CRANE,
+    Starts,
+    chosen,
     components,
 )
+from crane_fmu.files import filled_folder, put
+from servocore.files import xml_document, zipped
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -43,7 +50,9 @@ COMPONENTS: Mapping[str, str] = {
 }
 """Names of the components by those of their FMUs."""
 
+_UNITS = ("m", "m/s", "m/s2", "m/s3", "m/s4")
 _A = ("a position", "a velocity", "an acceleration", "a jerk", "a snap")
+_START_ORDERS = 4  # position to jerk say where the crane and its load are at the start, and how fast
 _INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
 
 _SSD, _SSC, _SSV = (
@@ -136,14 +145,13 @@ def build_ssp(
         played = None if reference is None else read_again(sc.csv_of(reference))
         own = NativeWishes(played, starts, wishes.targets)
         if wishes.native:
-            fmus = [native_fmu(draft, kind, own, progress) for kind in KINDS.values()]
+            put(draft, {kind.file_name: native_fmu(kind, own, progress) for kind in KINDS.values()})
         else:
-            fmus = _python_fmus(draft, reference, own, progress)
-        members = {f"resources/{fmu.name}": fmu.read_bytes() for fmu in fmus}
-        system = zipped({_STRUCTURE: description(starts, duration), **members}, _STRUCTURE)
-        put(draft, {SYSTEM_FILE: system})
-        names = [*(fmu.name for fmu in fmus), SYSTEM_FILE]
-    return tuple(directory / name for name in names)
+            _python_fmus(draft, reference, own, progress)
+        fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
+        members = {f"resources/{name}.fmu": fmu for name, fmu in fmus.items()}
+        put(draft, {SYSTEM_FILE: zipped({_STRUCTURE: description(fmus, starts, duration), **members}, _STRUCTURE)})
+    return tuple(directory / name for name in (*(kind.file_name for kind in KINDS.values()), SYSTEM_FILE))
 
 
 def _require_start(path: sc.Reference) -> None:
@@ -178,8 +186,7 @@ def _motion(path: sc.Reference, time: float) -> str:
     peaks = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, _INSTANTS), 4), axis=-1).max(axis=0)
     sizes = np.linalg.norm(path.jet(time, 4), axis=-1)
     found = [order for order in range(1, len(ORDERS)) if sizes[order] > _ROUND_OFF * peaks[order]]
-    units = {each.name: each.unit for each in ROTARY_CRANE.interface().variables}
-    return f"{_A[found[0]]} of {sizes[found[0]]:.3g} {units[f'load.{ORDERS[found[0]]}[1]']}" if found else ""
+    return f"{_A[found[0]]} of {sizes[found[0]]:.3g} {_UNITS[found[0]]}" if found else ""
 
 
 def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, float | str]:
@@ -198,12 +205,13 @@ def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, flo
         By the names of variables, inputs among them: some masters pass connected values on after the first step only.
     """
     jet = path.jet(path.start_time, len(ORDERS) - 1)
-    orders = len(ORDERS) if jet[1:].any() else 1  # what rests begins with brakes, as by default
+    moves = jet[1:].any()
+    orders = len(ORDERS) if moves else 1  # what rests begins with brakes, as by default
     numbers = dict(zip(PATH_INPUTS[: orders * DIMENSION], jet[:orders].ravel().tolist(), strict=True))
-    for order, values in zip(START_ORDERS[:orders], jet.tolist(), strict=False):
-        numbers |= dict(zip(components(f"start.{order}"), values, strict=True))
-    if orders > 1:
-        forces = [each.name for each in CRANE_PLANT.interface().of("input")]
+    starts = components(*(f"start.{order}" for order in ORDERS[: min(orders, _START_ORDERS)]))
+    numbers |= dict(zip(starts, jet.ravel().tolist(), strict=False))
+    if moves:
+        forces = [each.name for each in sc.scenes.rotary_crane().model().inputs]
         numbers |= dict(zip(forces, inverse(path.start_time).tolist(), strict=True))
     return {"profile": FROM_FILE, **numbers}
 
@@ -216,20 +224,29 @@ def _inverse(reference: sc.Reference | None, parameters: Mapping[str, float]) ->
     return sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
 
 
-def _python_fmus(draft: Path, reference: sc.Reference | None, wishes: NativeWishes, progress: Progress) -> list[Path]:
+def _python_fmus(draft: Path, reference: sc.Reference | None, wishes: NativeWishes, progress: Progress) -> None:
     own = wishes.reference, wishes.starts, wishes.targets
     fmus = [build_fmu(draft, progress, kind, *own) for kind in KINDS.values()]
     progress("writing the cross-check files")
     for fmu in fmus:
         cross_check(fmu, reference, wishes.starts)
-    return fmus
 
 
-def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
+def described(fmus: Mapping[str, bytes]) -> dict[str, list[Any]]:
+    """Return the variables of FMUs as their model descriptions have them, by the names of their components."""
+    return {
+        COMPONENTS[name]: fmpy.read_model_description(io.BytesIO(fmu), validate=False).modelVariables
+        for name, fmu in fmus.items()
+    }
+
+
+def description(fmus: Mapping[str, bytes], starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
     """Return the system's description.
 
     Parameters
     ----------
+    fmus : mapping of str to bytes
+        The archives of the FMUs, by the names of their kinds.
     starts : mapping of str to float or str
         Start values that the FMUs have in place of defaults; numbers are bound here too, for all to see.
     duration : float
@@ -239,32 +256,28 @@ def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
         ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
     system = _child(root, "System", name="Crane")
-    elements, wires = _child(system, "Elements"), connections()
+    tables = described(fmus)
+    elements, wires = _child(system, "Elements"), connections(tables)
     fed = {sink for _, sink in wires}
     for name, component in COMPONENTS.items():
         source = f"resources/{name}.fmu"
         element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _child(element, "Connectors")
-        variables = KINDS[name].interface().variables
-        for variable in variables:  # what is connected, and what is worth watching: all outputs
+        for variable in tables[component]:  # what is connected, and what is worth watching: all outputs
             if variable.causality == "output" or (component, variable.name) in fed:
                 place = _child(connectors, "Connector", name=variable.name, kind=variable.causality)
                 ET.SubElement(place, f"{{{_SSC}}}Real", unit=variable.unit)
-        _bind(element, [each for each in variables if each.causality == "parameter"], starts)
+        numbers = (each.name for each in tables[component] if each.causality == "parameter" and each.type == "Real")
+        _bind(element, {each: starts[each] for each in numbers if each in starts})
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
         _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
     _child(root, "DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
-    return document(root)
+    return xml_document(root)
 
 
-def _bind(element: ET.Element, parameters: Sequence[Variable], starts: Starts) -> None:
-    """Bind numbers to the parameters of a component."""
-    bound = {
-        parameter.name: starts[parameter.name]
-        for parameter in parameters
-        if parameter.name in starts and not parameter.is_choice
-    }
+def _bind(element: ET.Element, bound: Starts) -> None:
+    """Bind numbers to parameters of a component."""
     if not bound:
         return
     values = _child(_child(_child(element, "ParameterBindings"), "ParameterBinding"), "ParameterValues")
@@ -281,11 +294,11 @@ def _child(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
 Wire = tuple[tuple[str, str], tuple[str, str]]
 
 
-def connections() -> list[Wire]:
-    """Return the connections as ((element, output), (element, input))."""
+def connections(tables: Mapping[str, Sequence[Any]]) -> list[Wire]:
+    """Return the connections as ((element, output), (element, input)), given the variables of each element."""
     trajectory, crane, plant = COMPONENTS.values()
-    path = [variable.name for variable in LOAD_TRAJECTORY.interface().of("output")]
-    forces = [variable.name for variable in CRANE_PLANT.interface().of("input")]
+    path = [each.name for each in tables[trajectory] if each.causality == "output"]
+    forces = [each.name for each in tables[plant] if each.causality == "input"]
     wires = [((trajectory, name), (crane, name)) for name in path]
     wires += [((crane, name), (plant, name)) for name in forces]
     for name in FEEDBACK_INPUTS:

@@ -1,4 +1,4 @@
-"""Formulations, methods and models that users choose by name; profiles are in `crane_fmu.slave.straight_lines`."""
+"""Formulations, methods, time laws and models that users choose by name."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import TypeVar
 import servocore as sc
 from servocore.cli.choices import FORMULATIONS, METHODS
 
-__all__ = ["FORMULATIONS", "METHODS", "MODELS", "chosen"]
+__all__ = ["FORMULATIONS", "METHODS", "MODELS", "PROFILES", "chosen"]
 
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""
+
+PROFILES = sc.TIME_LAWS
+"""Time laws of a straight line; the first is the default."""
 
 Choice = TypeVar("Choice")
 

@@ -1,22 +1,28 @@
-"""The FMUs there are: what each computes, carries and must do when nothing is connected."""
+"""The FMUs there are: what each is called, and what it must do when nothing is connected."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
 
-from crane_fmu.catalogue import variables
+import servocore as sc
 from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
-from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, ORDERS, START_ORDERS, Interface, components
-from crane_fmu.slave.straight_lines import PROFILES
+from crane_fmu.catalogue.names import ORDERS, components
 
 Starts = Mapping[str, float | str]
 """Start values by the names of variables, in place of defaults."""
 
 NO_STARTS: Starts = MappingProxyType({})
+
+FROM_FILE = "file"
+"""What a trajectory is told in place of a time law to follow the table that it carries."""
+
+_LOAD, _CRANE = components("load.position"), ("phi", "s", "l", "tension")
+_STARTS = components(*(f"start.{order}" for order in ORDERS))
+_MOVING = (*components(*(f"load.{order}" for order in ORDERS[1:])), *_STARTS[3:], "M_b", "F", "M_w")
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,6 @@ class FmuKind:
     ----------
     name : str
         Of the file and of the model.
-    interface : callable
-        Makes the table of variables.
     page : str
         The user page in the documentation; its template has the same name and ``.j2``.
     runs : tuple of dict
@@ -38,7 +42,6 @@ class FmuKind:
     """
 
     name: str
-    interface: Callable[[], Interface]
     page: str
     runs: tuple[dict[str, float | str], ...]
     resting: tuple[str, ...]
@@ -59,13 +62,11 @@ class FmuKind:
         Returns
         -------
         tuple of dict
-            Start values of each run.
+            Start values of each run; the FMU does not have all of those that let the load rest.
         """
         if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
             return ({},)
-        hold = at_rest(starts)["M_w"]
-        own = [each.name for each in self.interface().variables if each.causality != "output"]
-        still = {name: 0.0 for name in own if name in _MOVING and name in starts}
+        hold, still = at_rest(starts)["M_w"], {name: 0.0 for name in _MOVING if name in starts}
         return tuple(still | run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 
     def rest(self, starts: Starts) -> dict[str, float]:
@@ -87,9 +88,6 @@ class FmuKind:
         return {name: values[name] for name in self.resting}
 
 
-_LOAD = components("load.position")
-
-
 def at_rest(starts: Starts) -> dict[str, float]:
     """Return what a crane's outputs are while its load hangs where it starts.
 
@@ -103,49 +101,33 @@ def at_rest(starts: Starts) -> dict[str, float]:
     dict of str to float
         By the name of the output, in its unit.
     """
-    defaults = {
-        variable.name: variable.start
-        for variable in variables.crane_plant().variables
-        if variable.causality == "parameter"
-    }
-    known = {name: float(starts.get(name, defaults[name] or 0.0)) for name in (*CRANE_PARAMETERS, *_START)}
-    place = [known[name] for name in _START]
+    crane = sc.scenes.rotary_crane()
+    path = crane.reference
+    home = zip(_STARTS, path.jet(path.start_time, 0)[0].tolist(), strict=False)
+    known = {name: float(starts.get(name, value)) for name, value in (*crane.parameter_values().items(), *home)}
+    place = [known[name] for name in _STARTS[:3]]
     tension = known["load_mass"] * known["gravity"]
     values = {"phi": math.atan2(place[1], place[0]), "s": math.hypot(*place[:2]), "l": -place[2], "tension": tension}
     values |= {"M_b": 0.0, "F": 0.0, "M_w": -tension * known["winch_radius"], "swing": 0.0}
     return values | dict(zip(_LOAD, place, strict=True))
 
 
-_START = components("start.position")
-_MOVING = frozenset(
-    (
-        *(each.name for each in variables.crane_plant().of("input")),
-        *components(*(f"load.{order}" for order in ORDERS[1:]), *(f"start.{order}" for order in START_ORDERS[1:])),
-    )
-)
-"""What is zero while the load rests."""
-_CRANE = ("phi", "s", "l", "tension")
-_ROUTES = tuple(product(MODELS, FORMULATIONS))
-
 LOAD_TRAJECTORY = FmuKind(
     name="LoadTrajectory",
-    interface=variables.load_trajectory,
     page="fmu-load-trajectory.md",
-    runs=tuple({"start_time": 1.0, "profile": name} for name in PROFILES),
+    runs=tuple({"start_time": 1.0, "profile": name} for name in sc.TIME_LAWS),
     resting=_LOAD,
 )
 
 ROTARY_CRANE = FmuKind(
     name="RotaryCrane",
-    interface=variables.rotary_crane,
     page="fmu.md",
-    runs=tuple({"model": model, "formulation": formulation} for model, formulation in _ROUTES),
+    runs=tuple({"model": model, "formulation": name} for model, name in product(MODELS, FORMULATIONS)),
     resting=(*_CRANE, "M_b", "F", "M_w", "swing"),
 )
 
 CRANE_PLANT = FmuKind(
     name="CranePlant",
-    interface=variables.crane_plant,
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),
     resting=(*_CRANE, *_LOAD),

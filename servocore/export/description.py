@@ -9,6 +9,7 @@ from servocore.export.native_model import NativeModel
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
 from servocore.export.variables import INTERNAL_STEP, Choice, Variable
+from servocore.files import xml_document
 
 _TOOL = "servocore"
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -64,7 +65,7 @@ def fmi2_description(model: NativeModel, token: str) -> bytes:
                    description=choice.description, causality="parameter", variability="fixed")  # fmt: skip
         _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
     _fmi2_structure(root, model)
-    return document(root)
+    return xml_document(root)
 
 
 def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
@@ -111,7 +112,7 @@ def fmi3_description(model: NativeModel, token: str) -> bytes:
     _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
                   variability="continuous", unit="s")  # fmt: skip
     _fmi3_structure(root, model)
-    return document(root)
+    return xml_document(root)
 
 
 def _time_reference(model: NativeModel) -> int:
@@ -142,7 +143,7 @@ def build_description(model: NativeModel) -> bytes:
     sources = _add(configuration, "SourceFileSet", language="C99")
     for name in compiled_files(model, 3):
         _add(sources, "SourceFile", name=name)
-    return document(root)
+    return xml_document(root)
 
 
 def terminals(model: NativeModel) -> bytes:
@@ -155,13 +156,7 @@ def terminals(model: NativeModel) -> bytes:
             if variable.causality == causality:
                 _add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
                               variableKind="signal")  # fmt: skip
-    return document(root)
-
-
-def document(root: ET.Element) -> bytes:
-    """Return a whole XML document, indented."""
-    ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
+    return xml_document(root)
 
 
 # What both versions have in common -----------------------------------------------------------------------------------
@@ -229,6 +224,4 @@ def _joined(words: Iterable[object]) -> str:
 
 
 def _component_text(variable: Variable, k: int) -> str:
-    return (
-        variable.description if variable.size is None else f"{variable.description}; number {k + 1} of {variable.size}"
-    )
+    return variable.description if variable.size is None else f"{variable.description}; component {k + 1}"

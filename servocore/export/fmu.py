@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +19,11 @@ from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
 from servocore.export.variables import with_item, with_starts
-from servocore.files import require_places, write_together
+from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
 
 VERSIONS = (3, 2)
 """Versions of FMI; the first is the default."""
-
-_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # equal sources give equal archives
 
 
 def export_fmu(
@@ -57,7 +53,7 @@ def export_fmu(
     model : str, optional
         Model of the scene; its smallest when not given.
     targets : str, optional
-        ``all``, ``host``, or names of platforms with commas between them, such as ``x86_64-windows``. When not given:
+        ``all``, ``host``, ``none`` for its sources alone, or names of platforms, as ``x86_64-windows``. When not given:
         all where the package ziglang is installed, else this machine's own.
     feedback : SampledFeedback, optional
         A law that corrects the inputs by what is measured.
@@ -220,7 +216,7 @@ def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None,
     file, names = Path(path), chosen_targets(targets, fmi)
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, tell, model.more_sources)
-    write_together({file: archive(contents(model, fmi, sources, built, names))})
+    write_together({file: zipped(contents(model, fmi, sources, built, names))})
     return file
 
 
@@ -248,14 +244,3 @@ def contents(
         members["sources/buildDescription.xml"] = build_description(model)
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
     return members
-
-
-def archive(files: Mapping[str, bytes]) -> bytes:
-    """Pack files in the order of their names, the model description first: equal files give equal bytes."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
-        for name in sorted(files, key=lambda each: (each != "modelDescription.xml", each)):
-            entry = zipfile.ZipInfo(name, _LONG_AGO)
-            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            packed.writestr(entry, files[name])
-    return stream.getvalue()

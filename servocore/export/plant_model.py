@@ -155,8 +155,12 @@ def _used(problem: Problem, plant: Plant) -> list[Quantity]:
     # made of a motion alone, as an angle from the vertical, may be zero and needs no watch.
     forces = (each for each, expression in system.observables.items() if ca.depends_on(expression, system.lam))
     positive |= {each.name for each in (*forces, *system.reactions) if each.never_negative}
+    rates = {f"{each.name}_dot": f"rate of {each.name}" for each in system.coordinates.quantities}
     channels = [channel for channel in plant.channels if channel.name not in left]
-    return [replace(each, positive=each.name in positive) for each in channels]
+    return [
+        replace(each, positive=each.name in positive, description=rates.get(each.name, each.description))
+        for each in channels
+    ]
 
 
 def _variables(

@@ -28,6 +28,7 @@ Progress = Callable[[str], None]
 # No fused operations and nothing reordered: the digits must not depend on where they are computed.
 _OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w")
 _FULL, _LIGHT = "-O3", "-O1"
+_LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": ()}
 _INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
 
@@ -71,7 +72,8 @@ TARGETS: Mapping[str, Target] = {
 }
 """All platforms, by their name in FMI 3."""
 
-HOST = "host"
+HOST, NONE = "host", "none"
+"""This machine's own platform, and no platform: such an FMU has its sources only."""
 
 
 def host() -> str:
@@ -92,7 +94,7 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     Parameters
     ----------
     wanted : str, optional
-        ``all``, ``host``, or names with commas between them. When not given: all where the package ziglang is
+        ``all``, ``host``, ``none``, or names with commas between them. When not given: all where the package ziglang is
         installed, else this machine's own.
     fmi : int
         Version of FMI: the second knows fewer.
@@ -105,6 +107,8 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     known = [name for name, target in TARGETS.items() if fmi == 3 or target.fmi2]
     if wanted is None:
         wanted = "all" if zig() else HOST
+    if wanted == NONE:
+        return ()
     names = [label.strip() for label in wanted.split(",")]
     names = (
         known
@@ -210,8 +214,8 @@ class _Compiler:
 
     def linked(self, objects: Sequence[str]) -> bytes:
         """Join object files to a library."""
-        result, mathematics = f"library.{self.target.ending}", [] if self.target.ending == "dll" else ["-lm"]
-        self._run(["-shared", *self.own, *objects, "-o", result, *mathematics])
+        result = f"library.{self.target.ending}"
+        self._run(["-shared", *self.own, *objects, "-o", result, *_LINKED[self.target.ending]])
         return (self.folder / result).read_bytes()
 
     def _run(self, options: Sequence[str]) -> None:

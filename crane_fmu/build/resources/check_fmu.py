@@ -22,14 +22,11 @@ TOLERANCE = 1e-6
 def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
     """Take a few steps with nothing connected."""
     messages: list[str] = []
-    choices = {
-        variable.name: variable.declaredType.items
-        for variable in read_model_description(file).modelVariables
-        if variable.type == "Enumeration"
-    }
+    known = {each.name: each.declaredType for each in read_model_description(file).modelVariables}
     numbers = {
-        name: next(int(item.value) for item in choices[name] if item.name == value) if name in choices else value
+        name: next(int(item.value) for item in known[name].items if item.name == value) if known[name] else value
         for name, value in settings.items()
+        if name in known
     }
     label = ", ".join(map(str, settings.values())) or "defaults"
     try:
