@@ -22,7 +22,8 @@ TOLERANCE = 1e-6
 def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
     """Take a few steps with nothing connected."""
     messages: list[str] = []
-    known = {each.name: each.declaredType for each in read_model_description(file).modelVariables}
+    settable = (each for each in read_model_description(file).modelVariables if each.causality != "output")
+    known = {each.name: each.declaredType for each in settable}
     numbers = {
         name: next(int(item.value) for item in known[name].items if item.name == value) if known[name] else value
         for name, value in settings.items()
