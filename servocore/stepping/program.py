@@ -144,7 +144,7 @@ class Program:
 
     @cached_property
     def observe(self) -> ca.Function:
-        """(state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): |c|, |c'|, |g|, |g'|."""
+        """(state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)), the largest sizes of c, c', g, g'."""
         system = self.array.system
         return compile_observation(system, self.dae, self.discretization, observed(system), self.start_order)
 
