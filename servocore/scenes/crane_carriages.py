@@ -41,8 +41,10 @@ class Frame:
 
     Attributes
     ----------
-    kinetic, potential : casadi.SX
-        Energies in J.
+    masses : tuple of casadi.SX
+        What moves with each of its coordinates, kg or kg m².
+    potential : casadi.SX
+        Energy in J.
     constraints : casadi.SX
         Column; may be empty.
     exit : casadi.SX
@@ -51,7 +53,7 @@ class Frame:
         One an input but for the winch's.
     """
 
-    kinetic: ca.SX
+    masses: tuple[ca.SX, ...]
     potential: ca.SX
     constraints: ca.SX
     exit: ca.SX
@@ -106,23 +108,18 @@ class Rails:
         return (*self.rails, self._motor) if _is_flexible(effects) else self.rails
 
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
-        """Return its energies; the first rail's drive is the flexible one.
+        """Return its masses and energy; the first rail's drive is the flexible one.
 
         The mass of the trolley may be less than the parameter says.
         """
-        masses = [trolley_mass if mass == "trolley_mass" else p[mass] for mass in self.masses]
-        own, carried = masses[0], sum(masses[1:], ca.SX(0))
+        own, *carried = (trolley_mass if mass == "trolley_mass" else p[mass] for mass in self.masses)
         positions, first = [c[rail.name] for rail in self.rails], self.rails[0].name
-        kinetic = masses[-1] * sum(c.velocity(rail.name) ** 2 for rail in self.rails[1:]) / 2
-        kinetic += carried * c.velocity(first) ** 2 / 2
-        potential, measured = ca.SX(0), list(self.rails)
+        potential, measured, masses = ca.SX(0), list(self.rails), [sum(carried, own), *carried]
         if _is_flexible(effects):
             motor, share = self._motor.name, p["motor_share"]
-            kinetic += own * (share * c.velocity(motor) ** 2 + (1 - share) * c.velocity(first) ** 2) / 2
+            masses = [sum(carried, (1 - share) * own), *carried, share * own]
             potential = _stiffness(own, p) * (c[first] - c[motor]) ** 2 / 2
             measured[0] = self._motor
-        else:
-            kinetic += own * c.velocity(first) ** 2 / 2
         side, drop = _offset(p, effects)
         place = ca.vertcat(*positions, -drop)
         place[len(positions) - 1] += side
@@ -130,7 +127,7 @@ class Rails:
             Drive(each, c[each.name], ca.jacobian(c[each.name], c.q), friction)
             for each, friction in zip(measured, self.frictions, strict=True)
         )
-        return Frame(kinetic, potential, ca.SX(0, 1), place, drives)
+        return Frame(tuple(masses), potential, ca.SX(0, 1), place, drives)
 
     def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
         """Return its coordinates with the rope's exit where it is to be."""
@@ -145,10 +142,20 @@ PHI_MOTOR = Quantity("phi_motor", "rad", "angle of the slewing drive, before the
 
 @dataclass(frozen=True)
 class SlewingBridge:
-    """A bridge that turns about a vertical axis, with a trolley on it; directions in the place of angles."""
+    """A bridge that turns about a vertical axis, with a trolley on it; directions in the place of angles.
+
+    Attributes
+    ----------
+    phi, trolley : Quantity
+        The bridge's angle, and how far from the axis the trolley is.
+    invariant : bool
+        Whether d . p = s and d x p = 0 stand for p = s d: what rotations about the axis leave as it is, on the
+        constraints and beside them.
+    """
 
     phi: Quantity
     trolley: Quantity
+    invariant: bool = False
 
     def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
         """Return its coordinates: bridge direction, trolley point and distance, direction of a flexible drive."""
@@ -157,24 +164,24 @@ class SlewingBridge:
         return (*own, Quantity("e_x", "1"), Quantity("e_y", "1")) if _is_flexible(effects) else own
 
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
-        """Return its energies and constraints: |d| = 1, p = s d, and |e| = 1 of a flexible drive."""
+        """Return its masses, energy and constraints: |d| = 1, p = s d, and |e| = 1 of a flexible drive."""
         d, place, s = c.q[0:2], c.q[2:4], c[self.trolley.name]
-        inertia, turning = p["bridge_inertia"], c.v[0:2]
-        constraints, potential, motor, rest = [ca.sumsqr(d) - 1, place - s * d], ca.SX(0), ca.SX(0), inertia
+        inertia, across = p["bridge_inertia"], ca.vertcat(-d[1], d[0])
+        on_bridge = ca.vertcat(ca.dot(d, place) - s, ca.dot(across, place)) if self.invariant else place - s * d
+        constraints, potential = [ca.sumsqr(d) - 1, on_bridge], ca.SX(0)
+        rest, motor = inertia, list[ca.SX]()
         driven, at, measured = d, 0, self.phi
         if _is_flexible(effects):
             driven, at, measured = c.q[5:7], 5, PHI_MOTOR
-            motor = p["motor_share"] * inertia * ca.sumsqr(c.v[5:7]) / 2
-            rest = (1 - p["motor_share"]) * inertia
+            rest, motor = (1 - p["motor_share"]) * inertia, [p["motor_share"] * inertia] * 2
             # k |d - e|^2 / 2 = k (1 - cos of the angle between them): its torque is k times the sine
             potential = _stiffness(inertia, p) * ca.sumsqr(d - driven) / 2
             constraints.append(ca.sumsqr(driven) - 1)
         row = ca.SX(1, len(c))
         row[0, at], row[0, at + 1] = -driven[1], driven[0]
         side, drop = _offset(p, effects)
-        across = ca.vertcat(-d[1], d[0])
         return Frame(
-            kinetic=rest * ca.sumsqr(turning) / 2 + motor + trolley_mass * ca.sumsqr(c.v[2:4]) / 2,
+            masses=(rest, rest, trolley_mass, trolley_mass, ca.SX(0), *motor),
             potential=potential,
             constraints=ca.vertcat(*constraints),
             exit=ca.vertcat(place + side * across, -drop),

@@ -153,7 +153,8 @@ class Crane:
         declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
         changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
         name = f"{self.name} with {changes}" if changes else self.name
-        return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names)
+        hanging = overhang(self.outputs)
+        return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names, hanging)
 
 
 def crane_effects(

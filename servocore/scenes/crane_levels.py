@@ -1,4 +1,4 @@
-r"""Cranes with more physics than their scenes need: one assembly for every combination of effects.
+r"""Cranes with a trolley, as their scenes need them and with more physics: one assembly for all effects together.
 
           [drive]~~~[carriage]      flexible: the drive's own inertia turns or moves against a spring
                         \  exit     off the trolley's centre, below the rail
@@ -25,6 +25,7 @@ import casadi as ca
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.numerics.expressions import diagonal
 from servocore.scenes.crane_carriages import Carriage, Drive, exit_height
 from servocore.scenes.hanging_load import ROPE, TENSION, swing_angle
 
@@ -102,9 +103,11 @@ def assemble(
     inputs: Sequence[Quantity],
     outputs: Sequence[Quantity],
     home: tuple[float, ...],
-    effects: frozenset[str],
+    effects: frozenset[str] = frozenset(),
+    hanging: Sequence[Quantity] = (),
+    reported: Sequence[Quantity] = (),
 ) -> MechanicalSystem:
-    """Return a crane with some effects.
+    """Return a crane with some effects, or as its scene needs it.
 
     Parameters
     ----------
@@ -120,6 +123,10 @@ def assemble(
         A regular position of the load, m.
     effects : frozenset of str
         Their names; ``no winch inertia`` for a winch without.
+    hanging : sequence of Quantity
+        What tells how far the load hangs to the side, see `overhang`; nothing where nobody asks.
+    reported : sequence of Quantity
+        Coordinates that stand among the observables too, so that their signs tell branches apart.
     """
     p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
     own = carriage.quantities(effects)
@@ -128,12 +135,10 @@ def assemble(
     c = Coordinates(*own, ROPE, *stretched, *outputs, *above)
     first = len(own) + 1 + len(stretched)
     points = ca.horzsplit(ca.reshape(c.q[first:], dimension, -1))
-    rates = ca.horzsplit(ca.reshape(c.v[first:], dimension, -1))
     rope_mass = p["rope_mass"] * p["rope_piece"] if chain.heavy else 0  # wound up it belongs to the trolley
     frame = carriage.frame(c, p, effects, p["trolley_mass"] - rope_mass)
     winch = ca.SX(0) if "no winch inertia" in effects else p["winch_inertia"] / p["winch_radius"] ** 2
-    kinetic = frame.kinetic + winch * c.velocity(ROPE.name) ** 2 / 2
-    kinetic += sum(m * ca.sumsqr(rate) / 2 for m, rate in zip(chain.masses, rates, strict=True))
+    hung = (mass for mass in chain.masses for _ in outputs)
     rope = _upper_rope(c, p, chain, points, frame.exit)
     links = [ca.sumsqr(a - b) - link**2 for a, b, link in zip(points, points[1:], chain.links, strict=False)]
     weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
@@ -147,9 +152,9 @@ def assemble(
         parameters=p,
         inputs=tuple(inputs),
         outputs=tuple(outputs),
-        mass=ca.sparsify(ca.hessian(kinetic, c.v)[0]),
+        mass=diagonal((*frame.masses, winch, *[0] * len(stretched), *hung)),
         potential=frame.potential + weight + rope.potential,
-        force=_forces(c, p, drives, rates[0], effects),
+        force=_forces(c, p, drives, c.v[first : first + dimension], effects),
         constraints=constraints,
         input_matrix=-ca.mtimes(gear, ca.vertcat(*(drive.row for drive in drives))),
         output=points[0],
@@ -158,8 +163,8 @@ def assemble(
         guess=_guess(gamma, p, chain, carriage, effects),
         home=home,
         observables={
-            **_observables(c, drives, rope, lam, points[-1] - frame.exit, chain),
-            **dict(zip(overhang(outputs), ca.vertsplit((points[0] - frame.exit)[:-1]), strict=True)),
+            **_observables(c, drives, rope, lam, points[-1] - frame.exit, chain, reported),
+            **dict(zip(hanging, ca.vertsplit((points[0] - frame.exit)[: len(hanging)]), strict=True)),
         },
     )
 
@@ -213,13 +218,23 @@ def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: c
 
 
 def _observables(
-    c: Coordinates, drives: Sequence[Drive], rope: _UpperRope, lam: ca.SX, span: ca.SX, chain: Chain
+    c: Coordinates,
+    drives: Sequence[Drive],
+    rope: _UpperRope,
+    lam: ca.SX,
+    span: ca.SX,
+    chain: Chain,
+    reported: Sequence[Quantity],
 ) -> dict[Quantity, ca.SX]:
     own = {drive.measured: drive.position for drive in drives if drive.measured.name not in c.names}
+    own |= {each: c[each.name] for each in reported}
     tension = 2 * lam[-1] * rope.taut
-    swing = Quantity("swing", "rad", "angle of the upper rope from the vertical", nonnegative=span.numel() == 3)
-    reported = {**own, TENSION: tension, swing: swing_angle(span)}
-    return {**reported, ROPE_ABOVE: rope.above} if chain.heavy else reported
+    rope_meant = "upper rope" if chain.names else "rope"
+    ahead = {2: ", positive where the load is ahead", 3: ""}[span.numel()]
+    about = f"angle of the {rope_meant} from the vertical{ahead}"
+    swing = Quantity("swing", "rad", about, nonnegative=span.numel() == 3)
+    observables = {**own, TENSION: tension, swing: swing_angle(span)}
+    return {**observables, ROPE_ABOVE: rope.above} if chain.heavy else observables
 
 
 def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effects: frozenset[str]) -> ca.SX:

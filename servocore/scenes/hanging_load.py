@@ -1,7 +1,7 @@
 """What all cranes share: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero.
 
-A crane whose trolley runs along straight rails, in one direction or in two, needs no more than this: `on_rails` makes
-its model and `swinging` the one in swing angles. `follow` is the flat algebra of the closed forms.
+`swinging` gives a crane whose trolley runs along straight rails, in one direction or in two, swing angles; `follow` is
+the flat algebra of the closed forms.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import diagonal
 from servocore.scenes import jets
 
 PARAMETERS = (
@@ -76,68 +75,15 @@ def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
     return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
 
 
-def on_rails(
-    name: str,
-    parameters: Parameters,
-    inputs: Sequence[Quantity],
-    outputs: Sequence[Quantity],
-    rails: Mapping[Quantity, ca.SX],
-    *,
-    home: tuple[float, ...],
-    swing: Quantity = SWING,
-) -> MechanicalSystem:
-    """Return the crane with coordinates q = (rails, l, load) and one constraint: the rope reaches from trolley to load.
-
-    Parameters
-    ----------
-    name : str
-        What the system is called in messages.
-    parameters : Parameters
-        Holds `PARAMETERS`.
-    inputs, outputs : sequence of Quantity
-        Forces along the rails and the winch's torque; coordinates of the load, the last upwards.
-    rails : mapping of Quantity to casadi.SX
-        Trolley position along each rail, and the mass that moves with it (kg).
-    home : tuple of float
-        A regular position of the load, m.
-    swing : Quantity
-        What `swing_angle` is reported as.
-    """
-    coordinates, p, count = Coordinates(*rails, ROPE, *outputs), parameters, len(rails)
-    trolley, length, load = ca.vertsplit(coordinates.q, [0, count, count + 1, 2 * count + 2])
-    lam, gamma = ca.SX.sym("lam"), reference_symbols(count + 1)
-    rope = load - ca.vertcat(trolley, 0)
-    trolley_there, rope_length, _ = suspension(gamma, p)
-    masses = (*rails.values(), p["winch_inertia"] / p["winch_radius"] ** 2, *[p["load_mass"]] * (count + 1))
-    by_inputs = ca.sparsify(-ca.diag(ca.vertcat(*[1] * count, 1 / p["winch_radius"])))
-    return MechanicalSystem(
-        name=name,
-        coordinates=coordinates,
-        parameters=p,
-        inputs=tuple(inputs),
-        outputs=tuple(outputs),
-        mass=diagonal(masses),
-        potential=p["load_mass"] * p["gravity"] * load[-1],
-        constraints=ca.sumsqr(rope) - length**2,
-        input_matrix=ca.horzcat(by_inputs, ca.SX(count + 1, count + 1)),
-        output=load,
-        multipliers=lam,
-        gamma=gamma,
-        guess=ca.vertcat(trolley_there, rope_length, gamma[:, 0]),
-        home=home,
-        observables={TENSION: 2 * lam * length, swing: swing_angle(rope)},
-    )
-
-
 def swinging(
     base: MechanicalSystem, name: str, rails: Sequence[Quantity], swings: Sequence[Quantity]
 ) -> MechanicalSystem:
-    """Return a crane `on_rails` in generalized coordinates: rails, rope length and one swing angle a rail.
+    """Return a crane on straight rails in generalized coordinates: rails, rope length and one swing angle a rail.
 
     Parameters
     ----------
     base : MechanicalSystem
-        From `on_rails`.
+        With coordinates q = (rails, l, load).
     name : str
         What the system is called in messages.
     rails, swings : sequence of Quantity

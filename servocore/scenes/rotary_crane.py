@@ -33,13 +33,13 @@ from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
 from servocore.scenes.crane_carriages import SlewingBridge
 from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
+from servocore.scenes.crane_levels import assemble
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 
 PARAMETERS = Parameters(
@@ -72,53 +72,12 @@ def points(trolley: Quantity = TROLLEY, *, invariant: bool = False) -> Mechanica
     """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
 
     q = (d, p, s, l, r): bridge direction d (mass J_b), trolley point p (mass m_t), trolley distance s (massless),
-    rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2. With `invariant`, d . p = s
-    and d x p = 0 stand for p = s d: what rotations about the axis leave as it is, on the constraints and beside them.
+    rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2. For `invariant` see
+    `SlewingBridge`.
     """
-    names = ("d_x", "d_y", "p_x", "p_y", "s", "l", "x", "y", "z")
-    coordinates = Coordinates(*(Quantity(name, "1" if name.startswith("d") else "m") for name in names))
-    q, p = coordinates.q, PARAMETERS
-    direction, place, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
-    rope = load - ca.vertcat(place, 0)
-    along, across = ca.dot(direction, place) - s, direction[0] * place[1] - direction[1] * place[0]
-    on_bridge = ca.vertcat(along, across) if invariant else place - s * direction
-    lam = ca.SX.sym("lam", 4)
-    gamma = reference_symbols(3)
-    above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
-    radius = ca.norm_2(above)
-    masses: tuple[ca.SX | float, ...] = (
-        *[p["bridge_inertia"]] * 2,
-        *[p["trolley_mass"]] * 2,
-        0,
-        p["winch_inertia"] / p["winch_radius"] ** 2,
-        *[p["load_mass"]] * 3,
-    )
-    turning = ca.horzcat(-direction[1], direction[0], ca.SX(1, 7))
-    driven = ca.jacobian(ca.vertcat(s, rope_length / p["winch_radius"]), q)
-    return MechanicalSystem(
-        name="rotary crane, points",
-        coordinates=coordinates,
-        parameters=PARAMETERS,
-        inputs=INPUTS,
-        outputs=OUTPUTS,
-        mass=diagonal(masses),
-        potential=p["load_mass"] * p["gravity"] * coordinates["z"],
-        constraints=ca.vertcat(ca.sumsqr(direction) - 1, on_bridge, ca.sumsqr(rope) - rope_length**2),
-        input_matrix=-ca.vertcat(turning, driven),
-        output=load,
-        multipliers=lam,
-        gamma=gamma,
-        guess=ca.vertcat(above / radius, above, radius, hanging, gamma[:, 0]),
-        home=HOME,
-        observables={
-            PHI: ca.atan2(direction[1], direction[0]),
-            trolley: s,
-            ROPE: rope_length,
-            # The force on the load is -lam d|rope|^2/dr = -2 lam rope, towards the trolley when lam > 0.
-            TENSION: 2 * lam[3] * rope_length,
-            SWING: hanging_load.swing_angle(rope),
-        },
-    )
+    bridge = SlewingBridge(PHI, trolley, invariant)
+    own = (trolley, ROPE)
+    return assemble("rotary crane, points", bridge, PARAMETERS, INPUTS, OUTPUTS, HOME, reported=own)
 
 
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
