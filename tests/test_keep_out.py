@@ -14,7 +14,7 @@ import pytest
 import servocore as sc
 from servocore.model.symbols import Parameters
 from servocore.numerics.compiled_calls import Array
-from servocore.planning.clearance import least_distance, segment_distance
+from servocore.planning.obstacles import least_distance, segment_distance
 
 CRANE, OVERHEAD = sc.scenes.rotary_crane(), sc.scenes.overhead_crane()
 DRIVES: Mapping[str, Any] = {

@@ -17,7 +17,7 @@ import servocore as sc
 from servocore.model.limits import Bounds
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import advanced, sampled_law
-from servocore.planning.smoothed_lengths import rounded
+from servocore.planning.limit_rows import rounded
 from servocore.planning.tasks import corner_problems, curve_of, task_along
 from servocore.planning.time_laws import law_of, shape_of, shortest
 from servocore.planning.transcription import Transcription

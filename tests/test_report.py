@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from present import of_kind
 
 import servocore as sc
-from crane_fmu.report import contents, convergence, postures, trajectories
+from crane_fmu.report import contents, figures
 from crane_fmu.report.page import Illustration, Table, formula, number, page, parameter_table
 from crane_fmu.report.study import INPUTS, MOTION, Cycle, LoadRun, Study, apart, study, working_cycle
 from crane_fmu.report.style import LABELS, picture
@@ -114,7 +114,7 @@ class TestNumbers:
 
 class TestFigures:
     def test_the_reference_function_rises_from_zero_to_one(self, crane: sc.Scene) -> None:
-        figure = trajectories.reference_function(crane.reference)
+        figure = figures.reference_function(crane.reference)
         above, below = figure.axes
         s = np.asarray(above.lines[0].get_ydata())
         assert (s[0], s[-1]) == pytest.approx((0.0, 1.0))
@@ -125,14 +125,14 @@ class TestFigures:
         assert below.get_xlabel() == "time (s)"
 
     def test_the_motion_is_drawn_in_degrees_and_metres(self, found: Study, crane: sc.Scene) -> None:
-        figure = trajectories.beside_closed_form(MOTION, found.base, crane)
+        figure = figures.beside_closed_form(MOTION, found.base, crane)
         assert labels(figure) == [LABELS[name] for name in ("phi", "s", "l")]
         assert np.asarray(figure.axes[0].lines[0].get_ydata())[-1] == pytest.approx(135.0)
         assert legend(figure) == ["exact inversion", "closed form"]
 
     def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found: Study) -> None:
         redundant, generalized = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
-        figure = trajectories.inputs_compared(redundant, generalized, found.base)
+        figure = figures.inputs_compared(redundant, generalized, found.base)
         assert labels(figure) == [LABELS[name] for name in INPUTS]
         assert [len(axes.lines) for axes in figure.axes] == [3, 3, 3]
         assert len(legend(figure)) == 3
@@ -143,13 +143,13 @@ class TestFigures:
             np.testing.assert_array_equal(values, run["M_w"])
 
     def test_all_inputs_and_motions_have_labels_with_units(self, found: Study, crane: sc.Scene) -> None:
-        figure = trajectories.beside_closed_form((*INPUTS, *MOTION), found.base, crane)
+        figure = figures.beside_closed_form((*INPUTS, *MOTION), found.base, crane)
         assert sorted(labels(figure)) == sorted(LABELS.values())
         assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
 
     @pytest.mark.parametrize("index", [0, -1])
     def test_a_posture_shows_the_crane_where_it_is(self, found: Study, index: int) -> None:
-        figure = postures.posture(found.base, index)
+        figure = figures.posture(found.base, index)
         (axes,) = figure.axes
         drawn = {line.get_label(): np.array(of_kind(Line3D, line).get_data_3d()) for line in axes.lines}
         run = found.base
@@ -163,14 +163,14 @@ class TestFigures:
         assert {"path of the load", "bridge", "rope", "load"} <= set(legend(figure))
 
     def test_the_sketch_names_what_it_measures(self, crane: sc.Scene) -> None:
-        (axes,) = postures.sketch(crane).axes
+        (axes,) = figures.sketch(crane).axes
         assert {"$\\varphi$", "$s$", "$l$"} <= {text.get_text() for text in axes.texts}
         path = np.array(of_kind(Line3D, axes.lines[0]).get_data_3d()).T
         manoeuvre = of_kind(RestToRest, crane.reference)
         np.testing.assert_allclose(path[[0, -1]], [manoeuvre.start, manoeuvre.end], atol=1e-12)
 
     def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found: Study) -> None:
-        figure = convergence.error_against_step(found.paper_errors)
+        figure = figures.error_against_step(found.paper_errors)
         (axes,) = figure.axes
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
         assert axes.get_xlabel() == "step (s)"
@@ -180,7 +180,7 @@ class TestFigures:
         assert slope == pytest.approx(1.0)
 
     def test_a_load_that_strays_is_shown_with_its_path_and_its_distance(self, found: Study) -> None:
-        figure = trajectories.strayed(found.tracking, found.tracking)
+        figure = figures.strayed(found.tracking, found.tracking)
         assert labels(figure) == ["position of the load (m)", "distance from the path (mm)"]
         assert figure.axes[1].get_yscale() == "log"
         assert len(legend(figure)) == 1 + len(found.tracking)
@@ -188,14 +188,14 @@ class TestFigures:
     def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane: sc.Scene) -> None:
         radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
         solution = sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1)
-        figure = trajectories.beside_closed_form((*INPUTS, *MOTION), solution, radial)
+        figure = figures.beside_closed_form((*INPUTS, *MOTION), solution, radial)
         for axes in figure.axes:
             low, high = axes.get_ylim()
             assert high - low > 1e-3
 
     @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
     def test_a_picture_is_the_same_every_time(self, crane: sc.Scene, suffix: str) -> None:
-        one, other = (picture(trajectories.reference_function(crane.reference), suffix, "by hand") for _ in range(2))
+        one, other = (picture(figures.reference_function(crane.reference), suffix, "by hand") for _ in range(2))
         assert one == other
 
 

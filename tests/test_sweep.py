@@ -28,7 +28,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
-from servocore.planning.sweep_grid import Grid, drawn
+from servocore.planning.sweep_settings import Grid, drawn
 from servocore.planning.sweep_store import Parquet, Zarr
 from servocore.references.rest_to_rest import RestToRest
 

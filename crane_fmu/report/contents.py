@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import degrees
 
-from crane_fmu.report import convergence, postures, trajectories
+from crane_fmu.report import figures
 from crane_fmu.report.page import UNITS, Fact, Illustration, Part, Table, number, parameter_table
 from crane_fmu.report.study import DEFAULT, INPUTS, MOTION, PAPER, STEPS, Cycle, Errors, LoadRun, Study, largest
 from crane_fmu.report.style import Array
@@ -101,7 +101,7 @@ def _introduction(study: Study) -> list[Part]:
             "Bridge angle φ, trolley position s, rope length l; the trolley runs in the plane z = 0 and the load"
             " hangs below. Each input is positive in the direction of its coordinate; the winch torque pays out"
             " rope, so it is negative at rest.",
-            postures.sketch(study.scene),
+            figures.sketch(study.scene),
         ),
     ]
 
@@ -118,7 +118,7 @@ def _reference(study: Study) -> list[Part]:
             "the path itself, nothing is solved",
             "The paper calls it reference function s(t). It is a polynomial of degree 9 whose first four derivatives"
             " vanish at both ends, so that the inputs start and end without a jump.",
-            trajectories.reference_function(reference),
+            figures.reference_function(reference),
         ),
     ]
 
@@ -133,7 +133,7 @@ def _motion(study: Study) -> list[Part]:
             "Bridge angle, trolley position and rope length",
             f"{DEFAULT}, model {study.models[0]}",
             f"Rows every {study.steps[0]:g} s, and the closed form.",
-            trajectories.beside_closed_form(MOTION, study.base, study.scene),
+            figures.beside_closed_form(MOTION, study.base, study.scene),
         ),
     ]
 
@@ -147,7 +147,7 @@ def _inputs(study: Study) -> list[Part]:
             "Slewing torque, trolley force and winch torque",
             f"{DEFAULT}, model {study.models[0]}",
             f"Rows every {study.steps[0]:g} s, and the closed form.",
-            trajectories.beside_closed_form(INPUTS, study.base, study.scene),
+            figures.beside_closed_form(INPUTS, study.base, study.scene),
         ),
         error_table(study),
     ]
@@ -155,7 +155,7 @@ def _inputs(study: Study) -> list[Part]:
 
 def _postures(study: Study) -> list[Part]:
     slewed = f"The bridge has slewed by {degrees(study.base['phi'][-1]):.0f}°."
-    first, last = postures.posture(study.base, 0), postures.posture(study.base, -1)
+    first, last = figures.posture(study.base, 0), figures.posture(study.base, -1)
     dotted = f"{slewed} Dotted: the path seen from above."
     return [
         Illustration("initial_posture", "Initial posture", DEFAULT, "The load hangs at rest.", first),
@@ -188,7 +188,7 @@ def _paper(study: Study) -> list[Part]:
             "The inputs by the scheme of the paper, over those by the default",
             f"{PAPER}, step {step:g} s; and {DEFAULT}",
             "Redundant coordinates: model bodies, generalized ones: model generalized.",
-            trajectories.inputs_compared(redundant, generalized, study.base),
+            figures.inputs_compared(redundant, generalized, study.base),
         ),
         paper_table(study),
         difference_table(study),
@@ -197,7 +197,7 @@ def _paper(study: Study) -> list[Part]:
             "Error of the inputs by the scheme of the paper against the step",
             PAPER,
             "Both axes are logarithmic; a line of slope one is an error of the first order.",
-            convergence.error_against_step(study.paper_errors),
+            figures.error_against_step(study.paper_errors),
         ),
     ]
 
@@ -285,7 +285,7 @@ def _tracking(study: Study) -> list[Part]:
             f"inputs: {DEFAULT}; and {PAPER}",
             "Above: its position and, in grey, the path. Below: its distance from the path; errors below a"
             " nanometre are drawn as one.",
-            trajectories.strayed(study.tracking, study.tracking),
+            figures.strayed(study.tracking, study.tracking),
         ),
     ]
 
@@ -313,7 +313,7 @@ def _loop(runs: Sequence[LoadRun]) -> list[Part]:
             _FMUS,
             f"Above: the position wanted, in grey, and driven ({runs[-1].label}). Below: the distance of the load"
             " from where it should be; errors below a nanometre are drawn as one.",
-            trajectories.strayed(runs, runs[-1:], trajectories.CONNECTED),
+            figures.strayed(runs, runs[-1:], figures.CONNECTED),
         ),
     ]
 
@@ -334,14 +334,14 @@ def _cycle(cycle: Cycle) -> list[Part]:
             "The working cycle",
             DEFAULT,
             "The crane half-way; the load is lifted, swung round and lowered.",
-            postures.posture(cycle.solution, len(cycle.solution.t) // 2),
+            figures.posture(cycle.solution, len(cycle.solution.t) // 2),
         ),
         Illustration(
             "cycle_inputs",
             "Inputs of the working cycle",
             DEFAULT,
             f"Rows every {STEPS[0]:g} s, and the closed form.",
-            trajectories.beside_closed_form(INPUTS, cycle.solution, cycle.scene),
+            figures.beside_closed_form(INPUTS, cycle.solution, cycle.scene),
         ),
     ]
 

@@ -19,7 +19,7 @@ from servocore.cli.kinds import COUNT, FOLDER, SEED, text
 from servocore.cli.options import GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
-from servocore.planning.sweep_grid import drawn
+from servocore.planning.sweep_settings import drawn
 
 EXAMPLES = (
     "rotary_crane --vary load_mass=50..150:100 --vary duration=10..30:50 --limit F=60 --output study",

@@ -24,9 +24,8 @@ import numpy as np
 from servocore.checks.limits import require_feasible
 from servocore.effects.closed_loop import COARSEST, Driven, linear_answers, run_loop
 from servocore.effects.drives import Drives, Gains, gains_of
-from servocore.effects.model_inversion import Inverted, inverted
+from servocore.effects.model_inversion import Inverted, at_rest, inverted
 from servocore.effects.report import ESTIMATED, REFUSED, SIMULATED, EffectRow, EffectsReport
-from servocore.effects.rest_equilibrium import at_rest
 from servocore.errors import (
     InvalidModel,
     InvalidReference,

@@ -11,14 +11,14 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.away_from_home import (
+    require_redundant_constraints_along_path,
+    with_redundant_constraints_as_limits,
+)
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
-from servocore.checks.redundant_constraints import (
-    require_redundant_constraints_along_path,
-    with_redundant_constraints_as_limits,
-)
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.directional_derivatives import tangent, tangent_of_step

@@ -16,7 +16,7 @@ from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.time_laws import shortest_kept
 from servocore.problem import Problem
 from servocore.references.base import survey
-from servocore.references.time_scaled import TimeScaled
+from servocore.references.timed_path import TimeScaled
 from servocore.solvers.exact_inversion import ExactInversion
 
 _DIGITS = 4

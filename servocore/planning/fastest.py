@@ -10,8 +10,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
-from servocore.planning.certificate import certify
-from servocore.planning.report import PlanReport
+from servocore.planning.report import PlanReport, certify
 from servocore.planning.search import EXCESS, SearchResult, planned
 from servocore.planning.space import Space
 from servocore.planning.tasks import (

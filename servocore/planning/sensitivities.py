@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from servocore.checks.away_from_home import require_redundant_constraints_along_path
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.limits import require_feasible
-from servocore.checks.redundant_constraints import require_redundant_constraints_along_path
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity

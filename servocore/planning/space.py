@@ -14,8 +14,7 @@ from servocore.errors import InvalidReference, InvalidSetting
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.planning.clearance import least_distance
-from servocore.planning.obstacles import Box, Obstacle, Sphere
+from servocore.planning.obstacles import Box, Obstacle, Sphere, least_distance
 from servocore.references.base import Reference
 
 _NEAR = 2e-4  # of a body's size: so near at an end leaves a plan no room

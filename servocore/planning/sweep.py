@@ -23,8 +23,7 @@ from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
-from servocore.planning.sweep_grid import DURATION, Slices
-from servocore.planning.sweep_settings import SweepSettings, checked_settings, in_time, settings_of
+from servocore.planning.sweep_settings import DURATION, Slices, SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.references.base import Reference

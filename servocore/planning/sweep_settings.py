@@ -1,21 +1,159 @@
-"""Settings of a sweep, checked before it begins."""
+"""What a sweep does, checked before it begins: its cases and its settings.
+
+Cases are values along dimensions, their products in blocks, or rows of a table.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from math import prod
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.checks.motion_limits import motion_limits
 from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene, require_scene, within_limits
-from servocore.planning.sweep_grid import DURATION, Grid
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.time_scaled import TimeScaled
+from servocore.references.timed_path import TimeScaled
+
+CASE = "case"
+"""The dimension of cases that are rows of a table."""
+
+PATH = "path"
+"""The dimension of paths."""
+
+DURATION = "duration"
+"""What varies where the law of a path takes more or less time."""
+
+Slices = tuple[slice, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cases, each a value of everything that varies.
+
+    Attributes
+    ----------
+    dimensions : mapping of str to int
+        Lengths by name.
+    columns : mapping of str to (str, ndarray)
+        What varies: the dimension along which it does, and its values.
+    """
+
+    dimensions: Mapping[str, int]
+    columns: Mapping[str, tuple[str, Array]]
+
+    @classmethod
+    def of(cls, varied: Any, paths: int) -> Grid:
+        """Return the product of arrays by name, or the rows of a table (a data frame, or a sequence of mappings).
+
+        Raises
+        ------
+        InvalidSetting
+            If nothing varies, values are not finite numbers, or rows of a table differ in their names.
+        """
+        table = _table(varied)
+        columns = {name: _numbers(name, values) for name, values in (table or varied or {}).items()}
+        dimensions = {PATH: paths} if paths else {}
+        if table is None:
+            dimensions |= {name: len(values) for name, values in columns.items()}
+            return cls(_some(dimensions), {name: (name, values) for name, values in columns.items()})
+        dimensions[CASE] = len(next(iter(columns.values()), ()))
+        return cls(_some(dimensions), {name: (CASE, values) for name, values in columns.items()})
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the dimensions."""
+        return tuple(self.dimensions.values())
+
+    @property
+    def size(self) -> int:
+        """Number of cases."""
+        return prod(self.shape)
+
+    def block(self, most: int) -> tuple[int, ...]:
+        """Return the shape of blocks of at most so many cases: whole dimensions from the last one on, as they fit."""
+        sizes: list[int] = []
+        left = max(most, 1)
+        for length in reversed(self.shape):
+            sizes.insert(0, max(1, min(length, left)))
+            left //= length
+        return tuple(sizes)
+
+    def blocks(self, shape: Sequence[int]) -> Iterator[tuple[int, Slices]]:
+        """Yield number and place of all blocks of a shape."""
+        starts = product(*(range(0, length, part) for length, part in zip(self.shape, shape, strict=True)))
+        for k, start in enumerate(starts):
+            yield k, tuple(slice(a, min(a + part, n)) for a, part, n in zip(start, shape, self.shape, strict=True))
+
+    def values(self, name: str, block: Slices) -> Array:
+        """Return the values of what varies for all cases of a block, in C order."""
+        dimension, values = self.columns[name]
+        spread: Array = self._spread(values, list(self.dimensions).index(dimension), block)
+        return spread
+
+    def paths(self, block: Slices) -> npt.NDArray[np.intp]:
+        """Return which path each case of a block has."""
+        if PATH not in self.dimensions:
+            return np.zeros(prod(slice_.stop - slice_.start for slice_ in block), dtype=np.intp)
+        spread: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
+        return spread
+
+    def case(self, block: Slices, k: int) -> dict[str, float]:
+        """Return what varies, by name, for case k of a block."""
+        return {name: float(self.values(name, block)[k]) for name in self.columns}
+
+    def _spread(self, values: Any, axis: int, block: Slices) -> Any:
+        shape = [slice_.stop - slice_.start for slice_ in block]
+        along = [1] * len(shape)
+        along[axis] = shape[axis]
+        return np.broadcast_to(values[block[axis]].reshape(along), shape).ravel()
+
+
+def drawn(ranges: Mapping[str, tuple[float, float]], count: int, seed: int) -> list[dict[str, float]]:
+    """Return rows drawn evenly from ranges by a Latin hypercube, the same for the same seed."""
+    draw = np.random.default_rng(seed)
+    columns = {
+        name: low + (high - low) * (draw.permutation(count) + draw.random(count)) / count
+        for name, (low, high) in ranges.items()
+    }
+    return [{name: float(values[k]) for name, values in columns.items()} for k in range(count)]
+
+
+def _table(varied: Any) -> dict[str, Any] | None:
+    """Return the columns of a table, or None for what is none."""
+    if hasattr(varied, "columns") and hasattr(varied, "to_dict"):  # a data frame, without importing pandas
+        return {str(name): varied[name].to_numpy() for name in varied.columns}
+    if isinstance(varied, Mapping) or varied is None:
+        return None
+    rows = list(varied) if isinstance(varied, Iterable) else []
+    if not rows or not all(isinstance(row, Mapping) and set(row) == set(rows[0]) for row in rows):
+        raise InvalidSetting("a table of cases is a data frame, or a list of mappings that all have the same names")
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def _numbers(name: str, values: Any) -> Array:
+    try:
+        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
+        raise InvalidSetting(f"what is swept, {name}, must be a row of finite numbers")
+    return numbers
+
+
+def _some(dimensions: Mapping[str, int]) -> dict[str, int]:
+    if not dimensions:
+        raise InvalidSetting("nothing varies: give parameters, durations or references")
+    return dict(dimensions)
+
 
 _LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
 

@@ -16,8 +16,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
 from servocore.planning.sweep_cases import SWING
-from servocore.planning.sweep_grid import CASE, DURATION, PATH, Slices
-from servocore.planning.sweep_settings import SweepSettings
+from servocore.planning.sweep_settings import CASE, DURATION, PATH, Slices, SweepSettings
 
 INSTANT = "instant"
 """The dimension of the inputs over time: the share of the duration that has passed."""

@@ -1,4 +1,7 @@
-"""A curve and a time law along it: gamma(t) = P(s(t)), with exact derivatives by the rule of Faa di Bruno."""
+"""The same curve by another law of time: in another duration, or with any law along it.
+
+`TimedPath` is gamma(t) = P(s(t)), with exact derivatives by the rule of Faa di Bruno; `TimeScaled` scales uniformly.
+"""
 
 from __future__ import annotations
 
@@ -77,3 +80,44 @@ def chained(slopes: list[Any], inner: list[Any]) -> list[Any]:
         terms = [slopes[k] * partial[n][k] for k in range(1, n + 1)]
         derivatives.append(sum(terms[1:], terms[0]))
     return derivatives
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeScaled(Reference):
+    """gamma(t) = path(t0 + (t - t0)/factor): `factor` times as long.
+
+    Attributes
+    ----------
+    path : Reference
+        The original path.
+    factor : float
+        New duration divided by the original one; positive.
+    """
+
+    path: Reference
+    factor: float
+
+    @classmethod
+    def to(cls, path: Reference, duration: float) -> TimeScaled:
+        """Return a path scaled to a duration in s."""
+        return cls(
+            start_time=path.start_time,
+            end_time=path.start_time + duration,
+            dimension=path.dimension,
+            max_order=path.max_order,
+            smoothness=path.smoothness,
+            fit_error=path.fit_error,
+            path=path,
+            factor=duration / path.duration,
+        )
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the path."""
+        inner = self.start_time + (self.path.stretches[1:-1] - self.start_time) * self.factor
+        return np.array([self.start_time, *inner, self.end_time])
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        original = self.start_time + (t - self.start_time) / self.factor
+        original = np.where(t >= self.end_time, np.maximum(original, self.path.end_time), original)
+        return self.path.jet(original, order) / self.factor ** np.arange(order + 1)[:, None]

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.away_from_home import require_redundant_constraints_along_path
 from servocore.checks.failure_causes import explained
 from servocore.checks.limits import require_feasible
-from servocore.checks.redundant_constraints import require_redundant_constraints_along_path
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced

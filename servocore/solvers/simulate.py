@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from servocore.checks.away_from_home import require_redundant_constraints
 from servocore.checks.before_run import require_smooth
 from servocore.checks.impulses import require_no_jumps, stepped_quantities
-from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servocore.checks.away_from_home import require_positive_mass, require_redundant_constraints
 from servocore.checks.before_run import warn_before_run
 from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
-from servocore.checks.masses import require_positive_mass
-from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import InvalidSetting, require_callable, require_formulation, require_method, require_real
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced

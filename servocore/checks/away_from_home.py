@@ -1,4 +1,7 @@
-"""Constraints that were left out as redundant where a model is at home, and do not hold farther along a motion."""
+"""What holds of a model where it is at home and may not hold farther along a motion.
+
+Constraints that were left out as redundant, and masses that are positive.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,15 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from servocore.checks.branches import configurations
 from servocore.errors import InvalidModel
 from servocore.model.limits import Limit
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
 from servocore.references.base import survey
+from servocore.solution import Solution
 
 _WHY = "it follows from the others where the model is at home, and was left out"
 
@@ -89,3 +94,34 @@ def _compiled_left_out(resolved: ResolvedSystem) -> ca.Function:
     system = resolved.system
     results = [ca.densify(resolved.left_out), resolved.left_out_shares]
     return ca.Function("sc_left_out", [system.q, system.gamma[:, 0], system.p], results)
+
+
+_INSTANTS = 9
+_ROUND_OFF = 1e-9  # of the largest eigenvalue
+
+
+def require_positive_mass(problem: Problem, solution: Solution) -> None:
+    """Raise `InvalidModel` if a mass matrix that depends on the configuration has a negative eigenvalue on the way.
+
+    A constant one is looked at when the system is made.
+    """
+    evaluate = _compiled_mass(problem.resolved)
+    q = configurations(problem, solution) if evaluate is not None else None
+    if evaluate is None or q is None:
+        return
+    n = q.shape[1]
+    for k in np.unique(np.linspace(0, len(q) - 1, _INSTANTS).round().astype(int)):
+        eigenvalues = np.linalg.eigvalsh(evaluate(q[k], problem.p)[0].reshape(n, n))
+        if eigenvalues[0] < -_ROUND_OFF * np.abs(eigenvalues).max():
+            raise InvalidModel(
+                f"{problem.system.name}: at t = {solution.t[k]:.6g} s the mass matrix has the negative eigenvalue"
+                f" {eigenvalues[0]:.4g}; no mechanism has negative mass"
+            )
+
+
+@made_once
+def _compiled_mass(resolved: ResolvedSystem) -> Call | None:
+    system = resolved.system
+    if not ca.depends_on(system.mass, system.q):
+        return None
+    return Call(ca.Function("sc_mass", [system.q, system.p], [ca.densify(system.mass)]))

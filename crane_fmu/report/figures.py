@@ -1,0 +1,309 @@
+"""Figures of the report: motion and inputs over time, errors over the step, the crane in space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator, NullFormatter, NullLocator
+
+import servocore as sc
+from crane_fmu.report.study import INPUTS, Errors, LoadRun
+from crane_fmu.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LABELS,
+    PURPLE,
+    VERMILLION,
+    WIDTH,
+    Array,
+    Trajectories,
+    panels,
+    styled,
+)
+
+Look = Mapping[str, Any]
+"""How `Axes.plot` draws a curve; curves on top of each other differ in more than colour."""
+
+EXACT: Look = {"color": BLACK, "linewidth": 0.9}
+REDUNDANT: Look = {
+    "color": VERMILLION,
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 5.0,
+    "markerfacecolor": "none",
+    "markeredgewidth": 1.1,
+}
+PAPER_LINE: Look = {"color": VERMILLION, "linestyle": "--", "linewidth": 1.6}
+COMPUTED: Look = {"color": BLUE, "linestyle": "--", "linewidth": 2.2}
+DEFAULT_LINE: Look = {"color": BLUE, "linewidth": 2.6, "alpha": 0.45}
+SIMULATED: tuple[Look, ...] = (
+    {"color": BLUE, "linestyle": "--", "linewidth": 1.6},
+    {"color": BLUE, "linewidth": 1.2},
+    {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.6},
+    {"color": VERMILLION, "linestyle": ":", "linewidth": 1.8},
+)
+"""Forward simulations: one colour a route, blue for the default, orange for the scheme of the paper."""
+CONNECTED: tuple[Look, ...] = (
+    {"color": BLACK, "linestyle": "--", "linewidth": 1.4},
+    {"color": GREEN, "linewidth": 1.4},
+    {"color": PURPLE, "linestyle": "-.", "linewidth": 1.6},
+)
+"""Connected FMUs: one route in all runs, so other colours."""
+
+LEAST_ERROR = 1e-6
+"""In mm; a smaller distance is drawn as this one, since a logarithm needs something."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Trajectories by name over time, and how they are drawn."""
+
+    label: str
+    t: Array
+    values: Trajectories
+    look: Look
+
+
+def _keep_rounding_flat(axes: Axes) -> None:
+    """Widen the axis of a quantity that is constant but for rounding."""
+    low, high = axes.dataLim.intervaly
+    slightest = 1e-6 * max(1.0, abs(low), abs(high))
+    if high - low < slightest:
+        axes.set_ylim((low + high) / 2 - 1e4 * slightest, (low + high) / 2 + 1e4 * slightest)
+
+
+@styled
+def stack(names: Sequence[str], curves: Sequence[Curve], height: float = 1.75) -> Figure:
+    """Return a figure with one panel a quantity, angles in degrees."""
+    figure, axes = panels([LABELS[name] for name in names], height)
+    for axis, name in zip(axes, names, strict=True):
+        for curve in curves:
+            values = np.degrees(curve.values[name]) if name == "phi" else curve.values[name]
+            axis.plot(curve.t, values, label=curve.label, markevery=max(1, len(values) // 25), **curve.look)
+        axis.margins(x=0.01)
+        _keep_rounding_flat(axis)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
+    return figure
+
+
+@styled
+def reference_function(reference: sc.Reference) -> Figure:
+    """Return the share of a straight line that the load has travelled, and its second derivative.
+
+    Parameters
+    ----------
+    reference : Reference
+        A path along a straight line, from its start to its end.
+    """
+    t = np.linspace(reference.start_time, reference.end_time, 801)
+    jets = reference.jet(t, 2)
+    start, way = jets[0, 0].copy(), jets[-1, 0] - jets[0, 0]
+    jets[:, 0] -= start
+    share = jets @ way / (way @ way)
+    figure, axes = panels(["share of the line", "its second derivative (1/s²)"], height=1.9)
+    for axis, order in zip(axes, (0, 2), strict=True):
+        axis.plot(t, share[:, order], color=BLUE)
+        axis.margins(x=0.01)
+    return figure
+
+
+def inputs_compared(redundant: sc.Solution, generalized: sc.Solution, default: sc.Solution) -> Figure:
+    """Return the inputs of both sets of coordinates on top of each other, by one scheme, with those by the default."""
+    curves = (
+        Curve("default: exact inversion", default.t, default, DEFAULT_LINE),
+        Curve("generalized coordinates (GEN)", generalized.t, generalized, PAPER_LINE),
+        Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
+    )
+    return stack(INPUTS, curves, height=2.1)
+
+
+def closed_form(scene: sc.Scene) -> Curve:
+    """Return the closed form of a scene on a fine grid."""
+    t = np.linspace(scene.reference.start_time, scene.reference.end_time, 1601)
+    return Curve("closed form", t, scene.exact(t), EXACT)
+
+
+def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Scene) -> Figure:
+    """Return some quantities of a run by the default, computed and in closed form."""
+    return stack(names, (Curve("exact inversion", solution.t, solution, COMPUTED), closed_form(scene)))
+
+
+@styled
+def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[Look] = SIMULATED) -> Figure:
+    """Return where the load should be and where it goes in some runs, and its distance from its path in all runs.
+
+    Parameters
+    ----------
+    runs : sequence of LoadRun
+        At most as many as there are looks, on one path.
+    shown : sequence of LoadRun
+        Those of them whose positions are drawn.
+    looks : sequence of Look
+        How each run is drawn.
+    """
+    figure, (above, below) = panels(["position of the load (m)", "distance from the path (mm)"], height=2.5)
+    t = runs[0].t
+    for name, values in zip("xyz", runs[0].wanted.T, strict=True):
+        above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
+        above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
+    for run, look in zip(runs, looks, strict=False):
+        if run in shown:
+            above.plot(run.t, run.driven, **look)
+        below.semilogy(run.t, np.maximum(1e3 * run.error, LEAST_ERROR), label=run.label, **look)
+    below.margins(x=0.03)
+    figure.legend(loc="outside upper center", ncols=2)
+    return figure
+
+
+_INPUTS: dict[str, dict[str, Any]] = {
+    "M_b": {"color": BLUE},
+    "F": {"color": VERMILLION, "linestyle": "--"},
+    "M_w": {"color": GREEN, "linestyle": "-."},
+}
+_MODELS: dict[str, dict[str, Any]] = {
+    "points": {"marker": "o", "markersize": 9.0, "markerfacecolor": "none"},
+    "generalized": {"marker": "^", "markersize": 6.0, "markerfacecolor": "none"},
+    "bodies": {"marker": "x", "markersize": 5.5, "markerfacecolor": "none"},
+}
+
+
+@styled
+def error_against_step(errors: Mapping[tuple[str, float], Errors]) -> Figure:
+    """Return the errors of the inputs over the step, both logarithmic, with a line of slope one.
+
+    Parameters
+    ----------
+    errors : mapping of (model, step) to Errors
+        Every model with every step.
+    """
+    models = dict.fromkeys(model for model, _ in errors)
+    steps = np.array(sorted({step for _, step in errors}))
+    figure = Figure(figsize=(WIDTH, 3.9), layout="constrained")
+    axes = figure.add_subplot()
+    for model in models:
+        for name, look in _INPUTS.items():
+            values = [errors[model, step][name] for step in steps]
+            axes.loglog(steps, values, linewidth=1.1, label=f"{model}, {name}", **look, **_MODELS[model])
+    _slope_one(axes, steps)
+    axes.set_xlabel("step (s)")
+    axes.set_ylabel("largest error of an input / its largest value")
+    axes.set_xticks(steps, [f"{step:g}" for step in steps])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    handles = [
+        *(Line2D([], [], label=f"${name}$", **look) for name, look in _INPUTS.items()),
+        *(Line2D([], [], color=BLACK, linestyle="none", label=model, **_MODELS[model]) for model in models),
+        Line2D([], [], color=BLACK, linestyle=":", label="slope 1"),
+    ]
+    figure.legend(handles=handles, loc="outside right center")
+    return figure
+
+
+def _slope_one(axes: Axes, steps: Array) -> None:
+    """Draw a line of slope one across the middle of the picture."""
+    low, high = axes.get_ylim()
+    middle = np.sqrt(low * high) * steps / np.sqrt(steps[0] * steps[-1])
+    axes.loglog(steps, middle, color=BLACK, linestyle=":", linewidth=1.4, label="slope 1")
+
+
+Axes3D = Any
+"""Axes in space: matplotlib has no type for them that a checker could read."""
+
+_OVERHANG = 1.15
+"""The girder is drawn this much longer than the trolley travels: its length is no datum of the crane."""
+
+
+_TURNED = np.radians(40.0)
+"""How far the bridge has turned where the crane is explained."""
+
+
+@styled
+def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
+    """Return the crane at one instant of a run.
+
+    Parameters
+    ----------
+    run : Trajectories
+        With phi, s, x, y, z.
+    index : int
+        Which instant; negative ones count from the end.
+    labelled : bool
+        Whether phi, s and l are written beside what they measure.
+    """
+    figure = Figure(figsize=(WIDTH, 4.5))
+    axes = figure.add_axes((0.02, 0.09, 0.92, 1.0), projection="3d")
+    path = np.column_stack([run[name] for name in "xyz"])
+    reach = _OVERHANG * float(run["s"].max())
+    ground = float(np.floor(path[:, 2].min() - 0.5))
+    _draw_path(axes, path, ground)
+    _draw_crane(axes, path[index], run["phi"][index], run["s"][index], reach, ground)
+    if labelled:
+        _write_names(axes, path[index], run["phi"][index], run["s"][index], reach)
+    tips = reach * np.column_stack([np.cos(run["phi"]), np.sin(run["phi"]), 0.0 * run["phi"]])
+    _frame(axes, np.vstack([path, tips, [[-0.5, -0.5, ground], [0.5, 0.5, 0.9]]]))
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4)
+    return figure
+
+
+def sketch(scene: sc.Scene) -> Figure:
+    """Return the crane on its manoeuvre, with phi, s and l written beside what they measure."""
+    path = scene.reference
+    t = np.linspace(path.start_time, path.end_time, 101)
+    run = scene.exact(t)
+    # Far enough on that the bridge has turned, and long before the load comes near the slewing axis.
+    shown = int(np.searchsorted(np.abs(run["phi"] - run["phi"][0]), _TURNED))
+    return posture(run, min(shown, len(t) // 2), labelled=True)
+
+
+def _draw_path(axes: Axes3D, path: Array, ground: float) -> None:
+    x, y, z = path.T
+    axes.plot(x, y, z, color=VERMILLION, linestyle="--", linewidth=1.4, label="path of the load")
+    axes.plot(x, y, np.full_like(z, ground), color=GREY, linestyle=":", linewidth=1.0)
+    for k, name in ((0, "start"), (-1, "end")):
+        axes.plot(x[[k]], y[[k]], z[[k]], marker="+", markersize=8, color=VERMILLION, linestyle="none")
+        axes.text(x[k], y[k], z[k] - 0.35, name, color=BLACK, ha="center", va="top", fontsize=8.5)
+
+
+def _draw_crane(axes: Axes3D, load: Array, phi: float, s: float, reach: float, ground: float) -> None:
+    along = np.array([np.cos(phi), np.sin(phi), 0.0])
+    tip, trolley = reach * along, s * along
+    axes.plot([0, 0], [0, 0], [ground, 0.6], color=GREY, linewidth=2.0, linestyle="-.", label="slewing axis")
+    axes.plot(*zip(0 * tip, tip, strict=True), color=BLACK, linewidth=4.0, solid_capstyle="butt", label="bridge")
+    axes.plot(*zip(trolley, load, strict=True), color=BLACK, linewidth=1.0, label="rope")
+    part = {"linestyle": "none", "markeredgecolor": BLACK}
+    axes.plot(*trolley[:, None], marker="s", markersize=9, color=GREEN, label="trolley and winch", zorder=10, **part)
+    axes.plot(*load[:, None], marker="o", markersize=10, color=BLUE, label="load", zorder=11, **part)
+    axes.plot([load[0]] * 2, [load[1]] * 2, [load[2], ground], color=GREY, linewidth=0.8, linestyle=":")
+
+
+def _write_names(axes: Axes3D, load: Array, phi: float, s: float, reach: float) -> None:
+    along = np.array([np.cos(phi), np.sin(phi), 0.0])
+    arc = np.linspace(0.0, phi, 40)
+    radius = 0.8 * reach
+    axes.plot([0, reach], [0, 0], [0, 0], color=BLACK, linewidth=0.9, linestyle=":")
+    axes.plot(radius * np.cos(arc), radius * np.sin(arc), 0 * arc, color=BLACK, linewidth=0.9)
+    middle = 1.1 * radius * np.array([np.cos(phi / 2), np.sin(phi / 2), 0.0])
+    for place, text, aside in (
+        (middle, "$\\varphi$", {"ha": "left", "va": "center"}),
+        (0.5 * s * along + [0, 0, 0.15], "$s$", {"ha": "center", "va": "bottom"}),
+        ((s * along + load) / 2 + [0.2, 0, 0], "$l$", {"ha": "left", "va": "center"}),
+    ):
+        axes.text(*place, text, fontsize=12, **aside)
+
+
+def _frame(axes: Axes3D, everything: Array) -> None:
+    """Equal scales on all axes, and limits that hold girder and path."""
+    limits = np.column_stack([np.floor(everything.min(axis=0)), np.ceil(everything.max(axis=0))])
+    for name, (low, high) in zip("xyz", limits, strict=True):
+        axes.set(**{f"{name}lim": (low, high), f"{name}label": f"${name}$ (m)"})
+        getattr(axes, f"{name}axis").set_major_locator(MultipleLocator(2.0))
+    axes.set_box_aspect(np.diff(limits).ravel(), zoom=1.04)
+    axes.view_init(elev=24, azim=-62)
