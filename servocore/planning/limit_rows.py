@@ -177,10 +177,12 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
 
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> list[ca.SX]:
     """Return what limits compare as expressions of gamma and p, of which `smooth` are without rates."""
-    array, system = resolved.array, resolved.system
-    gamma, n = system.gamma, len(system.coordinates)
-    formula = cast("ca.Function", inversion(resolved.array).expression)
-    unknowns = formula(gamma[:, : array.reference_order + 1], system.p)[0]
+    array, gamma = resolved.array, resolved.system.gamma
+    values, y = limited_expressions(
+        resolved, [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
+    )
+    formula = cast("ca.Function", inversion(array).expression)
+    unknowns = formula(gamma[:, : array.reference_order + 1], resolved.system.p)[0]
     known = dict(zip(array.unknowns, ca.vertsplit(unknowns), strict=True))
 
     def entry(j: int, order: int) -> ca.SX:
@@ -188,16 +190,11 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
             known[j, order] = time_derivative(entry(j, order - 1), gamma)
         return known[j, order]
 
-    forces = system.lam.numel() + system.u.numel()
-    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
-    values = ca.vertcat(
-        *[entry(j, 0) for j in range(n)], *[entry(j, 1) for j in range(n)], *[entry(n + j, 0) for j in range(forces)]
+    rows = y.size1()
+    used = sorted({(c % rows, c // rows) for c in ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()})
+    return ca.substitute(
+        values, [ca.vertcat(*[y[j, k] for j, k in used])], [ca.vertcat(*[entry(j, k) for j, k in used])]
     )
-    quantities = []
-    for limit, expression in zip(limits, smooth, strict=True):
-        value = ca.substitute(expression, symbols, values)
-        quantities.append(time_derivative(value, gamma) if limit.rate else value)
-    return quantities
 
 
 @made_once

@@ -280,24 +280,13 @@ def _numbers_of(
 
 def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
     """Read rows of plain finite numbers at once; None where there is anything else, for a closer look."""
-    divider, width = layout.delimiter.encode(), len(layout.names)
-    if divider == b"\t" and b" " in body:
-        return None  # NumPy takes a space for a tab: of cells '5 0' and '' it would make 5 and 0
-    signs = np.frombuffer(body, np.uint8)
-    dividers = signs[(signs == divider[0]) | (signs == ord("\n"))]
-    row = np.array([divider[0]] * (width - 1) + [ord("\n")], np.uint8)
-    whole = len(dividers) - len(dividers) % width
-    if len(dividers) % width != width - 1 or (dividers[:whole].reshape(-1, width) != row).any():
+    try:
+        numbers = np.loadtxt(io.BytesIO(body), delimiter=layout.delimiter, comments=None, ndmin=2)
+    except ValueError:
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
-            numbers = np.fromstring(body.replace(b"\n", divider), sep=divider.decode())
-        except (DeprecationWarning, ValueError):
-            return None
-    if numbers.size != len(dividers) + 1 or not np.isfinite(numbers).all():
-        return None
-    return numbers.reshape(-1, width)
+    # Lines without cells are passed over, and later ones would have the wrong number.
+    whole = numbers.shape == (body.count(b"\n") + 1, len(layout.names))
+    return numbers if whole and np.isfinite(numbers).all() else None
 
 
 def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> list[float]:
