@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from called import laws
@@ -18,7 +17,6 @@ from thinned import thinned
 
 import servocore as sc
 from crane_fmu.build.feedback_law import hanging
-from crane_fmu.build.quick_functions import function
 from crane_fmu.build.sampling import SHORT_TURN, advance, sampled
 
 MASTERS = ("start", "end")
@@ -235,13 +233,3 @@ def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() ->
         assert np.abs(A - exact[:10, :10]).max() < 1e-3 * np.abs(exact[:10, :10]).max()
         assert np.abs(first - exact[:10, 10:13]).max() < 1e-3 * np.abs(first).max()
         assert np.abs(second - exact[:10, 13:] / h).max() < 1e-3 * np.abs(second).max()
-
-
-def test_what_several_numbers_are_divided_by_is_inverted_once() -> None:
-    x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y"), ca.SX.sym("z")
-    quick = function("quick", [x, y, z], [x / y, ca.vertcat(1 / y, x[0] / z, z)])
-    divisions = [k for k in range(quick.n_instructions()) if quick.instruction_id(k) in (ca.OP_DIV, ca.OP_INV)]
-    assert len(divisions) == 2  # by y, and by z
-    shared, other = map(np.array, quick([1.0, 2.0, 3.0], 4.0, 5.0))
-    assert np.allclose(shared.ravel(), [0.25, 0.5, 0.75], rtol=1e-15)
-    assert np.allclose(other.ravel(), [0.25, 0.2, 5.0], rtol=1e-15)

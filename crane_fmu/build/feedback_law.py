@@ -36,7 +36,6 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
-from crane_fmu.build.quick_functions import function
 from crane_fmu.build.riccati import riccati_gain, riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.catalogue import DIMENSION, ORDERS
@@ -149,7 +148,7 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     """Return the inverse of the accelerations that forces give to the load."""
     given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
     state = ca.vertcat(system.q, system.v)
-    return function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
+    return ca.Function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))], {"cse": True})
 
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
@@ -169,7 +168,7 @@ def _weights(h: ca.SX, strain: ca.SX | float) -> ca.SX:
 def _inlined(name: str, rule: Callable[..., Sequence[ca.SX]], *given: ca.MX) -> Any:
     """Return what a rule makes of some numbers, as one expression: loops over two or three numbers cost more."""
     symbols = [ca.SX.sym(f"i{k}", *each.shape) for k, each in enumerate(given)]
-    return function(name, symbols, [ca.densify(each) for each in rule(*symbols)]).call(list(given))
+    return ca.Function(name, symbols, [ca.densify(each) for each in rule(*symbols)], {"cse": True}).call(list(given))
 
 
 def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any, ...]:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import casadi as ca
 
-from crane_fmu.build.quick_functions import function
-
 
 def riccati_step(n: int, load: slice, m: int) -> tuple[ca.Function, ca.Function]:
     """Return what all Riccati steps of a model share, and a step.
@@ -39,7 +37,7 @@ def riccati_step(n: int, load: slice, m: int) -> tuple[ca.Function, ca.Function]
     C, C_T, Q, G, R = given
     left, K = _choice(n, m)(cost, cost @ G, G, R)
     step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
-    return function("shared", [A, new, old, efforts, weights], results), step
+    return ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True}), step
 
 
 def riccati_gain(n: int, m: int) -> ca.Function:
@@ -54,7 +52,7 @@ def _choice(n: int, m: int) -> ca.Function:
     effort = ca.SX.sym("R", m, m)
     K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
     left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
-    return function("choice", [cost, reach, acting, effort], [left, K])
+    return ca.Function("choice", [cost, reach, acting, effort], [left, K], {"cse": True})
 
 
 def riccati_steps(n: int, m: int, doublings: int) -> ca.Function:
@@ -81,7 +79,7 @@ def riccati_steps(n: int, m: int, doublings: int) -> ca.Function:
 def _spread(n: int, m: int) -> ca.Function:
     """Return (G, R) -> R^-1 G^T."""
     acting, effort = ca.SX.sym("G", n, m), ca.SX.sym("R", m, m)
-    return function("spread", [acting, effort], [ca.ldl_solve(acting.T, *ca.ldl(effort))])
+    return ca.Function("spread", [acting, effort], [ca.ldl_solve(acting.T, *ca.ldl(effort))], {"cse": True})
 
 
 def _even(matrix: ca.MX) -> ca.MX:

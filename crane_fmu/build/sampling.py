@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.quick_functions import function
 
 SHORT_TURN = 0.1
 """Up to this turn of the fastest pendulum, in rad, a step is short."""
@@ -28,14 +27,16 @@ def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     x, u, slope, d, h = (ca.SX.sym(*each) for each in (("x", n), ("u", m), ("u_dot", m), ("d", forces), ("h",)))
     p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
     v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
-    rate = function("rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)])
+    rate = ca.Function(
+        "rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)], {"cse": True}
+    )
     inputs = [u + slope * (k * h / 2) for k in range(3)]
     first = rate(x, inputs[0], d, p)
     second = rate(x + h / 2 * first, inputs[1], d, p)
     third = rate(x + h / 2 * second, inputs[1], d, p)
     fourth = rate(x + h * third, inputs[2], d, p)
     after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-    step = function("runge_kutta", [x, u, slope, d, p, h], [after])
+    step = ca.Function("runge_kutta", [x, u, slope, d, p, h], [after], {"cse": True})
     given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
     state, u_begin, u_dot, *others, whole = given
     half = step(state, u_begin, u_dot, *others, whole / 2)
@@ -64,7 +65,7 @@ def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     # One expression where there is little to sum up: half of the first powers are zeros and ones, which it leaves out.
     few = [*(ca.SX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.SX.sym("h")]
     many = [*(ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.MX.sym("h")]
-    short = function("series_short", few, results(_TERMS[True], *few))
+    short = ca.Function("series_short", few, results(_TERMS[True], *few), {"cse": True})
     other = ca.Function("series_other", many, results(_TERMS[False], *many))
     given = [ca.MX.sym(f"i{k}", linear.sparsity_in(k)) for k in range(linear.n_in())]
     is_short, h = ca.MX.sym("short"), ca.MX.sym("h")
@@ -82,8 +83,11 @@ def _linearized(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     balance = ca.substitute(balance, a, ca.ldl_solve(-load, *factors))
     lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
     given = [ca.vertcat(system.q, system.v), system.u, d, p]
-    return function(
-        "linearized", given, [ca.densify(column) for column in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
+    return ca.Function(
+        "linearized",
+        given,
+        [ca.densify(column) for column in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])],
+        {"cse": True},
     )
 
 
@@ -107,7 +111,8 @@ def _series(n: int, m: int) -> tuple[ca.Function, ca.Function, ca.Function]:
         "driven": ([F, other, B, h], [h * each[:, n:] @ B for each in (F, other)]),
     }
     begin, term, driven = (
-        function(name, given, [ca.densify(each) for each in found]) for name, (given, found) in results.items()
+        ca.Function(name, given, [ca.densify(each) for each in found], {"cse": True})
+        for name, (given, found) in results.items()
     )
     return begin, term, driven
 
@@ -134,4 +139,4 @@ def resting(n: int, places: int, m: int) -> ca.Function:
         known = ca.mtimes(row[n : n + places + m], others) + sum(row[j] * found[j] for j in range(k + 1, n))
         found[k] = (row[-1] - known) / row[k]
     state = ca.vertcat(others[:places], ca.SX.zeros(n - places), *found)
-    return function("resting", [A, B, push], [ca.densify(state), others[places:]])
+    return ca.Function("resting", [A, B, push], [ca.densify(state), others[places:]], {"cse": True})
