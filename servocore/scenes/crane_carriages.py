@@ -194,11 +194,15 @@ class SlewingBridge:
     def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
         """Return its coordinates with the rope's exit where it is to be."""
         side, _ = _offset(p, effects)
-        x, y = exit_[0], exit_[1]
-        s = ca.sqrt(x**2 + y**2 - side**2)
-        # exit = s d + side (-d_y, d_x), as complex numbers (s + i side) d
-        d = ca.vertcat(s * x + side * y, s * y - side * x) / (x**2 + y**2)
-        return ca.vertcat(d, s * d, s, d) if _is_flexible(effects) else ca.vertcat(d, s * d, s)
+        place = exit_[:2]
+        s = ca.sqrt(ca.sumsqr(place) - side**2)
+        d = place / s  # each product more in this chain shows in the time of an exact inversion
+        if "rope exit" in effects:
+            x, y = place[0], place[1]
+            # exit = s d + side (-d_y, d_x), as complex numbers (s + i side) d
+            d = ca.vertcat(s * x + side * y, s * y - side * x) / ca.sumsqr(place)
+            place = s * d
+        return ca.vertcat(d, place, s, d) if _is_flexible(effects) else ca.vertcat(d, place, s)
 
 
 Carriage: TypeAlias = Rails | SlewingBridge
