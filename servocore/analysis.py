@@ -19,8 +19,9 @@ from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants, call_of
 from servocore.problem import Problem
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian, system_jacobian_entries
+from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
 from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
@@ -175,7 +176,7 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         jets = reference.jet(times, array.reference_order)
     except InvalidReference as error:
         return np.inf, str(error), ""
-    unknowns = _unknowns_along(problem, jets)
+    unknowns = _unknowns_along(problem, times, jets)
     entries, parts = system_jacobian_entries(problem.array)
     conditions = condition_numbers(parts, at_instants(entries, np.column_stack(unknowns), jets=jets, p=problem.p)[0])
     if not (conditions < SINGULAR_CONDITION).all():
@@ -193,20 +194,13 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(unknowns)[:, places])))
 
 
-def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
-    """Return the unknowns of the derivative array at reference jets along a path; NaN where they are not found.
+def _unknowns_along(problem: Problem, times: Array, jets: Array) -> list[Array]:
+    """Return the unknowns of the derivative array at instants, with the jets there; NaN where they are not found.
 
     What a guess that knows nothing of the path does not solve is solved from a neighbour.
     """
-    expression = inversion(problem.array).expression
-    if expression is not None:
-        states, _, residual = at_instants(expression, jets=jets, p=problem.p)
-        if (residual < LARGEST_RESIDUAL).all():
-            return list(states.T)
-    inverse = inversion(problem.array)
-    invert, search = call_of(inverse.function), call_of(inverse.search)
-    unknowns = [invert(jet.T, problem.p)[0] for jet in jets]
-    solved = [bool(np.isfinite(values).all()) for values in unknowns]
+    unknowns = list(exact_unknowns(problem, times)[0].T)
+    search, solved = call_of(inversion(problem.array).search), [bool(np.isfinite(values).all()) for values in unknowns]
     count = len(unknowns)
     for order in (range(1, count), range(count - 2, -1, -1)) if problem.flat else ():
         for k in order:

@@ -16,10 +16,11 @@ import numpy as np
 from servocore.checks.branches import constraint_rows
 from servocore.checks.impulses import first_jump, has_kinks_or_jumps
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
-from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
 from servocore.structure.signature import condition_number, lost_rank
@@ -53,13 +54,7 @@ def _jump(problem: Problem) -> str:
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    inverse = inversion(problem.array)
-
-    def states(t: Array) -> Array:
-        jets = problem.reference.jet(t, array.reference_order)
-        return np.asarray(at_instants(inverse.function, jets=jets, p=problem.p)[0])
-
-    jump = first_jump(problem, survey(problem.reference), states)
+    jump = first_jump(problem, survey(problem.reference), lambda t: exact_unknowns(problem, t)[0])
     return f"{problem.system.name}: {jump}" if jump else ""
 
 

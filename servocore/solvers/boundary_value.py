@@ -22,15 +22,15 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, 
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
-from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.route import JudgedRoute
+from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.stepping.program import program_of
-from servocore.structure.inversion import inversion
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
 
 Places = npt.NDArray[np.int64]
@@ -355,11 +355,9 @@ def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
 def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     """Solve for everything that the states (N, len x) and the reference determine: [x; z], shape (size, N)."""
     problem, array = bounded.problem, bounded.problem.array
-    inverse, jets = inversion(problem.array), problem.reference.jet(t, array.reference_order)
-    start = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
+    start = guessed_unknowns(problem, t)
     start[array.places(array.states)] = states.T
-    unknowns = inverse.search_at_instants(side_by_side(jets), problem.p, start)
-    values: Array = unknowns[array.places((*array.states, *array.determined))]
+    values: Array = unknowns_from(problem, t, start)[array.places((*array.states, *array.determined))]
     return values
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -25,8 +24,8 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.taylor import SLIGHT, Taylor
+from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
 from servocore.structure.inversion import (
-    LARGEST_RESIDUAL,
     determinant_signs,
     inversion,
     is_regular_throughout,
@@ -166,9 +165,7 @@ class Branch:
         guess that changes over to another branch.
         """
         problem, q = self.problem, self.taylor.q
-        jets = problem.reference.jet(t, problem.array.reference_order)
-        guess = at_instants(inversion(problem.array).guess, jets=jets, p=problem.p)[0]
-        off = np.abs(guess[q] - states[q])
+        off = np.abs(guessed_unknowns(problem, t)[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
         parts, entries = _jacobian_entries(problem, t, states)
@@ -349,15 +346,15 @@ class BranchTable:
     t: Array
     states: Array
 
-    def states_at(self, t: Array, jets: Array) -> Array:
-        """Return the answers (size, M) at instants in any order, for their reference jets side by side."""
+    def states_at(self, t: Array) -> Array:
+        """Return the answers (size, M) at instants in any order."""
         if not len(t):
             return np.empty((len(self.states), 0))
         after = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
         near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
         first, h = self.states[:, near], t - self.t[near]
-        problem, taylor = self.branch.problem, self.branch.taylor
-        unknowns = inversion(problem.array).search_at_instants(jets, problem.p, taylor.ahead(first, h)).copy()
+        taylor = self.branch.taylor
+        unknowns = unknowns_from(self.branch.problem, t, taylor.ahead(first, h))
         for k in np.flatnonzero(taylor.apart(first, unknowns, h, self.branch.scale)):
             unknowns[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
         return unknowns
@@ -365,16 +362,11 @@ class BranchTable:
 
 def prepared_table(problem: Problem) -> BranchTable | None:
     """Return answers along the path of a problem on one branch; None if the guess of the model is the answer itself."""
-    ends, inverse = problem.reference.stretches, inversion(problem.array)
+    ends = problem.reference.stretches
     each = max(1, -(-_SURVEYED // (len(ends) - 1)))
     t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    by_expression = inverse.expression is not None
-    states, _, residual = at_instants(inverse.expression or inverse.function, jets=jets, p=problem.p)
-    if by_expression and not (residual < LARGEST_RESIDUAL).all():
-        by_expression = False
-        states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
-    kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
+    states, by_expression = exact_unknowns(problem, t)
+    kept, how = on_one_branch(problem, t, states)
     branch = Branch.along(problem, kept)
     closed = not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept))
     table = None if closed else BranchTable(branch, t, kept)
@@ -385,11 +377,4 @@ def prepared_table(problem: Problem) -> BranchTable | None:
 
 def exact_states(problem: Problem, table: BranchTable | None) -> States:
     """Return the exact inversion of a problem as a function of times; `table` is its `prepared_table`."""
-    return partial(_answers, problem, table)
-
-
-def _answers(problem: Problem, table: BranchTable | None, t: Array) -> Array:
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    if table is not None:
-        return table.states_at(t, side_by_side(jets))
-    return np.asarray(at_instants(inversion(problem.array).function, jets=jets, p=problem.p)[0])
+    return table.states_at if table is not None else lambda t: exact_unknowns(problem, t)[0]

@@ -214,7 +214,7 @@ class ExactInversion:
                 f" order {array.reference_order}"
             )
         require_feasible(problem)
-        self._problem, self._order = problem, array.reference_order
+        self._problem = problem
         self._evaluation = input_evaluation(problem, native)
         self._evaluation.by_expression.prepare(scene.reference)
         self._table: BranchTable | IntegrationFailed | None
@@ -265,8 +265,7 @@ class ExactInversion:
 
     def _from_branch(self, table: BranchTable, t: Array) -> Array:
         """Return inputs and positive observables, shape (N, columns), read from the branch that the table follows."""
-        states = table.states_at(t, side_by_side(self._problem.reference.jet(t, self._order)))
-        return self._evaluation.of_unknowns(self._problem, t, states)[0].T
+        return self._evaluation.of_unknowns(self._problem, t, table.states_at(t))[0].T
 
     def _require_solved(self, inputs: Array, t: Array) -> None:
         """Raise `IntegrationFailed` if an instant is not solved."""

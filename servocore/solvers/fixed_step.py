@@ -22,10 +22,11 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.boundary_value import BoundaryValue
+from servocore.solvers.branch_continuation import system_jacobians
 from servocore.solvers.exact_inversion import NATIVE_FROM, exact_values, input_evaluation
 from servocore.solvers.fixed_step_loop import (
     Progress,
@@ -40,7 +41,6 @@ from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.route import JudgedRoute
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
-from servocore.structure.inversion import system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
 _POOR = 0.1  # of the smallest singular value that all candidates together have
@@ -157,7 +157,7 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
-    J = _jacobians(problem, t, values)
+    J = system_jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
         # A change at the first instant of a chunk would gain no step.
@@ -167,7 +167,7 @@ def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) ->
 
 
 def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
-    return choose_states(array.signature, _jacobians(problem, np.array([time]), values[:, None])[0])
+    return choose_states(array.signature, system_jacobians(problem, np.array([time]), values[:, None])[0])
 
 
 def _quality(array: DerivativeArray, J: Array) -> Array:
@@ -187,10 +187,3 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
             )
             worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst
-
-
-def _jacobians(problem: Problem, t: Array, values: Array) -> Array:
-    """Return the system Jacobian (N, size, size) for unknowns of the derivative array (unknowns, N) at instants."""
-    jets, size = problem.reference.jet(t, problem.array.reference_order), len(problem.array.names)
-    (jacobians,) = at_instants(system_jacobian(problem.array), values, jets=jets, p=problem.p)
-    return jacobians.reshape(size, len(t), size).transpose(1, 0, 2)

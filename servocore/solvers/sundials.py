@@ -10,15 +10,15 @@ import numpy as np
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.compiled_calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
 from servocore.solvers.results import Run, Segment, solution_of
+from servocore.stepping.exact_evaluation import unknowns_from
 from servocore.stepping.program import program_of
-from servocore.structure.inversion import inversion
 
 _MOST_STEPS = 100_000
 
@@ -84,11 +84,10 @@ class Sundials:
             states, _ = integrate(x0, z0, numbers)
         except RuntimeError as error:  # SUNDIALS gives up
             raise IntegrationFailed(f"{problem.name}: SUNDIALS gave up: {str(error).splitlines()[-1]}") from None
-        jets = side_by_side(problem.reference.jet(times, array.reference_order))
         guess = np.zeros((len(array.unknowns), count + 1))
         guess[array.places(array.states)] = np.hstack([x0[:, None], states.reshape(size, count, order="F")])
         guess[array.places(array.determined)] = z0[:, None]
-        unknowns = inversion(problem.array).search_at_instants(jets, problem.p, guess)
+        unknowns = unknowns_from(problem, times, guess)
         if not np.isfinite(unknowns).all():
             k = int(np.isfinite(unknowns).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")

@@ -10,14 +10,14 @@ import numpy as np
 
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.branch_continuation import CONTINUOUS, Branch, on_one_branch
 from servocore.solvers.fixed_step_loop import run_steps
 from servocore.solvers.results import Run, Segment, solution_of
+from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
 from servocore.stepping.program import program_of
-from servocore.structure.inversion import inversion
 
 _ASIDE = 1e-7  # relative
 
@@ -26,8 +26,7 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     """Return the inputs alone, at instants of a problem without internal dynamics."""
     states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
-    jets = side_by_side(problem.reference.jet(times, array.reference_order))
-    unknowns = inversion(problem.array).search_at_instants(jets, problem.p, aside)
+    unknowns = unknowns_from(problem, times, aside)
     inputs = problem.system.inputs
     places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
     return Solution(times, inputs, unknowns[places].T, "the exact inversion, solved again")
@@ -37,9 +36,7 @@ def _exact_states(problem: Problem, t: Array) -> Array:
     """Return all unknowns of the derivative array (size, N) at instants, on one branch."""
     if problem.follow_branch:
         return run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t).states
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    states, _, residual = at_instants(inversion(problem.array).function, jets=jets, p=problem.p)
-    return on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))[0]
+    return on_one_branch(problem, t, exact_unknowns(problem, t)[0])[0]
 
 
 def inversion_near(problem: Problem, solution: Solution) -> Solution | None:
@@ -53,9 +50,8 @@ def inversion_near(problem: Problem, solution: Solution) -> Solution | None:
 
 def unknowns_near(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
-    array, inverse, t = problem.array, inversion(problem.array), solution.t
-    jets = problem.reference.jet(t, array.reference_order)
-    guess = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
+    array, t = problem.array, solution.t
+    guess = guessed_unknowns(problem, t)
     for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
         for channel in (quantity for quantity in quantities if quantity.name in solution):
             known = solution[channel.name]
@@ -64,4 +60,4 @@ def unknowns_near(problem: Problem, solution: Solution) -> Array:
                 if entry in array.unknowns:
                     guess[array.places([entry])[0]] = known
                 known = np.gradient(known, t)
-    return inverse.search_at_instants(side_by_side(jets), problem.p, guess)
+    return unknowns_from(problem, t, guess)

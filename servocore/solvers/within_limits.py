@@ -10,8 +10,6 @@ import numpy as np
 from servocore.checks.between_instants import refuse_or_warn_of_poles, suspected_poles
 from servocore.checks.impulses import has_kinks_or_jumps, require_no_jumps
 from servocore.checks.motion_limits import (
-    States,
-    Watched,
     compile_watched,
     limited_values,
     motion_limits,
@@ -22,13 +20,12 @@ from servocore.checks.motion_limits import (
 )
 from servocore.errors import IntegrationFailed
 from servocore.model.limits import Limit, Named
-from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
-from servocore.numerics.memoization import made_once
-from servocore.problem import Problem, ResolvedSystem
+from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.solution import Margin, Solution
 from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table, system_jacobians
+from servocore.stepping.exact_evaluation import unknowns_from
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion
 
 
 def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
@@ -91,11 +88,10 @@ def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[
         except IntegrationFailed:  # the guess of the model may still do
             require_no_jumps(problem, solution.t, exact_states(problem, None))
         return
-    known, order, inverse = beside(problem, solution), problem.array.reference_order, inversion(problem.array)
+    known = beside(problem, solution)
 
     def states(t: Array) -> Array:
-        start = np.stack([np.interp(t, solution.t, row) for row in known])
-        return inverse.search_at_instants(side_by_side(problem.reference.jet(t, order)), problem.p, start)
+        return unknowns_from(problem, t, np.stack([np.interp(t, solution.t, row) for row in known]))
 
     require_no_jumps(problem, solution.t, states)
 
@@ -152,11 +148,7 @@ def check_between_instants(
         return False
     channels = _channels_to_invert(problem, solution, suspected)
     names = tuple(solution.channels[channel].name for channel in channels)
-    watched = _compile_named(problem.resolved, names)
-
-    def exact(states: States, t: Array) -> Array:
-        jets = problem.reference.jet(t, watched.order)
-        return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
+    watched = compile_watched(problem.resolved, tuple((Named(name), False) for name in names))
 
     try:
         table = prepared_table(problem)
@@ -164,11 +156,11 @@ def check_between_instants(
         table = None
     followed = exact_states(problem, table)
 
-    def values(channel: int, t: Array) -> Array:
-        return np.asarray(exact(followed, t)[channels.index(channel)])
+    def exact(t: Array) -> Array:
+        return watched.values(problem, t, followed(t))
 
-    left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
-    return refuse_or_warn_of_poles(solution, left, values) if left else False
+    left = _confirmed(problem, solution, suspected, channels, exact(solution.t))
+    return refuse_or_warn_of_poles(solution, left, lambda k, t: exact(t)[channels.index(k)]) if left else False
 
 
 def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
@@ -176,11 +168,6 @@ def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tu
     channels = list(dict.fromkeys(channel for channel, _ in suspected))
     coordinates = problem.system.coordinates.quantities
     return channels + [k for k, channel in enumerate(solution.channels) if channel in coordinates and k not in channels]
-
-
-@made_once
-def _compile_named(resolved: ResolvedSystem, names: tuple[str, ...]) -> Watched:
-    return compile_watched(resolved, tuple((Named(name), False) for name in names))
 
 
 def _confirmed(

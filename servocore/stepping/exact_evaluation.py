@@ -13,7 +13,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference
@@ -144,6 +144,33 @@ def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Functi
     (values,) = ca.substitute([ca.vertcat(*expressions)], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
     arguments = [array.column(array.unknowns), system.gamma[:, : array.reference_order + 1], system.p]
     return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
+
+
+def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:
+    """Return the unknowns of the derivative array (size, N) at instants, NaN where they are not found.
+
+    And whether the expression gives all of them, so that Newton's method was not asked.
+    """
+    inverse, jets = inversion(problem.array), problem.reference.jet(t, problem.array.reference_order)
+    for function in (inverse.expression, inverse.function):
+        if function is not None:
+            states, _, residual = at_instants(function, jets=jets, p=problem.p)
+            if function is inverse.expression and (residual < LARGEST_RESIDUAL).all():
+                return states, True
+    return np.where(np.isfinite(residual), states, np.nan), False
+
+
+def unknowns_from(problem: Problem, t: Array, guess: Array) -> Array:
+    """Return the unknowns of the derivative array (size, N) at instants by Newton's method from guesses (size, N)."""
+    jets, count = side_by_side(problem.reference.jet(t, problem.array.reference_order)), len(t)
+    search = mapped(inversion(problem.array).search, count)
+    return search(jets, np.tile(problem.p[:, None], count), guess)[0].reshape(-1, count, order="F")
+
+
+def guessed_unknowns(problem: Problem, t: Array) -> Array:
+    """Return the guess of the unknowns of the derivative array (size, N) at instants."""
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    return at_instants(inversion(problem.array).guess, jets=jets, p=problem.p)[0].copy()
 
 
 @made_once

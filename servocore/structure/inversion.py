@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.compiled_calls import Array, mapped
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
@@ -84,14 +84,6 @@ class Inversion:
 
     def _arguments(self) -> list[ca.MX]:
         return [ca.MX.sym(name, *self.guess.size_in(k)) for k, name in enumerate(("gamma", "p"))]
-
-    def search_at_instants(self, gamma: Array, p: Array, guess: Array) -> Array:
-        """Return the unknowns (size, N) at N instants by Newton's method from guesses (size, N).
-
-        `gamma` holds the reference jets side by side, see `side_by_side`.
-        """
-        size, count = guess.shape
-        return mapped(self.search, count)(gamma, np.tile(p[:, None], count), guess)[0].reshape(size, -1, order="F")
 
 
 @made_once
