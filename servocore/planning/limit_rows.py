@@ -40,10 +40,10 @@ class Rows:
         -1, or -inf where there is no lower bound.
     moving : tuple of bool
         Whether each may depend on more than the place.
-    lifted : casadi.Function or None
-        (gamma, unknowns, p) -> rows, equations that are zero. None where a formula gives the motion from the path.
-    start : casadi.Function or None
-        (gamma, p) -> these unknowns.
+    local : casadi.Function
+        (gamma, unknowns, p) -> rows, equations that are zero.
+    start : casadi.Function
+        (gamma, p) -> these unknowns; none where a formula gives the motion from the path.
     """
 
     limits: tuple[Limit, ...]
@@ -52,18 +52,18 @@ class Rows:
     order: int
     lower: Array
     moving: tuple[bool, ...]
-    lifted: ca.Function | None = None
-    start: ca.Function | None = None
+    local: ca.Function
+    start: ca.Function
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """What each row compares."""
-        return tuple(limit.quantity for limit in self.limits)
+    def by_formula(self) -> bool:
+        """Whether a formula gives the motion from the path."""
+        return self.start.numel_out(0) == 0
 
 
 @dataclass(frozen=True, eq=False)
-class _Lifted:
-    """Unknowns of an instant beside the path, and what holds them.
+class _Motion:
+    """What limits compare, with unknowns of an instant beside the path and what holds them: none by a formula.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
     return bool(np.isfinite(np.asarray(explicit(gamma, p)[0])).all())
 
 
-def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequence[ca.SX]) -> _Lifted:
+def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequence[ca.SX]) -> _Motion:
     """Return the motion of a system as unknowns, with what limits compare, of which `expressions` are without rates.
 
     Raises
@@ -168,14 +168,14 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
     state = inversion(resolved.array).function(G[:, : array.reference_order + 1], p)[0]
     if not beyond:
         start = ca.Function("sc_lifted", [G, p], [state])
-        return _Lifted(column, array.residual, tuple(values), start, order)
+        return _Motion(column, array.residual, tuple(values), start, order)
     following = next_derivatives(array, y, gamma)
     start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, following.function(state, G, p))])
     equations = ca.vertcat(array.residual, following.rows)
-    return _Lifted(ca.vertcat(column, following.unknowns), equations, tuple(values), start, order)
+    return _Motion(ca.vertcat(column, following.unknowns), equations, tuple(values), start, order)
 
 
-def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> list[ca.SX]:
+def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:
     """Return what limits compare as expressions of gamma and p, of which `smooth` are without rates."""
     array, gamma = resolved.array, resolved.system.gamma
     values, y = limited_expressions(
@@ -192,9 +192,12 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
 
     rows = y.size1()
     used = sorted({(c % rows, c // rows) for c in ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()})
-    return ca.substitute(
+    values = ca.substitute(
         values, [ca.vertcat(*[y[j, k] for j, k in used])], [ca.vertcat(*[entry(j, k) for j, k in used])]
     )
+    order, nothing = max(array.reference_order, *(highest_derivative(value, gamma) for value in values)), ca.SX(0, 1)
+    start = ca.Function("sc_no_unknowns", [gamma[:, : order + 1], resolved.system.p], [nothing])
+    return _Motion(nothing, nothing, tuple(values), start, order)
 
 
 @made_once
@@ -204,46 +207,39 @@ def _compile_rows(
     system, gamma = resolved.system, resolved.system.gamma
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
-    held = None if _is_explicit(resolved, np.array(rest), np.array(p)) else _lifted(resolved, limits, smooth)
-    quantities = _explicit(resolved, limits, smooth) if held is None else list(held.values)
-    order = max(resolved.array.reference_order, *(highest_derivative(expression, gamma) for expression in quantities))
-    order = order if held is None else max(order, held.order)
+    by_formula = _is_explicit(resolved, np.array(rest), np.array(p))
+    motion = (_explicit if by_formula else _lifted)(resolved, limits, smooth)
+    order = max(motion.order, *(highest_derivative(value, gamma) for value in motion.values))
     still = np.zeros((len(rest), order + 1))
     still[:, 0] = rest
     given = [gamma[:, : order + 1], system.p]
-    values = _of_path(given, quantities, held)
+    values = _of_path(given, motion.values, motion)
     at_rest = np.asarray(values(still, p)).ravel()
     rows, lower = [], []
-    for limit, value, here, tip in zip(limits, quantities, at_rest, tips, strict=True):
+    for limit, value, here, tip in zip(limits, motion.values, at_rest, tips, strict=True):
         row, low = _row(limit, value, float(here), tip)
         rows.append(row)
         lower.append(low)
-    function = _of_path(given, rows, held)
-    if held is None:
-        moving = tuple(highest_derivative(expression, gamma) > 0 for expression in quantities)
-        return Rows(limits, function, values, order, np.array(lower), moving)
-    both = ca.Function(
-        "sc_lifted_rows",
-        [given[0], held.unknowns, given[1]],
-        [ca.densify(ca.vertcat(*rows)), ca.densify(held.equations)],
-        {"cse": True},
-    )
-    return Rows(limits, function, values, order, np.array(lower), (True,) * len(limits), both, _start(given, held))
+    arguments, results = [given[0], motion.unknowns, given[1]], [ca.densify(ca.vertcat(*rows)), motion.equations]
+    local = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
+    moving = tuple(not by_formula or highest_derivative(value, gamma) > 0 for value in motion.values)
+    function, start = _of_path(given, rows, motion), _start(given, motion)
+    return Rows(limits, function, values, order, np.array(lower), moving, local, start)
 
 
-def _of_path(given: list[ca.SX], expressions: list[ca.SX], held: _Lifted | None) -> ca.Function:
+def _of_path(given: list[ca.SX], expressions: Sequence[ca.SX], motion: _Motion) -> ca.Function:
     """Compile (gamma, p) -> expressions, of unknowns as well that are searched for."""
     values = [ca.densify(ca.vertcat(*expressions))]
-    if held is None:
+    if not motion.unknowns.numel():
         return ca.Function("sc_rows", given, values, {"cse": True})
     gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
-    direct = ca.Function("sc_direct", [given[0], held.unknowns, given[1]], values, {"cse": True})
-    return ca.Function("sc_rows", [gamma, p], [direct(gamma, _start(given, held)(gamma, p), p)])
+    direct = ca.Function("sc_direct", [given[0], motion.unknowns, given[1]], values, {"cse": True})
+    return ca.Function("sc_rows", [gamma, p], [direct(gamma, _start(given, motion)(gamma, p), p)])
 
 
-def _start(given: list[ca.SX], held: _Lifted) -> ca.Function:
+def _start(given: list[ca.SX], motion: _Motion) -> ca.Function:
     gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
-    return ca.Function("sc_start", [gamma, p], [held.start(gamma[:, : held.order + 1], p)])
+    return ca.Function("sc_start", [gamma, p], [motion.start(gamma[:, : motion.order + 1], p)])
 
 
 def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, float]:

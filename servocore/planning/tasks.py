@@ -103,7 +103,7 @@ def with_a_formula(
 
 
 def _of_motion(corners: Sequence[Problem], curve: PiecewisePolynomial) -> bool:
-    return any(limit_rows(corner, curve.ends[0]).lifted is not None for corner in corners)
+    return not all(limit_rows(corner, curve.ends[0]).by_formula for corner in corners)
 
 
 def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePolynomial, duration: float) -> bool:
@@ -161,17 +161,14 @@ class _Kept:
 
 def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    expressions, lower, symbols, equations, begun = [], [], [ca.SX(0, 1)], [], [ca.MX(0, 1)]
+    expressions, lower, symbols, equations, begun = [], [], [], [], []
     for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
         here = gamma[:, : rows.order + 1]
-        if rows.lifted is not None and rows.start is not None:
-            symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
-            values, zero = rows.lifted(here, symbols[-1], corner.p)
-            equations.append(zero)
-            begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
-        else:
-            values = rows.function(here, corner.p)
+        symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
+        values, zero = rows.local(here, symbols[-1], corner.p)
+        equations.append(zero)
+        begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
     start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])
@@ -183,14 +180,11 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     way = float(np.linalg.norm(end - start))
     sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
     sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
-    inner = None
-    if kept.equations:
-        local = ca.Function("sc_local_rows", [jets, kept.unknowns], [rows, ca.vertcat(*kept.equations)], {"cse": True})
-        inner = Inner(local, kept.start)
+    local = ca.Function("sc_local_rows", [jets, kept.unknowns], [rows, ca.vertcat(*kept.equations)], {"cse": True})
+    function = ca.Function("sc_task", [jets], [rows], {"cse": True, "allow_free": True})
+    if kept.unknowns.numel():
         given = ca.MX.sym("jets", *jets.shape)
         function = ca.Function("sc_task", [given], [local(given, kept.start(given))[0]])
-    else:
-        function = ca.Function("sc_task", [jets], [rows], {"cse": True})
     return Task(
         rows=function,
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
@@ -200,7 +194,7 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
         length=length,
         peaks=sizes,
         forward=forward,
-        inner=inner,
+        inner=Inner(local, kept.start),
     )
 
 

@@ -121,7 +121,7 @@ def _between(kept: Callable[[float], bool], bad: float, good: float, halvings: i
 
 
 def _instants(task: Task) -> tuple[int, int]:
-    return _LOOKED_AT if task.inner is None else _SEARCHED_AT
+    return _SEARCHED_AT if task.inner.size else _LOOKED_AT
 
 
 def _jets(task: Task, shape: Shape, count: int) -> Array:

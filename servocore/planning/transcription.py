@@ -31,7 +31,7 @@ SOLVED = "Solve_Succeeded"
 
 @dataclass(frozen=True, eq=False)
 class Inner:
-    """The motion of a system without a closed formula: unknowns of the program at every point where rows are kept.
+    """The motion at every point where rows are kept: unknowns of the program, none where a formula tells it.
 
     Attributes
     ----------
@@ -85,8 +85,8 @@ class Task:
         Largest derivatives of a polynomial law of duration one.
     forward : bool
         Whether no chain turns back.
-    inner : Inner or None
-        Where no formula tells the motion, what tells it.
+    inner : Inner
+        What tells the motion.
     """
 
     rows: ca.Function
@@ -97,7 +97,7 @@ class Task:
     length: int
     peaks: Array
     forward: bool
-    inner: Inner | None = None
+    inner: Inner
 
     @property
     def orders(self) -> int:
@@ -150,15 +150,15 @@ class Transcription:
     checks: int
     scale: float
     _solver: ca.Function
-    _sizes: Array | None
+    _sizes: Array
 
     @classmethod
     def of(cls, task: Task, intervals: int, checks: int, scale: float, iterations: int = 300) -> Transcription:
         """Write the program down."""
-        sizes = None if task.inner is None else task.inner.scales(_looked_at(task, _typical(task, scale), _SAMPLES))
+        sizes = task.inner.scales(_looked_at(task, _typical(task, scale), _SAMPLES))
         problem = _program(task, intervals, checks, scale, sizes)
         solver = ca.nlpsol("sc_plan", "ipopt", problem, {**_OPTIONS, "ipopt.max_iter": iterations})
-        return cls(task, intervals, checks, scale, solver, None if sizes is None else sizes[0])
+        return cls(task, intervals, checks, scale, solver, sizes[0])
 
     @property
     def parts(self) -> Array:
@@ -180,8 +180,7 @@ class Transcription:
         if progress is not None:
             progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
-        size = 0 if self.task.inner is None else self.task.inner.size
-        zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * size)
+        zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
         defects = np.zeros(zeros)
         low = (self.task.lower[:, None] + tightened).ravel(order="F")
         high = (self.task.upper[:, None] - tightened).ravel(order="F")
@@ -204,8 +203,6 @@ class Transcription:
     def _packed(self, law: Law) -> Array:
         states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
         path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
-        if self.task.inner is None or self._sizes is None:
-            return path
         inner = self.task.inner.at(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
         return np.append(path, np.nan_to_num(inner).ravel(order="F"))
 
@@ -225,7 +222,7 @@ class Transcription:
         for knot, place in ((0, task.start), (-1, task.end)):
             low[knot] = high[knot] = 0.0
             low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
-        inner = np.full(0 if task.inner is None else self.intervals * self.checks * task.inner.size, np.inf)
+        inner = np.full(self.intervals * self.checks * task.inner.size, np.inf)
         return np.concatenate([low.ravel(), [_SHORTEST], -inner]), np.concatenate([high.ravel(), [_LONGEST], inner])
 
 
@@ -240,9 +237,7 @@ def _looked_at(task: Task, law: Law, checks: int) -> Array:
     return law.jets(np.arange(checks) / checks)[:, : task.orders]
 
 
-def _program(
-    task: Task, intervals: int, checks: int, scale: float, sizes: tuple[Array, Array] | None
-) -> dict[str, ca.MX]:
+def _program(task: Task, intervals: int, checks: int, scale: float, sizes: tuple[Array, Array]) -> dict[str, ca.MX]:
     """Return x, f, g of the program for CasADi's solvers; `sizes` divide inner unknowns and their equations."""
     C, K = len(task.start), task.length
     scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
@@ -252,16 +247,14 @@ def _program(
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
     defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
     step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
-    rows, equations, size = [], [ca.SX(0, 1)], 0 if task.inner is None else task.inner.size
+    rows, equations, size = [], [], task.inner.size
     inner = ca.SX.sym("inner", size * checks)
+    unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in sizes)
     for k in range(checks):
         jets = ca.horzcat(*advanced(states, u, change, k / checks, h)[: task.orders])
-        if task.inner is None or sizes is None:
-            rows.append(task.rows(jets))
-        else:
-            limited, residual = task.inner.local(jets, inner[k * size : (k + 1) * size] * sizes[0])
-            rows.append(limited)
-            equations.append(residual / sizes[1])
+        limited, residual = task.inner.local(jets, inner[k * size : (k + 1) * size] * unknown_sizes)
+        rows.append(limited)
+        equations.append(residual / equation_sizes)
     local = ca.Function("sc_local", [left, right, h, inner], [ca.vertcat(*equations), ca.vertcat(*rows)], {"cse": True})
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
     inside = ca.MX.sym("inside", size * checks, intervals)
