@@ -84,7 +84,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
         inputs=[quantity.name for quantity in system.inputs],
         outputs=[quantity.name for quantity in system.outputs],
         states=[f"{quantity.name}{suffix}" for suffix in ("", "_dot") for quantity in quantities],
-        params=dict(zip(maps.names, problem.p.tolist(), strict=True)),
+        params=dict(zip(system.parameters.names, problem.p.tolist(), strict=True)),
     )
 
 
@@ -94,30 +94,21 @@ class _Maps:
 
     Attributes
     ----------
-    names : tuple of str
-        Of the parameters.
-    p : ndarray
-        Their values where python-control gives none.
+    problem : Problem
+        With the values of parameters where python-control gives none.
     flag, flow : Call
         (x, u, p) -> flag (m, order + 1), and -> (x_dot, y).
     inverse : Call
         (gamma, p) -> unknowns of the derivative array, counts, residual.
     places : ndarray
         Of q, v and u among these unknowns.
-    states : int
-        Number of states.
-    order : int
-        Of the derivatives that the inversion needs.
     """
 
-    names: tuple[str, ...]
-    p: Array
+    problem: Problem
     flag: Call
     flow: Call
     inverse: Call
     places: npt.NDArray[np.intp]
-    states: int
-    order: int
 
     @classmethod
     def of(cls, problem: Problem) -> _Maps:
@@ -126,12 +117,9 @@ class _Maps:
         n, m = len(system.coordinates), len(system.inputs)
         places = [(j, k) for k in (0, 1) for j in range(n)]
         places += [(n + system.lam.numel() + k, 0) for k in range(m)]
-        flag, flow = _flag(problem.resolved), _flow(problem.resolved)
-        inverse = Call(inversion(problem.array).function)
-        indices = np.array(array.places(places), dtype=np.intp)
-        return cls(
-            system.parameters.names, problem.p, Call(flag), Call(flow), inverse, indices, 2 * n, array.reference_order
-        )
+        functions = _flag(problem.resolved), _flow(problem.resolved), inversion(array).function
+        flag, flow, inverse = map(Call, functions)
+        return cls(problem, flag, flow, inverse, np.array(array.places(places), dtype=np.intp))
 
     def forward(self, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
         """Return each output with its derivatives, for a state and inputs that stay."""
@@ -141,13 +129,14 @@ class _Maps:
     def reverse(self, zflag: Sequence[npt.ArrayLike], params: Parameters = None) -> tuple[Array, Array]:
         """Return state and inputs for each output with its derivatives."""
         gamma = np.array([np.asarray(flag_of_output, dtype=float) for flag_of_output in zflag])
-        if gamma.ndim != 2 or gamma.shape[1] <= self.order:
-            raise InvalidSetting(f"a flag has derivatives up to order {self.order} of each output")
-        unknowns, _, residual = self.inverse(gamma[:, : self.order + 1], self._values(params))
+        order, states = self.problem.array.reference_order, 2 * len(self.problem.system.coordinates)
+        if gamma.ndim != 2 or gamma.shape[1] <= order:
+            raise InvalidSetting(f"a flag has derivatives up to order {order} of each output")
+        unknowns, _, residual = self.inverse(gamma[:, : order + 1], self._values(params))
         if not np.isfinite(residual).all() or not np.isfinite(unknowns).all():
             raise IntegrationFailed(f"no state belongs to the outputs {gamma[:, 0].tolist()} and their derivatives")
         chosen = unknowns[self.places]
-        return chosen[: self.states], chosen[self.states :]
+        return chosen[:states], chosen[states:]
 
     def rate(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
         """Return the derivative of the state."""
@@ -158,16 +147,15 @@ class _Maps:
         return self.flow(*_vectors(x, u), self._values(params))[1]
 
     def _values(self, params: Parameters) -> Array:
-        if not params:
-            return self.p
-        return np.array([params.get(name, value) for name, value in zip(self.names, self.p, strict=True)], dtype=float)
+        names, p = self.problem.system.parameters.names, self.problem.p
+        return np.array([params.get(name, p[k]) for k, name in enumerate(names)], dtype=float) if params else p
 
 
 def _vectors(x: npt.ArrayLike, u: npt.ArrayLike) -> tuple[Array, Array]:
     return np.ravel(np.asarray(x, dtype=float)), np.ravel(np.asarray(u, dtype=float))
 
 
-def _rate(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Function]:
+def free_motion(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Function]:
     """Return symbols of x, u and p, the derivative of the state, and the outputs as a function of (x, p)."""
     system = resolved.system
     n, m = len(system.coordinates), len(system.inputs)
@@ -178,14 +166,14 @@ def _rate(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Func
 
 @made_once
 def _flow(resolved: ResolvedSystem) -> ca.Function:
-    x, u, p, x_dot, outputs = _rate(resolved)
+    x, u, p, x_dot, outputs = free_motion(resolved)
     return ca.Function("sc_flow", [x, u, p], [ca.densify(x_dot), ca.densify(outputs(x, p))])
 
 
 @made_once
 def _flag(resolved: ResolvedSystem) -> ca.Function:
     """Compile (x, u, p) -> the outputs and their derivatives along the plant with constant inputs."""
-    x, u, p, x_dot, outputs = _rate(resolved)
+    x, u, p, x_dot, outputs = free_motion(resolved)
     flag: list[ca.MX] = [outputs(x, p)]
     for _ in range(resolved.array.reference_order):
         flag.append(ca.jtimes(flag[-1], x, x_dot))

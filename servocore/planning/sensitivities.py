@@ -17,10 +17,10 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants, lock_arrays
 from servocore.numerics.memoization import made_once
+from servocore.planning.flat_system import free_motion
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solvers.branch_continuation import exact_states, prepared_table
-from servocore.stepping.forward_dynamics import forward_rate
 
 _STEPS = 2000
 """Least number of steps in which the linearized plant is integrated, by the classical method of order four."""
@@ -209,11 +209,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
 @made_once
 def _linearized(resolved: ResolvedSystem) -> ca.Function:
     """Compile (state, u, nothing, p) -> derivatives of state_dot by state and p, and of the outputs by both."""
-    system, rate = resolved.system, forward_rate(resolved.system, held=False)
-    state, u, p = (ca.MX.sym(*symbol) for symbol in (
-        ("x", 2 * len(system.coordinates)), ("u", len(system.inputs)), ("p", system.p.numel())))  # fmt: skip
-    rates = rate(state, u, ca.DM.zeros(len(system.outputs)), p)[0]
-    output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)
-    results = [ca.jacobian(rates, state), ca.jacobian(rates, p), ca.jacobian(output, state), ca.jacobian(output, p)]
+    state, u, p, rates, outputs = free_motion(resolved)
+    results = [ca.jacobian(each, by) for each in (rates, outputs(state, p)) for by in (state, p)]
     nothing = ca.MX.sym("nothing", 1, 1)
     return ca.Function("sc_linearized", [state, u, nothing, p], [ca.densify(result) for result in results])

@@ -181,10 +181,11 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
     sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
     local = ca.Function("sc_local_rows", [jets, kept.unknowns], [rows, ca.vertcat(*kept.equations)], {"cse": True})
-    function = ca.Function("sc_task", [jets], [rows], {"cse": True, "allow_free": True})
     if kept.unknowns.numel():
         given = ca.MX.sym("jets", *jets.shape)
         function = ca.Function("sc_task", [given], [local(given, kept.start(given))[0]])
+    else:
+        function = ca.Function("sc_task", [jets], [rows], {"cse": True})
     return Task(
         rows=function,
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
