@@ -12,7 +12,7 @@ from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.problem import Problem
 
-_CALLER = 5  # the line that called `solve`
+_CALLER = 6  # the line that called `solve`
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
@@ -43,16 +43,18 @@ def require_smooth(problem: Problem) -> None:
         )
 
 
+def _warn(text: str) -> None:
+    warnings.warn(text, ServocoreWarning, stacklevel=_CALLER)
+
+
 def _warn_of_growth(problem: Problem) -> None:
     """Warn before unstable internal dynamics are integrated forward in time."""
     dynamics, reference = internal_dynamics(problem), problem.reference
     if dynamics.kind == NON_MINIMUM_PHASE:
-        warnings.warn(
+        _warn(
             f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
             f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
-            f" t = {reference.end_time:g} s; the method BoundaryValue finds the bounded solution",
-            ServocoreWarning,
-            stacklevel=_CALLER,
+            f" t = {reference.end_time:g} s; the method BoundaryValue finds the bounded solution"
         )
 
 
@@ -60,12 +62,10 @@ def _warn_of_jumps(problem: Problem) -> None:
     """Warn if the path is not smooth enough for continuous inputs."""
     order, reference = problem.array.reference_order, problem.reference
     if reference.smoothness < order <= reference.max_order:
-        warnings.warn(
+        _warn(
             f"the inputs of {problem.name} need the path's derivative of order {order}, but the path is continuous up"
             f" to order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
-            f" {reference.end_time:g} s, the ends included, wherever that derivative does",
-            ServocoreWarning,
-            stacklevel=_CALLER,
+            f" {reference.end_time:g} s, the ends included, wherever that derivative does"
         )
 
 
@@ -74,9 +74,7 @@ def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -
     dae = problem.dae(formulation)
     order = method.orders(dae.index).forces
     if dae.index > 3 and order < 1:
-        warnings.warn(
+        _warn(
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
-            f" the step to the power {order} and no step is small enough; use the form Reduced()",
-            ServocoreWarning,
-            stacklevel=_CALLER,
+            f" the step to the power {order} and no step is small enough; use the form Reduced()"
         )

@@ -51,11 +51,14 @@ def require_limits(problem: Problem, states: States) -> None:
     Parameters
     ----------
     problem : Problem
-        Without internal dynamics, with `motion_limits`.
+        Without internal dynamics.
     states : callable
         Its exact inversion at any instants of the path.
     """
-    limits, watched = motion_limits(problem), watched_limits(problem)
+    limits = motion_limits(problem)
+    if not limits:
+        return
+    watched = watched_limits(problem)
     _require_derivatives(problem, limits, watched)
 
     def evaluate(t: Array) -> Array:

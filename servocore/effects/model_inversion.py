@@ -12,12 +12,13 @@ import casadi as ca
 import numpy as np
 
 from servocore.effects.drives import measured_in
-from servocore.errors import InconsistentStart, IntegrationFailed
+from servocore.errors import InconsistentStart
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
+from servocore.solvers.exact_inversion import require_signs, require_solved
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, reading
 
 _CHUNK = 250  # instants in one call: one length of compiled maps serves all paths
@@ -74,14 +75,10 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
         parts.append(evaluation(problem, padded[k : k + _CHUNK])[0])
         seconds = min(seconds, time.process_time() - began)
     rows = np.hstack(parts)[:, :count].T
-    unsolved = ~np.isfinite(rows).all(axis=1)
-    if unsolved.any():
-        raise IntegrationFailed(
-            f"{problem.system.name}: the equations were not solved at t = {t[int(unsolved.argmax())]:.6g} s"
-        )
+    require_solved(problem.system.name, t, rows)
     m, n = len(problem.system.inputs), len(problem.system.coordinates)
     inputs, y, rates, q, v, signs = np.split(rows, np.cumsum([m, m, m, n, n]), axis=1)
-    _require_signs(problem, t, signs)
+    require_signs(problem.system.name, t, [quantity for quantity, _ in _positive(problem.system)], signs)
     y[:, wraps] = np.unwrap(y[:, wraps], axis=0)
     return Inverted(t, inputs, y - y[0], rates, np.concatenate([q[0], v[0]]), q[-1], 1e6 * seconds / _CHUNK)
 
@@ -91,18 +88,6 @@ def _positive(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
     known = [*zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True), *system.observables.items()]
     others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
     return [(each, expression) for each, expression in known if each.positive and not ca.depends_on(expression, others)]
-
-
-def _require_signs(problem: Problem, t: Array, values: Array) -> None:
-    """Raise `IntegrationFailed` if something has a sign that it must not have."""
-    wrong = np.argwhere(~(values > 0.0))
-    if len(wrong):
-        k, which = (int(name) for name in wrong[0])
-        quantity = _positive(problem.system)[which][0]
-        raise IntegrationFailed(
-            f"{problem.system.name}: at t = {t[k]:.6g} s {quantity.name} is {values[k, which]:.4g} {quantity.unit},"
-            f" {quantity.wrong_sign}"
-        )
 
 
 @made_once

@@ -54,16 +54,16 @@ class EffectRow:
     """
 
     name: str
-    index: int | None
-    internal_states: int | None
-    derivatives: int | None
-    unknowns: int | None
-    microseconds: float | None
-    input_change: float | None
-    error: float
-    swing: float | None
-    how: str
-    law: str
+    index: int | None = None
+    internal_states: int | None = None
+    derivatives: int | None = None
+    unknowns: int | None = None
+    microseconds: float | None = None
+    input_change: float | None = None
+    error: float = math.inf
+    swing: float | None = None
+    how: str = ESTIMATED
+    law: str = ""
     needed: bool = False
     left_out: bool = False
     reason: str = ""

@@ -25,7 +25,7 @@ from servocore.checks.limits import require_feasible
 from servocore.effects.closed_loop import COARSEST, Driven, linear_answers, run_loop
 from servocore.effects.drives import Drives, Gains, gains_of
 from servocore.effects.model_inversion import Inverted, at_rest, inverted
-from servocore.effects.report import ESTIMATED, REFUSED, SIMULATED, EffectRow, EffectsReport
+from servocore.effects.report import REFUSED, SIMULATED, EffectRow, EffectsReport
 from servocore.errors import (
     InvalidModel,
     InvalidReference,
@@ -220,21 +220,23 @@ class _Study:
         try:
             return self._row(case)
         except ServocoreError as error:
-            return replace(_unknown(case), how=REFUSED, reason=str(error))
+            return EffectRow(case.name, left_out=case.left_out, how=REFUSED, reason=str(error))
 
     def _row(self, case: _Case) -> EffectRow:
         array = Problem.of(case.large).resolved.outcome
         if isinstance(array, InvalidModel):
-            order, row = Problem.of(case.small).array.reference_order, _unknown(case)
+            row = EffectRow(case.name, left_out=case.left_out)
         else:
-            order, row = array.reference_order, replace(
-                _unknown(case),
+            row = EffectRow(
+                name=case.name,
+                left_out=case.left_out,
                 index=array.signature.index,
                 internal_states=array.signature.degrees_of_freedom,
                 derivatives=array.reference_order,
                 unknowns=len(array.unknowns),
-            )  # fmt: skip
-        reference = smooth_enough(case.large.reference, max(order, Problem.of(case.small).array.reference_order))
+            )
+        order = max(row.derivatives or 0, Problem.of(case.small).array.reference_order)
+        reference = smooth_enough(case.large.reference, order)
         large, small = (scene.with_reference(reference) for scene in (case.large, case.small))
         return self._compared(replace(row, law=_law(reference)), case, large, small)
 
@@ -313,12 +315,6 @@ class _Study:
         if self.drives is None and (row.input_change or 0.0) > _LARGE:
             return "simulated because its inputs change much and no loop holds the drives"
         return "" if math.isfinite(row.error) else "simulated because the estimate was not survived"
-
-
-def _unknown(case: _Case) -> EffectRow:
-    """Return a row of which nothing is known but its effect."""
-    return EffectRow(case.name, None, None, None, None, None, None, math.inf, None, ESTIMATED, "",
-                     left_out=case.left_out)  # fmt: skip
 
 
 def smooth_enough(reference: Reference, order: int) -> Reference:

@@ -15,7 +15,7 @@ from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
-from servocore.solvers.dynamic_inversion import DynamicCases
+from servocore.solvers.dynamic_inversion import DynamicCases, DynamicInversion
 from servocore.solvers.solve import solve
 from servocore.stepping.exact_evaluation import exact_quantities
 from servocore.stepping.observation import observed
@@ -92,8 +92,11 @@ class Batch:
         wrong = [name for name in self.names if name not in known]
         if wrong:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
-        self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
-        if problem.flat:
+        self._dynamic: DynamicCases | None = None
+        if not problem.flat:
+            prepared = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
+            self._dynamic = DynamicCases(problem, self.names, tolerance, prepared.steps, native)
+        else:
             positive = (quantity.name for quantity, _ in problem.resolved.must_be_positive)
             self._evaluation = exact_quantities(problem.resolved, (*self.names, *positive), native)
             self._evaluation.by_expression.prepare(problem.reference)

@@ -211,7 +211,7 @@ class DynamicCases:
     tolerance : float
         Largest error of any input, relative to its peak.
     steps : int
-        What the scene itself takes.
+        What the scene itself takes, as `DynamicInversion` finds.
     native : bool or None
         See `JustInTime`.
     """
@@ -221,20 +221,6 @@ class DynamicCases:
     tolerance: float
     steps: int
     native: bool | None
-
-    @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        model: str | None,
-        names: tuple[str, ...],
-        tolerance: float,
-        start: Mapping[str, float] | None,
-        native: bool | None,
-    ) -> DynamicCases:
-        """Prepare, with the checks of `DynamicInversion`; raises what that raises."""
-        prepared = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
-        return cls(Problem.of(scene, model, start), names, tolerance, prepared.steps, native)
 
     def __call__(self, references: Sequence[Reference], t: Array, p: Array) -> Array:
         """Return the quantities, shape (cases, names, N), NaN for a case that is not solved.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,11 +12,13 @@ import numpy.typing as npt
 from servocore.checks.away_from_home import require_redundant_constraints_along_path
 from servocore.checks.failure_causes import explained
 from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import require_limits
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.problem import Problem
@@ -32,7 +35,6 @@ from servocore.solvers.branch_continuation import (
 from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
 from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import inversion
@@ -220,8 +222,9 @@ class ExactInversion:
         self._table: BranchTable | IntegrationFailed | None
         try:
             self._table = prepared_table(problem)
-            require_exact_within_limits(problem, self._table)
-            require_redundant_constraints_along_path(problem, exact_states(problem, self._table))
+            motion = exact_states(problem, self._table)
+            require_limits(problem, motion)
+            require_redundant_constraints_along_path(problem, motion)
         except IntegrationFailed as error:
             cause = explained(problem, error)
             if cause is not error:
@@ -254,36 +257,36 @@ class ExactInversion:
             return np.empty((*times.shape, len(self.inputs)))
         followed = self._table if isinstance(self._table, BranchTable) else None
         inputs = self._from_branch(followed, instants) if followed else self._evaluation(self._problem, instants)[0].T
-        finite = bool(np.isfinite(inputs).all())
+        name, finite = self._problem.system.name, bool(np.isfinite(inputs).all())
         if finite:
-            self._require_signs(inputs, instants)
+            require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
         if isinstance(self._table, IntegrationFailed):
             raise self._table  # a wrong sign is a better reason
         if not finite:
-            self._require_solved(inputs, instants)
+            require_solved(name, instants, inputs)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
     def _from_branch(self, table: BranchTable, t: Array) -> Array:
         """Return inputs and positive observables, shape (N, columns), read from the branch that the table follows."""
         return self._evaluation.of_unknowns(self._problem, t, table.states_at(t))[0].T
 
-    def _require_solved(self, inputs: Array, t: Array) -> None:
-        """Raise `IntegrationFailed` if an instant is not solved."""
-        unsolved = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
-        if len(unsolved):
-            name = self._problem.system.name
-            raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
 
-    def _require_signs(self, inputs: Array, t: Array) -> None:
-        """Raise `IntegrationFailed` if a value has a sign that it must not have."""
-        signs = inputs[:, len(self.inputs) :]
-        if not (signs > 0.0).all():
-            at, which = (int(index) for index in np.argwhere(~(signs > 0.0))[0])
-            quantity = self._signs[which]
-            raise IntegrationFailed(
-                f"{self._problem.system.name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g}"
-                f" {quantity.unit}, {quantity.wrong_sign}"
-            )
+def require_solved(name: str, t: Array, values: Array) -> None:
+    """Raise `IntegrationFailed` if an instant of a system by its name is not solved; `values` have shape (N, any)."""
+    unsolved = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(unsolved):
+        raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
+
+
+def require_signs(name: str, t: Array, quantities: Sequence[Quantity], values: Array) -> None:
+    """Raise `IntegrationFailed` if a value, shape (N, quantities), has a sign that it must not have."""
+    if not (values > 0.0).all():
+        at, which = (int(index) for index in np.argwhere(~(values > 0.0))[0])
+        quantity = quantities[which]
+        raise IntegrationFailed(
+            f"{name}: at t = {t[at]:.6g} s {quantity.name} is {values[at, which]:.4g} {quantity.unit},"
+            f" {quantity.wrong_sign}"
+        )
 
 
 def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:

@@ -23,7 +23,7 @@ from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Margin, Solution
-from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table, system_jacobians
+from servocore.solvers.branch_continuation import exact_states, prepared_table, system_jacobians
 from servocore.stepping.exact_evaluation import unknowns_from
 from servocore.structure.derivative_array import DerivativeArray
 
@@ -48,20 +48,6 @@ def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> S
     require_reported(problem, solution)
     exact = limited_values(problem, states, solution.t)
     return replace(solution, margins=_margins(zip(limits, exact, strict=True), solution.t))
-
-
-def require_exact_within_limits(problem: Problem, table: BranchTable | None) -> None:
-    """Raise `InvalidReference` if an exact inversion breaks a limit at any time of its path.
-
-    Parameters
-    ----------
-    problem : Problem
-        Without internal dynamics.
-    table : BranchTable or None
-        What `prepared_table` returned for it.
-    """
-    if motion_limits(problem):
-        require_limits(problem, exact_states(problem, table))
 
 
 def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Margin]:
