@@ -35,7 +35,7 @@ def without_jumps(expression: ca.SX) -> ca.SX:
     Its values mean nothing; which of its derivatives are constant, does. An expression that does not jump is returned
     as it is.
     """
-    return _rebuilt(expression, _stand_in) if holds_any(expression, JUMPS) else expression
+    return rebuilt(expression, _stand_in) if holds_any(expression, JUMPS) else expression
 
 
 def switching_levels(expression: ca.SX) -> list[ca.SX]:
@@ -58,10 +58,10 @@ def switching_levels(expression: ca.SX) -> list[ca.SX]:
             levels.append(taken[0] / taken[1])
         elif operation == ca.OP_REMAINDER:
             levels.append(taken[0] / taken[1] + 0.5)
-        return _computed(operation, taken)
+        return computed(operation, taken)
 
     if holds_any(expression, KINKS):
-        _rebuilt(expression, collected)
+        rebuilt(expression, collected)
     different: dict[int, ca.SX] = {each.element_hash(): each for each in levels if not each.is_constant()}
     return list(different.values())
 
@@ -71,7 +71,7 @@ def _at_zero_alone(argument: ca.SX) -> ca.SX:
     return ca.atan(argument) / np.pi
 
 
-def _rebuilt(expression: ca.SX, rule: Rule) -> ca.SX:
+def rebuilt(expression: ca.SX, rule: Rule) -> ca.SX:
     """Return an expression computed anew, operation by operation, as a rule says."""
     arguments = ca.symvar(expression)
     function = ca.Function("sc_jumping", [ca.vertcat(ca.SX(0, 1), *arguments)], [expression])
@@ -96,10 +96,11 @@ def _stand_in(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
     """Return an operation's result, or a curved function of the same arguments where it jumps."""
     if operation == ca.OP_IF_ELSE_ZERO:  # linear in what it chooses, and not in what it chooses by
         return taken[0] * taken[1]
-    return _curved(taken) if operation in JUMPS else _computed(operation, taken)
+    return _curved(taken) if operation in JUMPS else computed(operation, taken)
 
 
-def _computed(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+def computed(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+    """Return an operation's result; a curved function of its arguments where what is called is not known."""
     if operation == ca.OP_CALL:  # what is called is not known here
         return _curved(taken)
     return ca.SX.unary(operation, taken[0]) if len(taken) == 1 else ca.SX.binary(operation, taken[0], taken[1])

@@ -18,6 +18,7 @@ from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
 
@@ -260,9 +261,7 @@ def _has_tip(resolved: ResolvedSystem, limit: Limit) -> bool:
     system = resolved.system
     if not isinstance(limit.expression, Named) or not reported_quantities(system)[limit.expression.name].never_negative:
         return False
-    expression = limit.on(system)
-    function = ca.Function("sc_tip", ca.symvar(expression), [expression])
-    return any(function.instruction_id(k) == ca.OP_SQRT for k in range(function.n_instructions()))
+    return holds_any(limit.on(system), {ca.OP_SQRT})
 
 
 _ROUNDED = 1e-5  # a length that counts as none: a cone is rounded off so far from its tip
@@ -270,23 +269,8 @@ _ROUNDED = 1e-5  # a length that counts as none: a cone is rounded off so far fr
 
 def rounded(expression: ca.SX) -> ca.SX:
     """Return an expression with every square root rounded off at zero, a little larger than it was."""
-    symbols = ca.symvar(expression)
-    function = ca.Function("sc_rounded", symbols, [expression])
-    work: dict[int, ca.SX] = {}
-    result = ca.SX(0)
-    for k in range(function.n_instructions()):
-        operation, into = function.instruction_id(k), function.instruction_output(k)
-        operands = function.instruction_input(k)
-        if operation == ca.OP_INPUT:
-            work[into[0]] = symbols[operands[0]][operands[1]]
-        elif operation == ca.OP_CONST:
-            work[into[0]] = ca.SX(function.instruction_constant(k))
-        elif operation == ca.OP_OUTPUT:
-            result = work[operands[0]]
-        elif operation == ca.OP_SQRT:
-            work[into[0]] = ca.sqrt(work[operands[0]] + _ROUNDED**2)
-        elif len(operands) == 1:
-            work[into[0]] = ca.SX.unary(operation, work[operands[0]])
-        else:
-            work[into[0]] = ca.SX.binary(operation, work[operands[0]], work[operands[1]])
-    return result
+
+    def rule(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+        return ca.sqrt(taken[0] + _ROUNDED**2) if operation == ca.OP_SQRT else computed(operation, taken)
+
+    return rebuilt(expression, rule)

@@ -46,19 +46,20 @@ def peaks(shape: Shape, order: int) -> Array:
 
 def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
     """Return a law of one shape for all chains, on a grid."""
-    columns = (
-        shape(np.linspace(0.0, 1.0, intervals + 1), task.length).T / duration ** np.arange(task.length + 1)[:, None]
-    )
-    jets = columns[:, :, None] * (task.end - task.start)
-    jets[0] += task.start
-    return sampled_law(jets, duration, task.length)
+    return _law_between(task.start, task.end, task.length, shape, duration, intervals)
 
 
 def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
     """Return a curve with the polynomial law in a duration, for pictures: nearly exact."""
-    columns = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, _DRAWN + 1), length).T
-    jets = columns[:, :, None] / duration ** np.arange(length + 1)[:, None, None]
-    return TimedPath.of(curve, sampled_law(jets, duration, length).path())
+    shape = shape_of(smooth_polynomial(length))
+    return TimedPath.of(curve, _law_between(np.zeros(1), np.ones(1), length, shape, duration, _DRAWN).path())
+
+
+def _law_between(start: Array, end: Array, length: int, shape: Shape, duration: float, intervals: int) -> Law:
+    columns = shape(np.linspace(0.0, 1.0, intervals + 1), length).T / duration ** np.arange(length + 1)[:, None]
+    jets = columns[:, :, None] * (end - start)
+    jets[0] += start
+    return sampled_law(jets, duration, length)
 
 
 def shortest(task: Task, shape: Shape) -> float:
