@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -75,6 +75,11 @@ class Reference(ABC):
     def duration(self) -> float:
         """Time between start and end, in s."""
         return self.end_time - self.start_time
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """What every path has, by name: for paths that are made of this one."""
+        return {each.name: getattr(self, each.name) for each in fields(Reference)}
 
     @property
     def stretches(self) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
+from servocore.numerics.compiled_calls import lock_arrays
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 
 MOST_STRETCHES = 1000
@@ -39,8 +40,7 @@ class Periodic(Reference):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for array in (self.centre, self.cosines, self.sines):
-            array.setflags(write=False)
+        lock_arrays(self, "centre", "cosines", "sines")
 
     @property
     def stretches(self) -> FloatArray:

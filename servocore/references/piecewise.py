@@ -8,6 +8,7 @@ from math import perm
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from servocore.numerics.compiled_calls import lock_arrays
 from servocore.references.base import FloatArray, Reference
 
 _AT_ONCE = 4096  # times: their coefficients fit in the processor's cache, and those of a million in no memory
@@ -43,8 +44,7 @@ class PiecewisePolynomial(Reference):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for array in (self.knots, self.coefficients, self.ends):
-            array.setflags(write=False)
+        lock_arrays(self, "knots", "coefficients", "ends")
 
     @classmethod
     def of(

@@ -24,15 +24,7 @@ class TimeAugmented(Reference):
     @classmethod
     def of(cls, path: Reference) -> TimeAugmented:
         """Append the time to a path."""
-        return cls(
-            start_time=path.start_time,
-            end_time=path.end_time,
-            dimension=path.dimension + 1,
-            max_order=path.max_order,
-            smoothness=path.smoothness,
-            fit_error=path.fit_error,
-            path=path,
-        )
+        return cls(**{**path.common, "dimension": path.dimension + 1}, path=path)
 
     @property
     def stretches(self) -> FloatArray:

@@ -33,16 +33,9 @@ class TimedPath(Reference):
     @classmethod
     def of(cls, curve: PiecewisePolynomial, law: PiecewisePolynomial) -> TimedPath:
         """Pass through a curve by a law; as smooth as the rougher of both."""
-        return cls(
-            start_time=law.start_time,
-            end_time=law.end_time,
-            dimension=curve.dimension,
-            max_order=law.max_order,
-            smoothness=min(law.smoothness, curve.smoothness),
-            fit_error=curve.fit_error,
-            curve=curve,
-            law=law,
-        )
+        smoothness = min(law.smoothness, curve.smoothness)
+        of_curve = {"dimension": curve.dimension, "smoothness": smoothness, "fit_error": curve.fit_error}
+        return cls(**{**law.common, **of_curve}, curve=curve, law=law)
 
     @property
     def stretches(self) -> FloatArray:
@@ -100,16 +93,8 @@ class TimeScaled(Reference):
     @classmethod
     def to(cls, path: Reference, duration: float) -> TimeScaled:
         """Return a path scaled to a duration in s."""
-        return cls(
-            start_time=path.start_time,
-            end_time=path.start_time + duration,
-            dimension=path.dimension,
-            max_order=path.max_order,
-            smoothness=path.smoothness,
-            fit_error=path.fit_error,
-            path=path,
-            factor=duration / path.duration,
-        )
+        longer = {**path.common, "end_time": path.start_time + duration}
+        return cls(**longer, path=path, factor=duration / path.duration)
 
     @property
     def stretches(self) -> FloatArray:

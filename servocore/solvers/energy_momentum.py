@@ -138,14 +138,12 @@ def conserved_motion(
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
     """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
-    scheme = _scheme(problem.resolved, method.update)
+    scheme = _scheme(problem.system, method.update)
     code = None if method.native is False else _in_machine_code(problem.resolved, scheme, method.native)
     return scheme if code is None else code.best(steps) or scheme
 
 
-@made_once
-def _scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
-    return compile_conserving_step(resolved.system, update)
+_scheme = made_once(compile_conserving_step)
 
 
 @made_once

@@ -32,7 +32,7 @@ from servocore.solvers.branch_continuation import (
     prepared_table,
     require_followed,
 )
-from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
+from servocore.solvers.fixed_step_loop import Progress, require_derivatives, run_steps, step_failure, step_of
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.route import JudgedRoute
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
@@ -113,11 +113,7 @@ def _at_every_instant(
     problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
 ) -> tuple[Run, tuple[Array, Array] | None]:
     """Solve every instant from the guess of the model, NaN where that fails; with what is observed if that is known."""
-    if problem.reference.max_order < program.start_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {problem.reference.max_order},"
-            f" {program.name} needs order {program.start_order}"
-        )
+    require_derivatives(problem, program)
     results = _all_results(problem, program, times, evaluation, progress)
     states, counts, residuals, *observed = results
     good = np.isfinite(residuals[0])

@@ -34,12 +34,8 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
     InvalidSetting
         If the start of the problem does not name the states of its internal dynamics.
     """
+    require_derivatives(problem, program)
     reference = problem.reference
-    if reference.max_order < program.start_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {reference.max_order},"
-            f" {program.name} needs order {program.start_order}"
-        )
     time = reference.start_time
     past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
     if problem.start:
@@ -50,6 +46,15 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
             f"{program.name}: no consistent initial values at t = {time:.6g} s were found from the guess of the model"
         )
     return state, report.residual
+
+
+def require_derivatives(problem: Problem, program: Program) -> None:
+    """Raise `InvalidReference` if the path lacks derivatives that a program needs."""
+    most = problem.reference.max_order
+    if most < program.start_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {most}, {program.name} needs order {program.start_order}"
+        )
 
 
 def run_steps(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:

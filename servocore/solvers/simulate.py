@@ -21,11 +21,11 @@ from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
 from servocore.stepping.prescribed_initial_values import with_initial_values
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion
 
 _SMALLEST_RTOL = 1e-13
 
@@ -188,10 +188,8 @@ def _inverted(problem: Problem, time: float) -> Array:
     """Return (q, v) of the exact inversion at a time."""
     array, system = problem.array, problem.system
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
-    invert = inversion(problem.array).function
-    unknowns, _, residual = invert(problem.reference.jet(time, array.reference_order).T, problem.p)
-    state: Array = np.asarray(unknowns).ravel()[places]
-    if not np.isfinite(state).all() or not np.isfinite(float(residual)):
+    state: Array = exact_unknowns(problem, np.array([time]))[0][places, 0]
+    if not np.isfinite(state).all():
         raise InconsistentStart(f"{system.name}: no consistent initial state at t = {time:.6g} s")
     return state
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -109,17 +109,16 @@ def solve(
     checked = checks or is_route
     if checked:
         require_feasible(problem, None if is_route else times, _native_checks(route, times))
-    run = run_within_limits if checked else _run
+
+    def run(posed: Problem) -> Solution:
+        return route.run(posed, times, progress)
+
     with causes_explained(problem):
-        solution = run(problem, lambda posed: route.run(posed, times, progress))
+        solution = run_within_limits(problem, run) if checked else run(problem)
     if checked:
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     return replace(solution, advice=advice, estimator=estimator, origin=problem)
-
-
-def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
-    return run(problem)
 
 
 def _native_checks(route: Route, t: Array) -> bool | None:
