@@ -12,7 +12,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
-from servocore.references.time_stamps import EXAMPLE, with_seconds
+from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
 PREFIXES = ("", "v", "a", "j", "s")
 """What stands before the name of a position column: nothing, or the order of its derivative by time."""
@@ -157,6 +157,7 @@ class _Layout(NamedTuple):
     line: int  # its number
     stops: bool
     free: int  # the first column whose cells may be empty
+    clock: Callable[[str], float] | None = None  # what turns dates into seconds, where times are dates
 
 
 def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
@@ -243,16 +244,18 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
 
 
 def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
-    """Return the rows, in which times are numbers, what is known of them, and notes of what was converted."""
+    """Return the rows, what is known of them, and notes of what is converted."""
     body = data[layout.first :].rstrip(b" \n")  # tabs at the end divide cells that are empty
     if not body.strip():
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
-    timed = with_seconds(file, body, layout.delimiter.encode(), layout.line)
-    if timed is None:
+    first = body.lstrip().partition(b"\n")[0].decode(errors="replace").partition(layout.delimiter)[0]
+    clock = clock_from(first.strip().strip('"'))
+    if clock is None:
         return body, layout, []
     if "time" in layout.units:
         raise InvalidReference(f"{file}, line {layout.line - 1}: its times are dates, which have no unit in the header")
-    return timed, layout._replace(units={**layout.units, "time": "s"}), ["dates as times, of which the first becomes 0"]
+    layout = layout._replace(units={**layout.units, "time": "s"}, clock=clock)
+    return body, layout, ["dates as times, of which the first becomes 0"]
 
 
 def _numbers_of(
@@ -260,7 +263,8 @@ def _numbers_of(
 ) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
     """Return lines, numbers (n, columns), stops, and notes of what was converted."""
     notes = []
-    if layout.delimiter != "," and b"," in body and b"." not in body:
+    cells = body if layout.clock is None else without_stamps(body.decode(errors="replace")).encode()
+    if layout.delimiter != "," and b"," in cells and b"." not in cells:
         body, notes = body.replace(b",", b"."), ["decimal commas"]
     if not layout.stops:
         numbers = _quickly(body, layout)
@@ -281,7 +285,10 @@ def _numbers_of(
 def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
     """Read rows of plain finite numbers at once; None where there is anything else, for a closer look."""
     try:
-        numbers = np.loadtxt(io.BytesIO(body), delimiter=layout.delimiter, comments=None, ndmin=2)
+        first: Mapping[int | str, Callable[[str], float]] | None = {0: layout.clock} if layout.clock else None
+        numbers = np.loadtxt(
+            io.BytesIO(body), delimiter=layout.delimiter, comments=None, converters=first, encoding="utf-8", ndmin=2
+        )
     except ValueError:
         return None
     # Lines without cells are passed over, and later ones would have the wrong number.
@@ -301,6 +308,12 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
     values = []
     for k, (cell, name) in enumerate(zip(cells, names, strict=True)):
         if name == STOP and layout.stops:
+            continue
+        if k == 0 and layout.clock:
+            try:
+                values.append(layout.clock(cell))
+            except ValueError as why:
+                raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is {why}") from None
             continue
         try:
             value = float(cell) if "_" not in cell else float("nan")  # what Python reads is no number elsewhere
