@@ -113,13 +113,9 @@ class _Maps:
     @classmethod
     def of(cls, problem: Problem) -> _Maps:
         """Compile the maps of a problem."""
-        system, array = problem.system, problem.array
-        n, m = len(system.coordinates), len(system.inputs)
-        places = [(j, k) for k in (0, 1) for j in range(n)]
-        places += [(n + system.lam.numel() + k, 0) for k in range(m)]
-        functions = _flag(problem.resolved), _flow(problem.resolved), inversion(array).function
+        functions = _flag(problem.resolved), _flow(problem.resolved), inversion(problem.array).function
         flag, flow, inverse = map(Call, functions)
-        return cls(problem, flag, flow, inverse, np.array(array.places(places), dtype=np.intp))
+        return cls(problem, flag, flow, inverse, np.array(motion_places(problem), dtype=np.intp))
 
     def forward(self, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
         """Return each output with its derivatives, for a state and inputs that stay."""
@@ -153,6 +149,13 @@ class _Maps:
 
 def _vectors(x: npt.ArrayLike, u: npt.ArrayLike) -> tuple[Array, Array]:
     return np.ravel(np.asarray(x, dtype=float)), np.ravel(np.asarray(u, dtype=float))
+
+
+def motion_places(problem: Problem) -> list[int]:
+    """Return the places of q, v and u among the unknowns of the derivative array."""
+    system, n = problem.system, len(problem.system.coordinates)
+    motion = [(j, order) for order in (0, 1) for j in range(n)]
+    return problem.array.places([*motion, *((n + system.lam.numel() + k, 0) for k in range(len(system.inputs)))])
 
 
 def free_motion(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Function]:

@@ -17,7 +17,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants, lock_arrays
 from servocore.numerics.memoization import made_once
-from servocore.planning.flat_system import free_motion
+from servocore.planning.flat_system import free_motion, motion_places
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solvers.branch_continuation import exact_states, prepared_table
@@ -154,18 +154,14 @@ def sensitivities(
 
 def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tuple[Array, Array, Array]:
     """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
-    array, system = problem.array, problem.system
-    n, m = len(system.coordinates), len(system.inputs)
     with causes_explained(problem):
         motion = exact_states(problem, prepared_table(problem))
         states = motion(t)
     require_redundant_constraints_along_path(problem, motion)
-    jets = problem.reference.jet(t, array.reference_order)
+    jets = problem.reference.jet(t, problem.array.reference_order)
     (slopes,) = at_instants(_implicit(problem.resolved), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]
-    rows = [*((j, 0) for j in range(n)), *((j, 1) for j in range(n))]
-    rows += [(n + system.lam.numel() + k, 0) for k in range(m)]
-    places = array.places(rows)
+    places, n = motion_places(problem), len(problem.system.coordinates)
     return states[places], slopes[places[2 * n :]].transpose(1, 0, 2), slopes[places[: 2 * n], 0]
 
 

@@ -127,7 +127,11 @@ def sweep(
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     try:
         for number, block, answers in _computed(swept, work, blank, todo, executor, distributed):
-            _put(sink, number, block, answers, store)
+            try:
+                sink.put(number, block, answers)
+            except OSError as error:  # such as a full disk
+                why = f"{error.strerror or error}; a resumed sweep goes on after what is there"
+                raise InvalidSetting(f"cannot write {store}: {why}") from error
             done += _count(block)
             if progress is not None:
                 progress(done, swept.grid.size)
@@ -149,17 +153,6 @@ def _require_arguments(executor: Any, distributed: Any, chunk: Any, progress: An
         require_count(chunk, 1, "chunk, the cases of a block,", InvalidSetting)
     if progress is not None:
         require_callable(progress, "progress", "a function of (cases done, cases in all)")
-
-
-def _put(
-    sink: Memory | Zarr | Parquet, number: int, block: Slices, answers: Mapping[str, Any], store: str | Path | None
-) -> None:
-    """Write a block; raises `InvalidSetting` if that fails, as on a full disk."""
-    try:
-        sink.put(number, block, answers)
-    except OSError as error:
-        why = error.strerror or error
-        raise InvalidSetting(f"cannot write {store}: {why}; a resumed sweep goes on after what is there") from error
 
 
 def _count(block: Slices) -> int:
