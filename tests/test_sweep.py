@@ -223,7 +223,7 @@ def test_processes_compute_the_same_digits() -> None:
 def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(
     tmp_path: Path,
 ) -> None:
-    store = tmp_path / "s.zarr"
+    store, varied = tmp_path / "s.zarr", {"load_mass": np.linspace(50.0, 150.0, 60)}  # more than are under way at once
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
 
         def kill(*_: object) -> None:
@@ -231,9 +231,9 @@ def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_
                 each.kill()
 
         with pytest.raises(sc.InvalidSetting, match="the executor gave up: BrokenProcessPool"):
-            sc.sweep(CRANE, VARIED, executor=pool, store=store, chunk=1, progress=kill)
-    found = sc.sweep(CRANE, VARIED, store=store, chunk=1, resume=True)
-    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+            sc.sweep(CRANE, varied, executor=pool, store=store, chunk=1, progress=kill)
+    found = sc.sweep(CRANE, varied, store=store, chunk=1, resume=True)
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, varied).drop_attrs())
 
 
 @pytest.fixture(scope="module")
