@@ -226,61 +226,38 @@ def compile_in(folder: Path, command: Sequence[str], of_what: str) -> None:
 
 
 class _Background:
-    """Builds one library after the other in a thread, which ends when nothing is left to do."""
+    """Builds libraries one after the other, each in a thread of its own that waits for its turn."""
 
     def __init__(self) -> None:
-        self._turn = threading.Lock()
-        self._waiting: list[Build] = []
-        self._asked: set[Build] = set()
-        self._now: Build | None = None
-        self._thread: threading.Thread | None = None
+        self._turn, self._asking = threading.Lock(), threading.Lock()
+        self._threads: dict[Build, threading.Thread] = {}
 
     def ask(self, build: Build) -> None:
         """Build a library in the background, once; a failure is not reported."""
-        with self._turn:
-            if build in self._asked or _PROCESSES.closed:
-                return
-            self._asked.add(build)
-            self._waiting.append(build)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="servocore machine code", daemon=True)
-                self._thread.start()
+        with self._asking:
+            if build not in self._threads and not _PROCESSES.closed:
+                thread = threading.Thread(target=self._build, args=(build,), name="servocore machine code", daemon=True)
+                self._threads[build] = thread
+                thread.start()
 
     def pending(self, build: Build) -> bool:
         """Whether a library waits to be built, or is being built."""
-        return build in self._waiting or build == self._now
+        thread = self._threads.get(build)
+        return thread is not None and thread.is_alive()
 
     def wait(self) -> None:
         """Return when nothing is left to build."""
-        thread = self._thread
-        if thread is not None:
+        for thread in list(self._threads.values()):
             thread.join()
 
     def end(self) -> None:
-        """End the compiler and the thread."""
-        with self._turn:
-            self._waiting.clear()
+        """End the compiler and the threads: what waits for its turn finds that none is started any more."""
         _PROCESSES.close()
         self.wait()
 
-    def _work(self) -> None:
-        while True:
-            with self._turn:
-                self._now = self._waiting.pop(0) if self._waiting else None
-                build = self._now
-                if build is None:
-                    self._thread = None
-                    return
-            with suppress(InvalidSetting, OSError):
-                self._build(build)
-
     def _build(self, build: Build) -> None:
-        key, kept = build.key(c_compiler()), _cache()
-        if kept.claim(key):
-            try:
-                built(build)
-            finally:
-                kept.release(key)
+        with self._turn, suppress(InvalidSetting, OSError):
+            built(build)
 
 
 BACKGROUND = _Background()
