@@ -7,14 +7,18 @@ neighbours on two sides, and a point without symmetry.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.model.symbols import named
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import singular_values
+
+if TYPE_CHECKING:
+    from servocore.model.system import MechanicalSystem
 
 _NEIGHBOURHOOD = 0.01  # of the nominal magnitudes
 _CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is the round-off of a zero
@@ -28,55 +32,8 @@ _TIME = 0.3  # at which expressions of the time are looked at, in s
 
 _TIME_COLUMN, _RATE = "time", ".rate"
 
-Named = Sequence[tuple[str, ca.SX]]
 
-
-@dataclass(frozen=True, eq=False)
-class Written:
-    """What is looked at of a `servocore.model.system.MechanicalSystem`.
-
-    Attributes
-    ----------
-    name : str
-        Of the system, for messages.
-    inputs, observables, outputs, coordinates, parameters : sequence of (str, casadi.SX)
-        By name.
-    constraint_names : tuple of str
-        Of the holonomic constraints.
-    fields : mapping of str to casadi.SX
-        Expressions and symbols by the name of the attribute.
-    v, time : casadi.SX
-        Velocities, and the symbol of the time if there is one.
-    nominal, home : tuple of float
-        Typical magnitudes of the coordinates, and value of the servo output.
-    home_parameters : ndarray
-        Parameter values.
-    """
-
-    name: str
-    inputs: Named
-    observables: Named
-    outputs: Named
-    coordinates: Named
-    parameters: Named
-    constraint_names: tuple[str, ...]
-    fields: Mapping[str, ca.SX]
-    v: ca.SX
-    time: ca.SX
-    nominal: tuple[float, ...]
-    home: tuple[float, ...]
-    home_parameters: Array
-
-    def names(self, kind: str) -> list[str]:
-        """Return the names of "coordinates" and the like."""
-        return [name for name, _ in getattr(self, kind)]
-
-    def symbols(self, kind: str) -> ca.SX:
-        """Return the column of "coordinates" or "parameters"."""
-        return ca.vertcat(ca.SX(0, 1), *(symbol for _, symbol in getattr(self, kind)))
-
-
-def require_sound(system: Written) -> None:
+def require_sound(system: MechanicalSystem) -> None:
     """Check names, symbols and values of all expressions of a system.
 
     Raises
@@ -86,22 +43,22 @@ def require_sound(system: Written) -> None:
         not symmetric and positive semidefinite.
     """
     _require_names(system)
-    q, v, p = system.symbols("coordinates"), system.v, system.symbols("parameters")
-    lam, u, gamma = (system.fields[field] for field in ("multipliers", "u", "gamma"))
+    q, v, p, lam, u, gamma = system.q, system.v, system.p, system.lam, system.u, system.gamma
     groups = ca.vertcat(*(ca.vec(symbols) for symbols in (q, v, p, lam, u, gamma)))
     if len(ca.symvar(groups)) < groups.numel():
         raise InvalidModel(
             f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
         )
-    at_rest, moving = ({field: system.fields[field] for field in listed} for listed in (_AT_REST, _MOVING))
-    seen = {f"observable {name}": expression for name, expression in system.observables}
-    guess = {"guess": system.fields["guess"]}
+    at_rest, moving = ({field: getattr(system, field) for field in listed} for listed in (_AT_REST, _MOVING))
+    seen = {f"observable {quantity.name}": expression for quantity, expression in system.observables.items()}
+    guess = {"guess": system.guess}
     _require_timeless(system)
     start, still = _compiled(system, guess, (gamma, p)), _compiled(system, at_rest, (q, p, system.time))
     forces = _compiled(system, moving, (q, v, p, system.time))
     observe, clock = _compiled(system, seen, (q, v, p, lam, u, gamma)), np.full(system.time.numel(), _TIME)
     home = _home(system, guess, start)
-    points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
+    p_home = np.array(system.home_parameters)
+    points, rates = probes(home, system.coordinates.nominal, p_home), np.cos(np.arange(len(home)))
     rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in (lam, u, gamma)]
     evaluated = [_arrays(still.call([*point, clock])) for point in points]
     _require_finite(system, at_rest, evaluated)
@@ -109,23 +66,30 @@ def require_sound(system: Written) -> None:
     _require_finite(system, seen, [_arrays(observe.call([at, rates, values, *rest])) for at, values in points[-2:]])
     masses = [terms[0] for terms in evaluated]
     _require_symmetric(system.name, masses)
-    require_mass(system.name, masses[:3], system.names("coordinates"))
+    require_mass(system.name, masses[:3], system.coordinates.names)
 
 
-def _require_timeless(system: Written) -> None:
+def _require_timeless(system: MechanicalSystem) -> None:
     for field_name in _TIMELESS:
-        if system.time.numel() and ca.depends_on(system.fields[field_name], system.time):
+        if system.time.numel() and ca.depends_on(getattr(system, field_name), system.time):
             raise InvalidModel(f"{system.name}: {field_name} must not depend on the time")
 
 
-def _require_names(system: Written) -> None:
+def _require_names(system: MechanicalSystem) -> None:
     """Raise `InvalidModel` if one name stands for two quantities: the second would vanish from what is reported.
 
     An output or an observable may have the name of a coordinate that it is.
     """
     seen: dict[str, tuple[str, ca.SX]] = {}
-    for kind in ("inputs", "observables", "outputs", "coordinates", "parameters"):
-        for name, expression in getattr(system, kind):
+    kinds = {
+        "inputs": named(system.inputs, system.u),
+        "observables": [(quantity.name, expression) for quantity, expression in system.observables.items()],
+        "outputs": named(system.outputs, system.output),
+        "coordinates": named(system.coordinates.quantities, system.q),
+        "parameters": named(system.parameters.declared, system.p),
+    }
+    for kind, quantities in kinds.items():
+        for name, expression in quantities:
             if name == _TIME_COLUMN or name.endswith(_RATE):
                 meant = "the column of the times in tables" if name == _TIME_COLUMN else "the limit of a rate"
                 raise InvalidModel(f"{system.name}: one of the {kind} is called {name}, which is {meant}")
@@ -151,7 +115,7 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
     return abs(first - second) <= _DEPENDENT * max(abs(first), abs(second))
 
 
-def _compiled(system: Written, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
+def _compiled(system: MechanicalSystem, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
     """Compile expressions of groups of symbols.
 
     Raises
@@ -171,17 +135,18 @@ def _arrays(values: Sequence[ca.DM]) -> list[Array]:
     return [np.asarray(value) for value in values]
 
 
-def _home(system: Written, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
+def _home(system: MechanicalSystem, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
     """Return the configuration at home."""
     gamma = np.zeros(guess.size_in(0))
     gamma[:, 0] = system.home
-    configuration = np.asarray(guess(gamma, system.home_parameters))
+    configuration = np.asarray(guess(gamma, np.array(system.home_parameters)))
     _require_finite(system, fields, [[configuration]])
     lost = np.flatnonzero(~np.isfinite(configuration.ravel()))
     if len(lost):
+        outputs = ", ".join(quantity.name for quantity in system.outputs)
         raise InvalidModel(
-            f"{system.name}: the guess at home = {system.home} has no value for {system.names('coordinates')[lost[0]]};"
-            f" home must be a value of {', '.join(system.names('outputs'))} that the system can take"
+            f"{system.name}: the guess at home = {system.home} has no value for {system.coordinates.names[lost[0]]};"
+            f" home must be a value of {outputs} that the system can take"
         )
     return configuration.ravel()
 
@@ -209,7 +174,7 @@ def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array,
     return [(home, p), (home + aside, p), (home - aside, p), (np.sin(angles), disturbed)]
 
 
-def _require_finite(system: Written, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
+def _require_finite(system: MechanicalSystem, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
     """Raise `InvalidModel`, naming the first entry that is no finite number since a constant in it is none."""
     for k, (field, expression) in enumerate(fields.items()):
         finite = np.all([np.isfinite(point[k]) for point in values], axis=0)
@@ -231,12 +196,13 @@ def _constants_not_finite(expression: ca.SX) -> list[float]:
     return [constant for constant in constants if not np.isfinite(constant)]
 
 
-def _entry(system: Written, field: str, row: int, column: int) -> str:
+def _entry(system: MechanicalSystem, field: str, row: int, column: int) -> str:
     """Return what messages call an entry of a field."""
-    coordinates = system.names("coordinates")
-    rows = {
-        "mass": coordinates, "input_matrix": system.names("inputs"), "output": system.names("outputs"),
-        "constraints": system.constraint_names, "force": coordinates, "gyroscopic": coordinates, "guess": coordinates,
+    coordinates, constraints = system.coordinates.names, system.constraint_names
+    inputs, outputs = ([quantity.name for quantity in listed] for listed in (system.inputs, system.outputs))
+    rows: dict[str, Sequence[object]] = {
+        "mass": coordinates, "input_matrix": inputs, "output": outputs, "force": coordinates, "gyroscopic": coordinates,
+        "guess": coordinates, "constraints": constraints or range(1, system.constraints.numel() + 1),
     }  # fmt: skip
     if field not in rows:
         return field
