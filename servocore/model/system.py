@@ -25,9 +25,8 @@ from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
 from servocore.model.system_fields import clock, home_names, require_freedom, require_positions, require_shapes
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
+from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, last_good_columns
 from servocore.numerics.expressions import as_expression, expressions_of, gyroscopic_forces
-from servocore.numerics.pivoting import last_good_columns
 
 MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""

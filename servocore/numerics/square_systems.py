@@ -25,11 +25,10 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.components import IsomorphicParts, isomorphic_parts
+from servocore.numerics.elimination import KnownValues, dependence, is_linear, substituted, tear
 from servocore.numerics.expressions import constants_kept, largest
-from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.linear_solutions import small_inverse_times, symbolic_solution
 from servocore.numerics.step_operations import without_jumps
-from servocore.numerics.tearing import dependence, is_linear, tear
 
 NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""

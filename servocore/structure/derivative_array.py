@@ -15,9 +15,9 @@ import numpy as np
 
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.constraint_ranks import pivot_columns
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
-from servocore.numerics.pivoting import pivot_columns
 from servocore.structure.signature import Signature, jacobian_at_probes
 from servocore.structure.structural_analysis import analyse_structure
 
