@@ -47,9 +47,14 @@ class Vectorized:
         self._code = JustInTime(self._build, _loaded, native, again)
 
     def _build(self) -> Build | None:
-        from servocore.numerics.vector_code import build_of_vectors  # noqa: PLC0415 - few compile
+        from servocore.numerics.vector_code import build_of_source  # noqa: PLC0415 - few compile
 
-        return build_of_vectors(self.function, self._along, self._of_what)
+        return build_of_source(self._source, self._of_what, self.function)
+
+    def _source(self) -> str:
+        from servocore.numerics.vector_code import vector_source  # noqa: PLC0415 - few compile
+
+        return vector_source(self.function, self._along)
 
     def ready(self, count: int, called: bool = True) -> bool:
         """Whether machine code is there for so many instants; a call (is this one?) brings it nearer."""
@@ -147,10 +152,10 @@ class Extremes(Vectorized):
         """Evaluate one case by CasADi's interpreter."""
         return [extremes_of(values) for values in super().interpreted(*arguments)]
 
-    def _build(self) -> Build | None:
-        from servocore.numerics.vector_code import build_of_extremes  # noqa: PLC0415 - few compile
+    def _source(self) -> str:
+        from servocore.numerics.vector_code import extremes_source  # noqa: PLC0415 - few compile
 
-        return build_of_extremes(self.function, self._along, self._of_what)
+        return extremes_source(self.function, self._along)
 
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         results = [np.empty((cases, 2, size)) for size in self._sizes]
