@@ -83,35 +83,28 @@ def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: 
         raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(known)}") from None
     if not all(isinstance(part, Part) for part in parts):
         raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
-    names, listed = list(symbols), []
-    places: dict[str, int] = {}
-    points: list[ca.SX] = []
+    names, listed = list(symbols), list[dict[str, Any]]()
+    points: dict[str, ca.SX] = {}
     for part in parts:
+        texts = []
         for point in part.points:
-            expression = ca.vertcat(
-                *[as_expression(entry, f"{system.name}: a point of its drawing") for entry in point]
-            )
-            if str(expression) not in places:
-                places[str(expression)] = len(points)
-                points.append(expression)
+            entries = [as_expression(entry, f"{system.name}: a point of its drawing") for entry in point]
+            expression = ca.vertcat(*entries)
+            texts.append(str(expression))
+            points.setdefault(texts[-1], expression)
         if part.colour and part.colour not in names:
             raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
-        listed.append(_described(part, places, names))
-    values, coordinates = ca.vertcat(ca.SX(0, 1), *symbols.values()), ca.vertcat(ca.SX(0, 1), *points)
-    depth = ca.vertcat(ca.SX(0, 1), *[corner[1] for corner in points])
+        listed.append({
+            "kind": part.kind,
+            "name": part.name,
+            "places": [list(points).index(text) for text in texts],
+            "colour": names.index(part.colour) if part.colour else None,
+            "along": part.along,
+        })  # fmt: skip
+    values, coordinates = ca.vertcat(ca.SX(0, 1), *symbols.values()), ca.vertcat(ca.SX(0, 1), *points.values())
+    depth = ca.vertcat(ca.SX(0, 1), *[corner[1] for corner in points.values()])
     flat = all(entry.is_zero() for entry in ca.vertsplit(depth)) if points else True
     return Picture(listed, len(points), values, coordinates, _tracked(listed), flat)
-
-
-def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
-    expressions = [ca.vertcat(*[ca.SX(entry) for entry in point]) for point in part.points]
-    return {
-        "kind": part.kind,
-        "name": part.name,
-        "places": [places[str(expression)] for expression in expressions],
-        "colour": names.index(part.colour) if part.colour else None,
-        "along": part.along,
-    }
 
 
 def _tracked(parts: Sequence[Mapping[str, Any]]) -> int | None:
