@@ -20,10 +20,16 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
-from servocore.model.model_validation import require_sound
+from servocore.model.model_validation import (
+    clock,
+    home_names,
+    require_freedom,
+    require_positions,
+    require_shapes,
+    require_sound,
+)
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
-from servocore.model.system_fields import clock, home_names, require_freedom, require_positions, require_shapes
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, last_good_columns
 from servocore.numerics.expressions import as_expression, expressions_of, gyroscopic_forces

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.assignment import largest_assignment
-from servocore.numerics.components import Part, filled, of_one_shape, parts_of
+from servocore.numerics.components import Part, filled, largest_assignment, of_one_shape, parts_of
 from servocore.numerics.rounding_errors import UNIT, Array, evaluate
 
 ABSENT = -1
