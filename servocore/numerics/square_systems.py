@@ -85,11 +85,10 @@ class SquareSystem:
     rough: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        size = self.unknowns.numel()
         for name in ("residual", "guess", "unknown_scale", "residual_scale"):
             rows = getattr(self, name).numel()
-            if rows != size:
-                raise InvalidModel(f"{size} unknowns, but {name} has {rows} rows")
+            if rows != self.unknowns.numel():
+                raise InvalidModel(f"{self.unknowns.numel()} unknowns, but {name} has {rows} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
     def alike(self) -> list[IsomorphicParts]:
