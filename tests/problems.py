@@ -66,6 +66,7 @@ class MethodCase:
     by_index: tuple[int, int | None, int | None]
     steps: tuple[int, ...] = (200, 400, 800)
     first_order_equations: bool = True  # False for a method of mechanics, which needs positions with their velocities
+    starts_in_motion: bool = True  # False for a method that promises its orders from rest alone
 
     @property
     def damped(self) -> bool:
