@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae, Equation
-from servocore.formulations.base import mechanical_unknowns, physical_variables
+from servocore.formulations.base import mechanical_dae
 from servocore.model.system import MechanicalSystem
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.projection import project
@@ -32,36 +32,22 @@ class Projected:
 
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return q_dot = v, D^T M v_dot = -D^T {...}, 0 = C M^-1 {...} - xi, 0 = c, 0 = g."""
-        x, z, unknowns = mechanical_unknowns(system)
         projection = project(system)
-        n, free = projection.D.shape
         forces = system.bias + system.constraint_forces
         # c'' = 0 gives C v_dot = gamma'' - C_dot v; xi is minus that, and no v_dot is left in the algebraic rows.
         xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.path[:, 2]
-        return Dae(
-            name=f"{system.name}, projected",
-            x=x,
-            z=z,
+        return mechanical_dae(
+            system,
+            "projected",
             # C D = 0: these rows are the momentum along the directions in which no servo output moves.
-            H=ca.diagcat(ca.SX.eye(n), ca.mtimes(projection.D.T, system.mass)),
-            f=ca.vertcat(system.v, -ca.mtimes(projection.D.T, forces)),
-            h=ca.vertcat(
-                # W^T stands for C M^-1, which does not exist where massless coordinates make M singular.
-                ca.mtimes(projection.W.T, forces) - xi,
-                system.output - system.path[:, 0],
-                system.constraints,
-            ),
-            gamma=system.gamma,
-            p=system.p,
-            unknowns=unknowns,
-            equations=(
-                *(Equation(f"velocity of {name}", 1) for name in system.coordinates.names),
-                *(Equation(f"projected momentum {k + 1}", 2) for k in range(free)),
+            H=ca.mtimes(projection.D.T, system.mass),
+            f=-ca.mtimes(projection.D.T, forces),
+            # W^T stands for C M^-1, which does not exist where massless coordinates make M singular.
+            h=ca.mtimes(projection.W.T, forces) - xi,
+            described=[
+                *(Equation(f"projected momentum {k + 1}", 2) for k in range(projection.D.size2())),
                 *(Equation(f"servo acceleration of {quantity.name}", 2) for quantity in system.outputs),
-                *(Equation(f"servo constraint on {quantity.name}", 0) for quantity in system.outputs),
-                *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
-            ),
-            physical=physical_variables(system),
+            ],
             index=_index(system, projection.W),
         )
 

@@ -63,7 +63,7 @@ class JustInTime(Generic[Loaded]):
         self._make, self._load, self._calls = make, load, int(again)
         self._build: Build | None = None
         self._loaded: Loaded | None = None
-        self._settled, self._asked = native is not None, False
+        self._settled = native is not None
         build = make() if native else None
         if build is not None:
             from servocore.numerics.machine_code import built  # noqa: PLC0415
@@ -83,19 +83,14 @@ class JustInTime(Generic[Loaded]):
 
         if self._build is None:
             self._build = self._make() if automatic() else None
-            if self._build is None:
-                self._settled = True
-                return
-        elif self._asked and BACKGROUND.pending(self._build):
-            return
-        library = library_of(self._build)
-        if library is not None:
-            with suppress(OSError, RuntimeError):  # a library that cannot be loaded
-                self._loaded = self._load(library)
-        self._settled = library is not None or self._asked
-        if not self._settled:
-            self._asked = True
-            BACKGROUND.ask(self._build)
+        if self._build is None:
+            self._settled = True
+        elif not BACKGROUND.pending(self._build):
+            library = library_of(self._build)
+            if library is not None:
+                with suppress(OSError, RuntimeError):  # a library that cannot be loaded
+                    self._loaded = self._load(library)
+            self._settled = library is not None or not BACKGROUND.ask(self._build)
 
 
 Holder = TypeVar("Holder")

@@ -232,13 +232,15 @@ class _Background:
         self._turn, self._asking = threading.Lock(), threading.Lock()
         self._threads: dict[Build, threading.Thread] = {}
 
-    def ask(self, build: Build) -> None:
-        """Build a library in the background, once; a failure is not reported."""
+    def ask(self, build: Build) -> bool:
+        """Build a library in the background, once; return whether that begins now. A failure is not reported."""
         with self._asking:
-            if build not in self._threads and not _PROCESSES.closed:
-                thread = threading.Thread(target=self._build, args=(build,), name="servocore machine code", daemon=True)
-                self._threads[build] = thread
-                thread.start()
+            if build in self._threads or _PROCESSES.closed:
+                return False
+            thread = threading.Thread(target=self._build, args=(build,), name="servocore machine code", daemon=True)
+            self._threads[build] = thread
+            thread.start()
+            return True
 
     def pending(self, build: Build) -> bool:
         """Whether a library waits to be built, or is being built."""
