@@ -38,14 +38,13 @@ import servocore as sc
 from servocore import DEGREE3, BackwardEuler, rest_to_rest
 from servocore.dae import Dae, Equation, Unknown
 from servocore.errors import InvalidModel, InvalidReference
+from servocore.formulations.projected import project
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import compile_solver
 from servocore.stepping.program import program_of
 from servocore.stepping.stepper import Stepper
-from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.structure.derivative_array import DerivativeArray, analyse_structure, derivative_array
 from servocore.structure.inversion import inversion
-from servocore.structure.projection import project
-from servocore.structure.structural_analysis import analyse_structure
 
 ORDERS = 7  # of random reference jets: more than any scene needs
 

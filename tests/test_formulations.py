@@ -28,9 +28,9 @@ from problems import (
 from suite import FormulationSuite
 
 import servocore as sc
+from servocore.formulations.projected import project
 from servocore.model.system import DERIVED
 from servocore.numerics.compiled_calls import Array
-from servocore.structure.projection import project
 
 
 @pytest.mark.parametrize(
