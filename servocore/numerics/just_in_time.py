@@ -7,8 +7,6 @@ from contextlib import suppress
 from copy import copy
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-import casadi as ca
-
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -99,19 +97,16 @@ Holder = TypeVar("Holder")
 def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
     """Return a value with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
 
-    def functions() -> dict[str, ca.Function]:
-        return {name: getattr(holder, name) for name in names}
-
     def make() -> Build:
         from servocore.numerics.machine_code import build_of  # noqa: PLC0415
 
-        return build_of(functions(), of_what)
+        return build_of({name: getattr(holder, name) for name in names}, of_what)
 
     def load(library: Path) -> Holder:
         from servocore.numerics.machine_code import loaded  # noqa: PLC0415
 
         made = copy(holder)
-        vars(made).update(loaded(library, functions()))
+        vars(made).update({name: loaded(library, name) for name in names})
         return made
 
     return JustInTime(make, load, native)

@@ -245,36 +245,35 @@ def automatic() -> bool:
     return os.environ.get(AUTOMATIC, "").lower() not in {"off", "no", "0"} and not CodeCache.of_user().refusal()
 
 
-def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca.Function]:
-    """Compile functions to machine code, or take what was compiled before.
+def compiled(function: ca.Function, of_what: str) -> ca.Function:
+    """Compile a function to machine code, or take what was compiled before.
 
     Parameters
     ----------
-    functions : mapping of str to casadi.Function
-        By any name.
+    function : casadi.Function
+        Any that can be written as C.
     of_what : str
-        What they belong to, for messages.
+        What it belongs to, for messages.
 
     Raises
     ------
     InvalidSetting
         If there is no C compiler, or it does not compile.
     """
-    build = build_of(functions, of_what)
-    return loaded(built(build), functions)
+    return loaded(built(build_of({"function": function}, of_what)), "function")
 
 
 def build_of(functions: Mapping[str, ca.Function], of_what: str) -> Build:
-    """Return what `compiled` builds."""
+    """Return what is to be built of functions by any name."""
     generator = ca.CodeGenerator("program.c")
     for name, function in functions.items():
         generator.add(_renamed(function, f"sc_native_{name}"))
     return Build(generator.dump(), of_what)
 
 
-def loaded(library: Path, functions: Mapping[str, ca.Function]) -> dict[str, ca.Function]:
-    """Return functions from a library of theirs."""
-    return {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
+def loaded(library: Path, name: str) -> ca.Function:
+    """Return the function of a name from a library of `build_of`."""
+    return ca.external(f"sc_native_{name}", str(library))
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

@@ -121,7 +121,7 @@ def exact_evaluation(
         if native:
             from servocore.numerics.machine_code import compiled  # noqa: PLC0415 - few compile
 
-            function = compiled({"by_newton": function}, resolved.system.name)["by_newton"]
+            function = compiled(function, resolved.system.name)
     path_function = PathFunction(function, native, resolved.system.name)
     return ExactEvaluation(resolved, read, whole, path_function, expression is not None)
 
