@@ -86,10 +86,10 @@ class ExactEvaluation:
 
     def _left(self, results: Sequence[Array]) -> Sequence[int]:
         """Return the instants that are left to Newton's method."""
-        good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
-        if not self.is_expression or good.all():
+        if not self.is_expression:
             return ()
-        left: list[int] = np.flatnonzero(~good.all(axis=0)).tolist()
+        good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
+        left: list[int] = [] if good.all() else np.flatnonzero(~good.all(axis=0)).tolist()
         return left
 
 

@@ -64,7 +64,9 @@ class PathFunction:
                 return chosen(t[None], numbers, problem.p)
             if len(t) <= _FEW:
                 return chosen.interpreted(t[None], numbers, problem.p)
-        return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
+        jets = reference.jet(t, self.order)
+        evaluate = self._of_jets if reference.formula is None else self._of_jets.interpreted
+        return evaluate(jets.reshape(len(jets), -1).T, problem.p)
 
     def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
         """Return the results of cases, shape (cases, rows, N) each.
@@ -84,11 +86,6 @@ class PathFunction:
     def ready(self, problem: Problem, count: int) -> bool:
         """Whether machine code is there for so many instants."""
         return self._on_path(problem.reference, count)[0].ready(count, called=False)
-
-    def at_jets(self, jets: Array, p: Array, compiled: bool = True) -> list[Array]:
-        """Return the same for reference jets (N, order + 1, m), by machine code if there is such for jets."""
-        evaluate = self._of_jets if compiled else self._of_jets.interpreted
-        return evaluate(jets.reshape(len(jets), -1).T, p)
 
     @cached_property  # where it is machine code from the start, and all paths are formulas, it is never made
     def _of_jets(self) -> Vectorized:
