@@ -16,6 +16,7 @@ from servocore.errors import InvalidModel, require_kind
 from servocore.model.symbols import named
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import singular_values
+from servocore.numerics.step_operations import operations_of
 
 if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem
@@ -191,12 +192,7 @@ def _require_finite(system: MechanicalSystem, fields: Mapping[str, ca.SX], value
 def _constants_not_finite(expression: ca.SX) -> list[float]:
     """Return the constants in an expression that are no finite numbers, in whatever depth."""
     function = ca.Function("sc_constants", [ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))], [expression])
-    constants = (
-        function.instruction_constant(k)
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_CONST
-    )
-    return [constant for constant in constants if not np.isfinite(constant)]
+    return [constant for *_, constant in operations_of(function) if not np.isfinite(constant)]
 
 
 def _entry(system: MechanicalSystem, field: str, row: int, column: int) -> str:

@@ -20,6 +20,7 @@ import casadi as ca
 
 from servocore.numerics.just_in_time import LANES, NAME
 from servocore.numerics.machine_code import Build
+from servocore.numerics.step_operations import operations_of
 
 _MOST_OPERATIONS = 30_000  # of all expressions of a source: beyond, compilers take minutes
 _TILE = 64  # instants whose results are gathered before they are written out: each row lies in a page of its own
@@ -217,14 +218,12 @@ class _Statements:
         self.results: list[tuple[int, int, str]] = []
         self._along, self._chained = along, chained
         values: dict[int, tuple[str, bool]] = {}  # by place: its name, and whether it is one for all instants
-        for k in range(function.n_instructions()):
-            operation, operands = _NAMES[function.instruction_id(k)], function.instruction_input(k)
-            made = function.instruction_output(k)
-            if operation == "OUTPUT":
+        for k, (number, made, operands, constant) in enumerate(operations_of(function)):
+            if number == ca.OP_OUTPUT:
                 name, single = values[operands[0]]
                 self.results.append((made[0], made[1], f"all({name})" if single else name))
             else:
-                values[made[0]] = self._state(f"a{k}", operation, operands, values, function, k)
+                values[made[0]] = self._state(f"a{k}", _NAMES[number], operands, values, constant)
 
     def function(self, name: str, body: list[str]) -> str:
         """Return the function `name`: what is done once a case, and a body for every case."""
@@ -248,11 +247,10 @@ class _Statements:
         operation: str,
         arguments: list[int],
         values: dict[int, tuple[str, bool]],
-        of: ca.Function,
-        k: int,
+        constant: float,
     ) -> tuple[str, bool]:
         if operation == "CONST":
-            return _number(float(of.instruction_constant(k))), True
+            return _number(constant), True
         if operation == "INPUT":
             argument, i = arguments
             if self._chained and argument == 0:

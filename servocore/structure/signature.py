@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidModel
 from servocore.numerics.components import Part, filled, largest_assignment, of_one_shape, parts_of
-from servocore.numerics.rounding_errors import UNIT, Array, evaluate
+from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
