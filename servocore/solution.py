@@ -303,7 +303,7 @@ class Solution:
     def _motion(self) -> Motion:
         import casadi as ca  # noqa: PLC0415 - only who animates needs these
 
-        from servocore.model.picture import picture_of  # noqa: PLC0415
+        from servocore.model.drawing import picture_of  # noqa: PLC0415
         from servocore.numerics.components import filled  # noqa: PLC0415
 
         system = self.origin.system

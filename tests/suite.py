@@ -38,21 +38,20 @@ import servocore as sc
 from servocore import DEGREE3, BackwardEuler, rest_to_rest
 from servocore.dae import Dae, Equation, Unknown
 from servocore.errors import InvalidModel, InvalidReference
+from servocore.formulations.projected import project
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import compile_solver
 from servocore.stepping.program import program_of
 from servocore.stepping.stepper import Stepper
-from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.structure.derivative_array import DerivativeArray, analyse_structure, derivative_array
 from servocore.structure.inversion import inversion
-from servocore.structure.projection import project
-from servocore.structure.structural_analysis import analyse_structure
 
 ORDERS = 7  # of random reference jets: more than any scene needs
 
 
 def perturbations(m: int) -> SearchStrategy[Array]:
-    """Draw jets of shape (orders, m) with all entries within 1 of zero."""
-    return arrays(float, (ORDERS, m), elements=st.floats(-1.0, 1.0))
+    """Draw jets of shape (orders, m) with all entries within 1 of zero, none so small that its square is lost."""
+    return arrays(float, (ORDERS, m), elements=st.floats(-1.0, 1.0).map(lambda x: x if abs(x) > 1e-100 else 0.0))
 
 
 @cache
@@ -468,12 +467,16 @@ class MethodSuite:
         return float(np.abs(found - (0.25 * np.arange(9)) ** degree).max() / 2.0**degree)
 
     def test_it_integrates_polynomials_up_to_its_order_exactly_and_no_further(self, by: MethodCase) -> None:
+        if not by.starts_in_motion:
+            pytest.skip("the polynomials start in motion")
         for degree in range(1, by.differential + 1):
             assert self._quadrature_error(by, degree) < 1e-12
         assert self._quadrature_error(by, by.differential + 1) > 1e-7
 
     def test_it_converges_with_its_orders_on_a_nonlinear_problem_of_index_one(self, by: MethodCase) -> None:
         """z^3 + z = 2 x, x_dot = -(3 z^2 + 1) z^2/2: z = 1/(2 + t)."""
+        if not by.starts_in_motion:
+            pytest.skip("the solution starts in motion")
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -(3 * z**2 + 1) * z**2 / 2, z**3 + z - 2 * x, gamma)
 

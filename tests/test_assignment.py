@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from servocore.numerics.assignment import largest_assignment
+from servocore.numerics.components import largest_assignment
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 30, 100])

@@ -29,7 +29,7 @@ CASES = [
     for name, each in SCENES.items()
     for model in each.models
     for of in FORMULATIONS
-    if (name, model, of.formulation.name) not in REFUSED
+    if (name, model, of.kind) not in REFUSED
 ]
 
 

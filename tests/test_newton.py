@@ -15,7 +15,7 @@ from hypothesis.strategies import DataObject
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.linear_solutions import symbolic_solution
+from servocore.numerics.elimination import symbolic_solution
 from servocore.numerics.square_systems import (
     MAX_ITERATIONS,
     NEWTON_TOLERANCE,

@@ -17,10 +17,9 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.scenes.rotary_crane import INPUTS, PARAMETERS, bodies, points, rotary_crane
 from servocore.solvers.solve import solve
-from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.structure.derivative_array import DerivativeArray, derivative_array, second_order_equations
 from servocore.structure.inversion import inversion
 from servocore.structure.signature import signature
-from servocore.structure.structural_analysis import second_order_equations
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
 

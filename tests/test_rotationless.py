@@ -40,10 +40,9 @@ from servocore.rotationless import (
     spherical,
     turned,
 )
-from servocore.structure.derivative_array import derivative_array
+from servocore.structure.derivative_array import derivative_array, second_order_equations
 from servocore.structure.inversion import inversion
 from servocore.structure.signature import signature
-from servocore.structure.structural_analysis import second_order_equations
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto" / "assemble-a-mechanism.md"
 NONE = Parameters()

@@ -16,8 +16,8 @@ from problems import (
 )
 
 import servocore as sc
+from servocore.structure.derivative_array import analyse_structure, second_order_equations
 from servocore.structure.signature import ABSENT, signature
-from servocore.structure.structural_analysis import analyse_structure, second_order_equations
 
 
 def offsets(system: sc.MechanicalSystem) -> tuple[dict[str, int], dict[str, int]]:

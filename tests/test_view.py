@@ -22,7 +22,7 @@ from present import present
 
 import servocore as sc
 from servocore.cli.commands import app
-from servocore.model.picture import picture_of
+from servocore.model.drawing import picture_of
 from servocore.problem import Problem
 from servocore.stepping.observation import observed
 from servocore.view.javascript import javascript

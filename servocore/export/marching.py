@@ -11,8 +11,8 @@ from servocore.export.exported_quantities import observation, timed_path, wanted
 from servocore.formulations.projected import Projected
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.problem import Problem
-from servocore.stepping.initial_values import compile_start
 from servocore.stepping.program import program_of
+from servocore.stepping.step_functions import compile_start
 from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()

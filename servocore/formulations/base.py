@@ -1,12 +1,13 @@
-"""What every formulation offers, and the description of unknowns that formulations share."""
+"""What every formulation offers, and what those in the mechanical variables share."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import casadi as ca
 
-from servocore.dae import Dae, Unknown
+from servocore.dae import Dae, Equation, Unknown
 from servocore.model.system import MechanicalSystem
 
 
@@ -37,19 +38,45 @@ class Formulation(Protocol):
         """
 
 
-def mechanical_unknowns(system: MechanicalSystem) -> tuple[ca.SX, ca.SX, tuple[Unknown, ...]]:
-    """Return x = (q, v), z = (lam, u) and their descriptions, equations (21) and (30)."""
-    x, z = ca.vertcat(system.q, system.v), ca.vertcat(system.lam, system.u)
-    coordinates = system.coordinates.quantities
-    described = (
-        *(Unknown(f"q.{coordinate.name}", 0, coordinate.magnitude) for coordinate in coordinates),
-        *(Unknown(f"q.{coordinate.name}", 1, coordinate.magnitude) for coordinate in coordinates),
-        *(Unknown(f"lam.{k + 1}") for k in range(system.lam.numel())),
-        *(Unknown(f"u.{quantity.name}", 0, quantity.magnitude) for quantity in system.inputs),
+def mechanical_dae(
+    system: MechanicalSystem, form: str, H: ca.SX, f: ca.SX, h: ca.SX, described: Sequence[Equation], index: int
+) -> Dae:
+    """Return a `Dae` in x = (q, v), z = (lam, u), equations (21) and (30), with constraints of positions.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        With its servo outputs and inputs.
+    form : str
+        Name of the formulation.
+    H, f, h : casadi.SX
+        H v_dot = f, 0 = h: what stands in the place of the momentum equation.
+    described : sequence of Equation
+        These rows.
+    index : int
+        Differentiation index of the form.
+    """
+    quantities = system.coordinates.quantities
+    return Dae(
+        name=f"{system.name}, {form}",
+        x=ca.vertcat(system.q, system.v),
+        z=ca.vertcat(system.lam, system.u),
+        H=ca.diagcat(ca.SX.eye(len(quantities)), H),
+        f=ca.vertcat(system.v, f),
+        h=ca.vertcat(h, system.output - system.path[:, 0], system.constraints),
+        gamma=system.gamma,
+        p=system.p,
+        unknowns=(
+            *(Unknown(f"q.{quantity.name}", order, quantity.magnitude) for order in (0, 1) for quantity in quantities),
+            *(Unknown(f"lam.{k + 1}") for k in range(system.lam.numel())),
+            *(Unknown(f"u.{quantity.name}", 0, quantity.magnitude) for quantity in system.inputs),
+        ),
+        equations=(
+            *(Equation(f"velocity of {quantity.name}", 1) for quantity in quantities),
+            *described,
+            *(Equation(f"servo constraint on {quantity.name}", 0) for quantity in system.outputs),
+            *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
+        ),
+        physical={"q": system.q, "v": system.v, "lam": system.lam, "u": system.u},
+        index=index,
     )
-    return x, z, described
-
-
-def physical_variables(system: MechanicalSystem) -> dict[str, ca.SX]:
-    """Return the mechanical variables of a formulation whose unknowns they are."""
-    return {"q": system.q, "v": system.v, "lam": system.lam, "u": system.u}

@@ -1,18 +1,31 @@
-"""What a scene looks like: parts drawn between points, which follow from what a solution reports."""
+"""What a scene looks like: parts drawn between points, which follow from what a solution reports.
+
+What is drawn of a system is the drawing of its scene, or bodies and points by the names of its coordinates.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from servocore.errors import InvalidSetting
+import casadi as ca
+
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.components import filled
+from servocore.numerics.expressions import as_expression
 
 KINDS = ("rope", "bar", "bridge", "rail", "spring", "post", "box", "body", "pin")
 """Kinds of parts. A rope, a bar and a spring join two points; a bridge goes from its first point through its second, as
 far as that ever gets; a rail goes through its point along an axis; a post stands on the ground below its point; a box,
 a body and a pin are at their point."""
 
+_AXES = "xyz"
+_NAMED = re.compile(r"(?:(?P<of>.+)[._])?(?P<axis>[xyz])(?:_(?P<number>\w+))?")
+_MOST_POINTS = 400
 _ENDS = {"rope": 2, "bar": 2, "bridge": 2, "spring": 2}
 
 Point: TypeAlias = tuple[Any, Any, Any]
@@ -60,3 +73,142 @@ class Part:
 
 Drawing: TypeAlias = Callable[[Mapping[str, Any]], Sequence[Part]]
 """Symbols of what a solution reports and of the parameters, by name -> the parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Parts between points, and where the points are.
+
+    Attributes
+    ----------
+    parts : list of dict
+        Kind, name, places among the points, index of the quantity that colours it, axis.
+    points : int
+        How many points there are.
+    reported, coordinates : casadi.SX
+        Values of what is reported; x, y, z of one point after the other, which follow from these and the parameters.
+    tracked : int or None
+        The point that follows the path.
+    flat : bool
+        Whether all points lie in the plane y = 0.
+    """
+
+    parts: list[dict[str, Any]]
+    points: int
+    reported: ca.SX
+    coordinates: ca.SX
+    tracked: int | None
+    flat: bool
+
+    def about(self) -> dict[str, Any]:
+        """Return what the page needs to know."""
+        stands = any(part["kind"] in ("body", "post") for part in self.parts)
+        return {
+            "parts": self.parts,
+            "points": self.points,
+            "tracked": self.tracked,
+            "flat": self.flat,
+            "grounded": stands,
+        }
+
+
+def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Picture:
+    """Return what is drawn of a system.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system.
+    reported : sequence of Quantity
+        What a solution reports of it, in this order.
+    drawing : callable or None
+        Of the scene; bodies and points are found by the names of coordinates when None.
+
+    Raises
+    ------
+    InvalidModel
+        If a drawing names what is not reported, or returns something else than parts.
+    """
+    symbols = {quantity.name: ca.SX.sym(quantity.name) for quantity in reported}
+    known = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
+    try:
+        parts = list(drawing(known)) if drawing is not None else _found(system, symbols)
+    except KeyError as error:
+        raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(known)}") from None
+    if not all(isinstance(part, Part) for part in parts):
+        raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
+    names, listed = list(symbols), list[dict[str, Any]]()
+    points: dict[str, ca.SX] = {}
+    for part in parts:
+        texts = []
+        for point in part.points:
+            entries = [as_expression(entry, f"{system.name}: a point of its drawing") for entry in point]
+            expression = ca.vertcat(*entries)
+            texts.append(str(expression))
+            points.setdefault(texts[-1], expression)
+        if part.colour and part.colour not in names:
+            raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
+        listed.append({
+            "kind": part.kind,
+            "name": part.name,
+            "places": [list(points).index(text) for text in texts],
+            "colour": names.index(part.colour) if part.colour else None,
+            "along": part.along,
+        })  # fmt: skip
+    values, coordinates = ca.vertcat(ca.SX(0, 1), *symbols.values()), ca.vertcat(ca.SX(0, 1), *points.values())
+    depth = ca.vertcat(ca.SX(0, 1), *[corner[1] for corner in points.values()])
+    flat = all(entry.is_zero() for entry in ca.vertsplit(depth)) if points else True
+    return Picture(listed, len(points), values, coordinates, _tracked(listed), flat)
+
+
+def _tracked(parts: Sequence[Mapping[str, Any]]) -> int | None:
+    """Return the point of the last body, or box where there is none: the load."""
+    kinds = [part["kind"] for part in parts]
+    bodies = [part["places"][0] for part in parts if part["kind"] == ("body" if "body" in kinds else "box")]
+    return bodies[-1] if bodies else None
+
+
+# Bodies and points by the names of coordinates ----------------------------------------------------------------------
+
+
+def _found(system: MechanicalSystem, symbols: Mapping[str, ca.SX]) -> list[Part]:
+    """Return a body for coordinates x, y, z of one name, and bars or springs where something holds two together."""
+    points: dict[str, dict[str, str]] = {}
+    for name in system.coordinates.names:
+        match = _NAMED.fullmatch(name)
+        if match and not re.search(r"[._]d\d?$|^d$", match["of"] or ""):
+            points.setdefault(match["of"] or match["number"] or "", {})[match["axis"]] = name
+    if not points:
+        points = {
+            quantity.name: {"x": quantity.name} for quantity in system.coordinates.quantities if quantity.unit == "m"
+        }
+    points = dict(list(points.items())[:_MOST_POINTS])
+    where = {of: _point(named, symbols) for of, named in points.items()}
+    bars = [
+        Part(kind, (where[one], where[other]))
+        for kind, one, other in _joined(system, {name: of for of, named in points.items() for name in named.values()})
+    ]
+    return [*bars, *(Part("body", (place,), of) for of, place in where.items())]
+
+
+def _point(named: Mapping[str, str], symbols: Mapping[str, ca.SX]) -> Point:
+    x, y, z = (symbols[named[axis]] if axis in named else ca.SX(0) for axis in _AXES)
+    # Two coordinates are a plane that stands upright.
+    return (x, ca.SX(0), y) if "y" in named and "z" not in named else (x, y, z)
+
+
+def _joined(system: MechanicalSystem, owners: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Return pairs of points that one holonomic constraint holds (bars), or one term of the potential (springs)."""
+    q, names = system.q, system.coordinates.names
+    held = filled(ca.DM(ca.jacobian_sparsity(system.constraints, q), 1.0))
+    joined: dict[tuple[str, str], str] = {}
+    for row in held:
+        bodies = list(dict.fromkeys(owners[name] for name, on in zip(names, row, strict=True) if on and name in owners))
+        if len(bodies) == 2:
+            joined.setdefault((bodies[0], bodies[1]), "bar")
+    stiffness = filled(ca.DM(ca.hessian(system.potential, q)[0].sparsity(), 1.0))
+    for i, one in enumerate(names):
+        for j, other in enumerate(names[:i]):
+            if stiffness[i][j] and one in owners and other in owners and owners[one] != owners[other]:
+                joined.setdefault((owners[other], owners[one]), "spring")
+    return [(kind, one, other) for (one, other), kind in joined.items()]

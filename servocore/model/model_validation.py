@@ -7,14 +7,19 @@ neighbours on two sides, and a point without symmetry.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
+from servocore.model.symbols import named
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import singular_values
+from servocore.numerics.step_operations import operations_of
+
+if TYPE_CHECKING:
+    from servocore.model.system import MechanicalSystem
 
 _NEIGHBOURHOOD = 0.01  # of the nominal magnitudes
 _CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is the round-off of a zero
@@ -26,57 +31,13 @@ _MOVING = ("force", "gyroscopic")
 _TIMELESS = ("mass", "output", "input_matrix", "gyroscopic")
 _TIME = 0.3  # at which expressions of the time are looked at, in s
 
+_SYMBOLS = ("multipliers", "gamma", "u")
 _TIME_COLUMN, _RATE = "time", ".rate"
 
-Named = Sequence[tuple[str, ca.SX]]
+_NamedRows = tuple[Sequence[str], ca.SX]
 
 
-@dataclass(frozen=True, eq=False)
-class Written:
-    """What is looked at of a `servocore.model.system.MechanicalSystem`.
-
-    Attributes
-    ----------
-    name : str
-        Of the system, for messages.
-    inputs, observables, outputs, coordinates, parameters : sequence of (str, casadi.SX)
-        By name.
-    constraint_names : tuple of str
-        Of the holonomic constraints.
-    fields : mapping of str to casadi.SX
-        Expressions and symbols by the name of the attribute.
-    v, time : casadi.SX
-        Velocities, and the symbol of the time if there is one.
-    nominal, home : tuple of float
-        Typical magnitudes of the coordinates, and value of the servo output.
-    home_parameters : ndarray
-        Parameter values.
-    """
-
-    name: str
-    inputs: Named
-    observables: Named
-    outputs: Named
-    coordinates: Named
-    parameters: Named
-    constraint_names: tuple[str, ...]
-    fields: Mapping[str, ca.SX]
-    v: ca.SX
-    time: ca.SX
-    nominal: tuple[float, ...]
-    home: tuple[float, ...]
-    home_parameters: Array
-
-    def names(self, kind: str) -> list[str]:
-        """Return the names of "coordinates" and the like."""
-        return [name for name, _ in getattr(self, kind)]
-
-    def symbols(self, kind: str) -> ca.SX:
-        """Return the column of "coordinates" or "parameters"."""
-        return ca.vertcat(ca.SX(0, 1), *(symbol for _, symbol in getattr(self, kind)))
-
-
-def require_sound(system: Written) -> None:
+def require_sound(system: MechanicalSystem) -> None:
     """Check names, symbols and values of all expressions of a system.
 
     Raises
@@ -86,22 +47,22 @@ def require_sound(system: Written) -> None:
         not symmetric and positive semidefinite.
     """
     _require_names(system)
-    q, v, p = system.symbols("coordinates"), system.v, system.symbols("parameters")
-    lam, u, gamma = (system.fields[field] for field in ("multipliers", "u", "gamma"))
+    q, v, p, lam, u, gamma = system.q, system.v, system.p, system.lam, system.u, system.gamma
     groups = ca.vertcat(*(ca.vec(symbols) for symbols in (q, v, p, lam, u, gamma)))
     if len(ca.symvar(groups)) < groups.numel():
         raise InvalidModel(
             f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
         )
-    at_rest, moving = ({field: system.fields[field] for field in listed} for listed in (_AT_REST, _MOVING))
-    seen = {f"observable {name}": expression for name, expression in system.observables}
-    guess = {"guess": system.fields["guess"]}
+    at_rest, moving = ({field: getattr(system, field) for field in listed} for listed in (_AT_REST, _MOVING))
+    seen = {f"observable {quantity.name}": expression for quantity, expression in system.observables.items()}
+    guess = {"guess": system.guess}
     _require_timeless(system)
     start, still = _compiled(system, guess, (gamma, p)), _compiled(system, at_rest, (q, p, system.time))
     forces = _compiled(system, moving, (q, v, p, system.time))
     observe, clock = _compiled(system, seen, (q, v, p, lam, u, gamma)), np.full(system.time.numel(), _TIME)
     home = _home(system, guess, start)
-    points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
+    p_home = np.array(system.home_parameters)
+    points, rates = probes(home, system.coordinates.nominal, p_home), np.cos(np.arange(len(home)))
     rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in (lam, u, gamma)]
     evaluated = [_arrays(still.call([*point, clock])) for point in points]
     _require_finite(system, at_rest, evaluated)
@@ -109,23 +70,30 @@ def require_sound(system: Written) -> None:
     _require_finite(system, seen, [_arrays(observe.call([at, rates, values, *rest])) for at, values in points[-2:]])
     masses = [terms[0] for terms in evaluated]
     _require_symmetric(system.name, masses)
-    require_mass(system.name, masses[:3], system.names("coordinates"))
+    require_mass(system.name, masses[:3], system.coordinates.names)
 
 
-def _require_timeless(system: Written) -> None:
+def _require_timeless(system: MechanicalSystem) -> None:
     for field_name in _TIMELESS:
-        if system.time.numel() and ca.depends_on(system.fields[field_name], system.time):
+        if system.time.numel() and ca.depends_on(getattr(system, field_name), system.time):
             raise InvalidModel(f"{system.name}: {field_name} must not depend on the time")
 
 
-def _require_names(system: Written) -> None:
+def _require_names(system: MechanicalSystem) -> None:
     """Raise `InvalidModel` if one name stands for two quantities: the second would vanish from what is reported.
 
     An output or an observable may have the name of a coordinate that it is.
     """
     seen: dict[str, tuple[str, ca.SX]] = {}
-    for kind in ("inputs", "observables", "outputs", "coordinates", "parameters"):
-        for name, expression in getattr(system, kind):
+    kinds = {
+        "inputs": named(system.inputs, system.u),
+        "observables": [(quantity.name, expression) for quantity, expression in system.observables.items()],
+        "outputs": named(system.outputs, system.output),
+        "coordinates": named(system.coordinates.quantities, system.q),
+        "parameters": named(system.parameters.declared, system.p),
+    }
+    for kind, quantities in kinds.items():
+        for name, expression in quantities:
             if name == _TIME_COLUMN or name.endswith(_RATE):
                 meant = "the column of the times in tables" if name == _TIME_COLUMN else "the limit of a rate"
                 raise InvalidModel(f"{system.name}: one of the {kind} is called {name}, which is {meant}")
@@ -151,7 +119,7 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
     return abs(first - second) <= _DEPENDENT * max(abs(first), abs(second))
 
 
-def _compiled(system: Written, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
+def _compiled(system: MechanicalSystem, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
     """Compile expressions of groups of symbols.
 
     Raises
@@ -171,17 +139,18 @@ def _arrays(values: Sequence[ca.DM]) -> list[Array]:
     return [np.asarray(value) for value in values]
 
 
-def _home(system: Written, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
+def _home(system: MechanicalSystem, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
     """Return the configuration at home."""
     gamma = np.zeros(guess.size_in(0))
     gamma[:, 0] = system.home
-    configuration = np.asarray(guess(gamma, system.home_parameters))
+    configuration = np.asarray(guess(gamma, np.array(system.home_parameters)))
     _require_finite(system, fields, [[configuration]])
     lost = np.flatnonzero(~np.isfinite(configuration.ravel()))
     if len(lost):
+        outputs = ", ".join(quantity.name for quantity in system.outputs)
         raise InvalidModel(
-            f"{system.name}: the guess at home = {system.home} has no value for {system.names('coordinates')[lost[0]]};"
-            f" home must be a value of {', '.join(system.names('outputs'))} that the system can take"
+            f"{system.name}: the guess at home = {system.home} has no value for {system.coordinates.names[lost[0]]};"
+            f" home must be a value of {outputs} that the system can take"
         )
     return configuration.ravel()
 
@@ -209,7 +178,7 @@ def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array,
     return [(home, p), (home + aside, p), (home - aside, p), (np.sin(angles), disturbed)]
 
 
-def _require_finite(system: Written, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
+def _require_finite(system: MechanicalSystem, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
     """Raise `InvalidModel`, naming the first entry that is no finite number since a constant in it is none."""
     for k, (field, expression) in enumerate(fields.items()):
         finite = np.all([np.isfinite(point[k]) for point in values], axis=0)
@@ -223,20 +192,16 @@ def _require_finite(system: Written, fields: Mapping[str, ca.SX], values: Sequen
 def _constants_not_finite(expression: ca.SX) -> list[float]:
     """Return the constants in an expression that are no finite numbers, in whatever depth."""
     function = ca.Function("sc_constants", [ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))], [expression])
-    constants = (
-        function.instruction_constant(k)
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_CONST
-    )
-    return [constant for constant in constants if not np.isfinite(constant)]
+    return [constant for *_, constant in operations_of(function) if not np.isfinite(constant)]
 
 
-def _entry(system: Written, field: str, row: int, column: int) -> str:
+def _entry(system: MechanicalSystem, field: str, row: int, column: int) -> str:
     """Return what messages call an entry of a field."""
-    coordinates = system.names("coordinates")
-    rows = {
-        "mass": coordinates, "input_matrix": system.names("inputs"), "output": system.names("outputs"),
-        "constraints": system.constraint_names, "force": coordinates, "gyroscopic": coordinates, "guess": coordinates,
+    coordinates, constraints = system.coordinates.names, system.constraint_names
+    inputs, outputs = ([quantity.name for quantity in listed] for listed in (system.inputs, system.outputs))
+    rows: dict[str, Sequence[object]] = {
+        "mass": coordinates, "input_matrix": inputs, "output": outputs, "force": coordinates, "gyroscopic": coordinates,
+        "guess": coordinates, "constraints": constraints or range(1, system.constraints.numel() + 1),
     }  # fmt: skip
     if field not in rows:
         return field
@@ -325,3 +290,87 @@ def _dependent(rows: Array) -> list[int]:
     left, _, _ = np.linalg.svd(rows)
     parts = np.abs(left[:, -1])
     return [int(k) for k in np.flatnonzero(parts > _PART * parts.max())]
+
+
+def require_shapes(name: str, expressions: Mapping[str, ca.SX], shapes: Mapping[str, tuple[int, int]]) -> None:
+    """Refuse fields of another shape, and expressions where symbols belong."""
+    for field, expression in expressions.items():
+        if expression.shape != shapes[field]:
+            raise InvalidModel(f"{name}: {field} has shape {expression.shape}, expected {shapes[field]}")
+        if field in _SYMBOLS and not expression.is_valid_input():
+            raise InvalidModel(f"{name}: {field} must be symbols of casadi.SX.sym, not expressions")
+
+
+def require_freedom(name: str, n: int, m: int, rows: int, rank: int, *, assembled: bool) -> None:
+    """Refuse more inputs m than n coordinates have degrees of freedom under constraints of this rank."""
+    if not assembled:
+        raise InvalidModel(
+            f"{name}: {m} inputs are too many for {n} coordinates with {rows} holonomic constraints, unless"
+            " these are redundant in part; no configuration that satisfies them was found from the guess at home"
+        )
+    if m > n - rank:
+        raise InvalidModel(
+            f"{name}: {m} inputs exceed the {n - rank} degrees of freedom"
+            f" ({n} coordinates, {rank} independent ones of {rows} holonomic constraints)"
+        )
+
+
+def home_names(outputs: Sequence[str], time: ca.SX, home: object) -> tuple[str, ...]:
+    """Return names of the entries of home: the time is the last one in a system that is made from another."""
+    again = ca.SX(time).numel() == 1 and isinstance(home, tuple) and len(home) == len(outputs) + 1
+    return (*outputs, "time") if again else tuple(outputs)
+
+
+def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int) -> dict[str, object]:
+    """Return gamma with the time as its last row, and home with it as its last entry, where there is a time."""
+    fields: dict[str, object] = {}
+    if isinstance(time, ca.SX) and not time.numel():
+        return fields
+    require_kind(time, ca.SX, f"{name}: the time", "a symbol of casadi.SX.sym", InvalidModel)
+    if not time.is_symbolic():
+        raise InvalidModel(f"{name}: the time must be one symbol, not {time}")
+    if gamma.size1() == m:  # a system made from another has that row already
+        rates = ca.SX.sym("time", 1, gamma.size2() - 1)
+        fields["gamma"] = ca.vertcat(gamma, ca.horzcat(time, rates))
+    if len(home) == m:
+        fields["home"] = (*home, 0.0)
+    return fields
+
+
+def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _NamedRows) -> None:
+    """Raise `InvalidModel` if outputs or constraints hold velocities, with what can be done instead.
+
+    Parameters
+    ----------
+    system : str
+        Name for messages.
+    v : casadi.SX
+        Velocities.
+    outputs, constraints : sequence of names, and casadi.SX
+        What the rows are called, and the rows.
+    """
+    for name, expression in _named_rows(*outputs):
+        velocities = _velocities(expression, v)
+        if velocities:
+            raise InvalidModel(
+                f"{system}: the output {name} depends on velocities ({velocities}), but a servo constraint prescribes a"
+                " function of the coordinates alone; where the output is the rate of such a function, prescribe that"
+                " function, along the integral of the path"
+            )
+    for name, expression in _named_rows(*constraints):
+        velocities = _velocities(expression, v)
+        if velocities:
+            raise InvalidModel(
+                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints"
+                " are not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v)"
+                " oppose what it forbids"
+            )
+
+
+def _named_rows(names: Sequence[str], column: ca.SX) -> list[tuple[str, ca.SX]]:
+    return list(zip(names, ca.vertsplit(ca.SX(column)), strict=False))
+
+
+def _velocities(expression: ca.SX, v: ca.SX) -> str:
+    """Names of the velocities that an expression depends on."""
+    return ", ".join(str(v[int(k)]) for k in sorted(set(ca.jacobian_sparsity(expression, v).get_col())))

@@ -20,14 +20,19 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
-from servocore.model.model_validation import Written, require_sound
+from servocore.model.model_validation import (
+    clock,
+    home_names,
+    require_freedom,
+    require_positions,
+    require_shapes,
+    require_sound,
+)
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Coordinates, Parameters, named, numbers, quantities_of, symbols
-from servocore.model.system_fields import clock, home_names, require_freedom, require_positions, require_shapes
+from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
+from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, last_good_columns
 from servocore.numerics.expressions import as_expression, expressions_of, gyroscopic_forces
-from servocore.numerics.pivoting import last_good_columns
 
 MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
@@ -163,29 +168,10 @@ class MechanicalSystem:
         self._fill("u", symbols(quantity.name for quantity in self.inputs))
         self._require_shapes(n, m, m_h)
         self._derive()
-        require_sound(self._written())
+        require_sound(self)
         if m > n - m_h:  # otherwise there is freedom enough even if all constraints are independent
             ranks = self._rank_at_home
             require_freedom(self.name, n, m, m_h, ranks.rank, assembled=ranks.assembled)
-
-    def _written(self) -> Written:
-        """Return what is looked at, by name."""
-        q, p, rows = self.coordinates, self.parameters, range(1, self.constraints.numel() + 1)
-        return Written(
-            name=self.name,
-            inputs=named(self.inputs, self.u),
-            observables=[(quantity.name, expression) for quantity, expression in self.observables.items()],
-            outputs=named(self.outputs, self.output),
-            coordinates=named(q.quantities, q.q),
-            parameters=named(p.declared, p.p),
-            constraint_names=self.constraint_names or tuple(map(str, rows)),
-            fields={attribute: getattr(self, attribute) for attribute in _EXPRESSIONS},
-            v=q.v,
-            time=self.time,
-            nominal=q.nominal,
-            home=self.home,
-            home_parameters=np.array(self.home_parameters),
-        )
 
     def _take(self) -> None:
         """Check the kinds of what was given; turn arrays and numbers into expressions, sequences into tuples."""

@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-import time
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +20,6 @@ MOST_BYTES = 64 * 1024**2
 """Of all libraries: beyond, the ones that were not used longest are removed."""
 
 _SUFFIX = ".so"
-_BUILDING = ".building"
-_ABANDONED = 600.0  # s: whoever has been building for longer has died
 
 
 @dataclass(frozen=True)
@@ -97,27 +93,6 @@ class CodeCache:
             return None
         return path
 
-    def claim(self, key: str) -> bool:
-        """Claim the building of a library until `release`; False if another process has claimed it."""
-        if self.refusal():
-            return True
-        mark = self.folder / f"{key}{_BUILDING}"
-        try:
-            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if mark.exists() and time.time() - mark.stat().st_mtime > _ABANDONED:
-                mark.unlink(missing_ok=True)
-            os.close(os.open(mark, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        except FileExistsError:
-            return False
-        except OSError:
-            return True
-        return True
-
-    def release(self, key: str) -> None:
-        """Give a claim back."""
-        with suppress(OSError):
-            (self.folder / f"{key}{_BUILDING}").unlink(missing_ok=True)
-
     def contents(self) -> list[Path]:
         """Return all libraries."""
         return sorted(self._libraries("*"))
@@ -131,7 +106,7 @@ class CodeCache:
             length = path.stat().st_size
             path.unlink(missing_ok=True)
             count, size = count + 1, size + length
-        for left in (*self.folder.glob("*.part"), *self.folder.glob(f"*{_BUILDING}")):
+        for left in self.folder.glob("*.part"):
             left.unlink(missing_ok=True)
         return count, size
 

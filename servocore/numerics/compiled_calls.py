@@ -93,11 +93,6 @@ def call_of(function: ca.Function) -> Call:
     return Call(function)
 
 
-@made_once  # to build a map costs more than to evaluate it, and runs of one length follow one another
-def _repeated(function: ca.Function, count: int, chained: bool) -> Call:
-    return Call(function.mapaccum(f"{function.name()}_loop", count) if chained else function.map(count))
-
-
 def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -> tuple[Array, ...]:
     """Evaluate a function of (*columns, gamma, p) at many instants at once.
 
@@ -117,19 +112,22 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
     tuple of ndarray, shape (rows, columns * N)
         The results of the instants side by side.
     """
-    count = len(jets)
-    results = mapped(function, count)(*columns, side_by_side(jets), np.tile(p[:, None], count))
+    along = (True,) * (function.n_in() - 1) + (False,)
+    results = mapped(function, len(jets), along)(*columns, side_by_side(jets), p)
     return tuple(result.reshape(function.size1_out(k), -1, order="F") for k, result in enumerate(results))
 
 
-def mapped(function: ca.Function, count: int) -> Call:
-    """Return a function for `count` instants side by side."""
-    return _repeated(function, count, False)
+@made_once  # to build these costs more than to evaluate them, and runs of one length follow one another
+def mapped(function: ca.Function, count: int, along: tuple[bool, ...] | None = None) -> Call:
+    """Return a function for `count` instants side by side; `along` says which arguments vary, all if it is None."""
+    shared = [k for k, varies in enumerate(along or ()) if not varies]
+    return Call(function.map(f"{function.name()}_map", "serial", count, shared, []))
 
 
+@made_once
 def chained(function: ca.Function, count: int) -> Call:
     """Return `count` evaluations in a row, the first result of each being the first argument of the next."""
-    return _repeated(function, count, True)
+    return Call(function.mapaccum(f"{function.name()}_loop", count))
 
 
 def side_by_side(jets: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Ranks of constraints: how many are independent, at configurations that satisfy them.
+"""Ranks of constraints: how many are independent where they are satisfied, and which columns determine the others.
 
 Away from its assembled configurations a linkage can have more independent rows than its motion allows: a Bricard
 linkage of six hinges has rank 30 of 30 joint rows almost everywhere and 29 where it is closed. So configurations are
@@ -8,6 +8,8 @@ quadratically to a set of solutions of any dimension, also where rows are depend
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -26,6 +28,10 @@ _DAMPING_FLOOR = 1e-14
 _ITERATIONS = 60
 _APART, _NEIGHBOURS = 0.1, 3  # of the nominal magnitudes; a home may be special, its neighbours are not
 _LARGE_ENOUGH = 0.1  # of the largest part in a dependence: among such rows the last is left out
+
+_MOST_MINORS = 2000  # beyond that many candidates the columns are chosen greedily
+_GOOD_ENOUGH = 0.5  # of the largest minor: among such choices the last columns are taken
+_SINGULAR = 1e-9  # a minor of rows whose largest entry is one
 
 Rows = Callable[[Array], tuple[Array, Array]]
 """x (n,) -> (residual (m,), Jacobian (m, n))."""
@@ -194,3 +200,29 @@ def _implied(rows: Rows, kept: list[int], x: Array) -> bool:
     lengths = np.maximum(np.linalg.norm(rows(x)[1], axis=1), 1.0)
     configurations = _neighbours(fewer, x, _APART / 5)
     return all(float(np.abs(rows(configuration)[0] / lengths).max()) <= _IMPLIED for configuration in configurations)
+
+
+def pivot_columns(matrix: Array) -> list[int]:
+    """Return as many columns as there are rows, far from dependent: QR with column pivoting."""
+    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    return [int(column) for column in scipy.linalg.qr(matrix, mode="r", pivoting=True)[1][: len(matrix)]]
+
+
+def last_good_columns(matrix: Array) -> list[int] | None:
+    """Return as many columns as there are rows, in rising order, the last ones of which the minor is large enough.
+
+    None if the rows are dependent, in whatever units they are.
+    """
+    m, n = matrix.shape
+    largest = np.abs(matrix).max(axis=1, initial=0.0)
+    if not largest.all():
+        return None
+    matrix = matrix / largest[:, None]
+    candidates = [tuple(sorted(pivot_columns(matrix)))]
+    if math.comb(n, m) <= _MOST_MINORS:
+        candidates = list(itertools.combinations(range(n), m))
+    minors = np.abs(np.linalg.det(np.stack([matrix[:, columns] for columns in candidates])))
+    if not minors.max(initial=0.0) > _SINGULAR:
+        return None
+    return list(candidates[np.flatnonzero(minors >= _GOOD_ENOUGH * minors.max())[-1]])

@@ -7,8 +7,6 @@ from contextlib import suppress
 from copy import copy
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-import casadi as ca
-
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -63,7 +61,7 @@ class JustInTime(Generic[Loaded]):
         self._make, self._load, self._calls = make, load, int(again)
         self._build: Build | None = None
         self._loaded: Loaded | None = None
-        self._settled, self._asked = native is not None, False
+        self._settled = native is not None
         build = make() if native else None
         if build is not None:
             from servocore.numerics.machine_code import built  # noqa: PLC0415
@@ -83,19 +81,14 @@ class JustInTime(Generic[Loaded]):
 
         if self._build is None:
             self._build = self._make() if automatic() else None
-            if self._build is None:
-                self._settled = True
-                return
-        elif self._asked and BACKGROUND.pending(self._build):
-            return
-        library = library_of(self._build)
-        if library is not None:
-            with suppress(OSError, RuntimeError):  # a library that cannot be loaded
-                self._loaded = self._load(library)
-        self._settled = library is not None or self._asked
-        if not self._settled:
-            self._asked = True
-            BACKGROUND.ask(self._build)
+        if self._build is None:
+            self._settled = True
+        elif not BACKGROUND.pending(self._build):
+            library = library_of(self._build)
+            if library is not None:
+                with suppress(OSError, RuntimeError):  # a library that cannot be loaded
+                    self._loaded = self._load(library)
+            self._settled = library is not None or not BACKGROUND.ask(self._build)
 
 
 Holder = TypeVar("Holder")
@@ -104,19 +97,16 @@ Holder = TypeVar("Holder")
 def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
     """Return a value with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
 
-    def functions() -> dict[str, ca.Function]:
-        return {name: getattr(holder, name) for name in names}
-
     def make() -> Build:
         from servocore.numerics.machine_code import build_of  # noqa: PLC0415
 
-        return build_of(functions(), of_what)
+        return build_of({name: getattr(holder, name) for name in names}, of_what)
 
     def load(library: Path) -> Holder:
         from servocore.numerics.machine_code import loaded  # noqa: PLC0415
 
         made = copy(holder)
-        vars(made).update(loaded(library, functions()))
+        vars(made).update({name: loaded(library, name) for name in names})
         return made
 
     return JustInTime(make, load, native)

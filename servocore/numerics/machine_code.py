@@ -8,25 +8,25 @@ once a machine. What was built is kept; see `code_cache`.
 from __future__ import annotations
 
 import atexit
+import hashlib
 import os
+import platform
 import shlex
+import shutil
+import subprocess
+import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import casadi as ca
 
 from servocore.errors import InvalidSetting
+from servocore.numerics.code_cache import CodeCache
 
-if TYPE_CHECKING:
-    import subprocess
-    from pathlib import Path
-
-    from servocore.numerics.code_cache import CodeCache
-
-# What only building needs is imported where it is needed: a program that solves once builds nothing.
+# This module is imported where machine code is wanted: a program that solves once needs none of these.
 
 COMPILERS = ("cc", "gcc", "clang")
 AUTOMATIC = "SERVOCORE_MACHINE_CODE"
@@ -52,8 +52,6 @@ def c_compiler() -> list[str]:
     InvalidSetting
         If there is none.
     """
-    import shutil  # noqa: PLC0415
-
     named = shlex.split(os.environ.get("CC", ""))
     for command in (named, *([compiler] for compiler in COMPILERS)):
         if command and shutil.which(command[0]) is not None:
@@ -88,11 +86,6 @@ class Build:
 
     def key(self, command: list[str]) -> str:
         """Return a hash of all that the machine code depends on."""
-        import hashlib  # noqa: PLC0415
-        import platform  # noqa: PLC0415
-        import shutil  # noqa: PLC0415
-        from pathlib import Path  # noqa: PLC0415
-
         tool = Path(shutil.which(command[0]) or command[0]).resolve()
         about = tool.stat() if tool.exists() else None
         inputs = (self.source, *command, str(tool), about and (about.st_size, about.st_mtime_ns), *self.options())
@@ -102,9 +95,6 @@ class Build:
 
 def _processor() -> str:
     """Return what the processor can do."""
-    import platform  # noqa: PLC0415
-    from pathlib import Path  # noqa: PLC0415
-
     with suppress(OSError):
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
         for line in text.splitlines():
@@ -113,20 +103,13 @@ def _processor() -> str:
     return platform.processor()
 
 
-def _cache() -> CodeCache:
-    """Return the libraries that are kept."""
-    from servocore.numerics.code_cache import CodeCache  # noqa: PLC0415
-
-    return CodeCache.of_user()
-
-
 def library_of(build: Build) -> Path | None:
     """Return the library of a build if it was built before, on this machine by this compiler; else None."""
     try:
         key = build.key(c_compiler())
     except InvalidSetting:
         return None
-    return _cache().find(key)
+    return CodeCache.of_user().find(key)
 
 
 @dataclass(eq=False)
@@ -138,8 +121,6 @@ class _Processes:
 
     def run(self, command: list[str], folder: Path) -> tuple[int, str]:
         """Run a compiler; return its exit code and its messages."""
-        import subprocess  # noqa: PLC0415 - what was built before is loaded without
-
         if self.closed:
             return -1, "the process ends"
         with subprocess.Popen(
@@ -179,17 +160,13 @@ def built(build: Build) -> Path:
         If there is no C compiler, or it does not compile.
     """
     command = c_compiler()
-    key, kept = build.key(command), _cache()
+    key, kept = build.key(command), CodeCache.of_user()
     library = kept.find(key)
     if library is not None:
         return library
     contents = _compiled_contents(build, command)
     path = kept.store(key, contents)
     if path is None:
-        import shutil  # noqa: PLC0415
-        import tempfile  # noqa: PLC0415
-        from pathlib import Path  # noqa: PLC0415
-
         path = Path(tempfile.mkdtemp(prefix="servocore_")) / "program.so"
         atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
         path.write_bytes(contents)
@@ -197,9 +174,6 @@ def built(build: Build) -> Path:
 
 
 def _compiled_contents(build: Build, command: list[str]) -> bytes:
-    import tempfile  # noqa: PLC0415 - what was built before is loaded without
-    from pathlib import Path  # noqa: PLC0415
-
     with tempfile.TemporaryDirectory(prefix="servocore_") as name:
         folder = Path(name)
         (folder / "program.c").write_text(build.source, encoding="utf-8")
@@ -226,61 +200,40 @@ def compile_in(folder: Path, command: Sequence[str], of_what: str) -> None:
 
 
 class _Background:
-    """Builds one library after the other in a thread, which ends when nothing is left to do."""
+    """Builds libraries one after the other, each in a thread of its own that waits for its turn."""
 
     def __init__(self) -> None:
-        self._turn = threading.Lock()
-        self._waiting: list[Build] = []
-        self._asked: set[Build] = set()
-        self._now: Build | None = None
-        self._thread: threading.Thread | None = None
+        self._turn, self._asking = threading.Lock(), threading.Lock()
+        self._threads: dict[Build, threading.Thread] = {}
 
-    def ask(self, build: Build) -> None:
-        """Build a library in the background, once; a failure is not reported."""
-        with self._turn:
-            if build in self._asked or _PROCESSES.closed:
-                return
-            self._asked.add(build)
-            self._waiting.append(build)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="servocore machine code", daemon=True)
-                self._thread.start()
+    def ask(self, build: Build) -> bool:
+        """Build a library in the background, once; return whether that begins now. A failure is not reported."""
+        with self._asking:
+            if build in self._threads or _PROCESSES.closed:
+                return False
+            thread = threading.Thread(target=self._build, args=(build,), name="servocore machine code", daemon=True)
+            self._threads[build] = thread
+            thread.start()
+            return True
 
     def pending(self, build: Build) -> bool:
         """Whether a library waits to be built, or is being built."""
-        return build in self._waiting or build == self._now
+        thread = self._threads.get(build)
+        return thread is not None and thread.is_alive()
 
     def wait(self) -> None:
         """Return when nothing is left to build."""
-        thread = self._thread
-        if thread is not None:
+        for thread in list(self._threads.values()):
             thread.join()
 
     def end(self) -> None:
-        """End the compiler and the thread."""
-        with self._turn:
-            self._waiting.clear()
+        """End the compiler and the threads: what waits for its turn finds that none is started any more."""
         _PROCESSES.close()
         self.wait()
 
-    def _work(self) -> None:
-        while True:
-            with self._turn:
-                self._now = self._waiting.pop(0) if self._waiting else None
-                build = self._now
-                if build is None:
-                    self._thread = None
-                    return
-            with suppress(InvalidSetting, OSError):
-                self._build(build)
-
     def _build(self, build: Build) -> None:
-        key, kept = build.key(c_compiler()), _cache()
-        if kept.claim(key):
-            try:
-                built(build)
-            finally:
-                kept.release(key)
+        with self._turn, suppress(InvalidSetting, OSError):
+            built(build)
 
 
 BACKGROUND = _Background()
@@ -289,39 +242,38 @@ atexit.register(BACKGROUND.end)
 
 def automatic() -> bool:
     """Whether machine code is made and used without being asked for."""
-    return os.environ.get(AUTOMATIC, "").lower() not in {"off", "no", "0"} and not _cache().refusal()
+    return os.environ.get(AUTOMATIC, "").lower() not in {"off", "no", "0"} and not CodeCache.of_user().refusal()
 
 
-def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca.Function]:
-    """Compile functions to machine code, or take what was compiled before.
+def compiled(function: ca.Function, of_what: str) -> ca.Function:
+    """Compile a function to machine code, or take what was compiled before.
 
     Parameters
     ----------
-    functions : mapping of str to casadi.Function
-        By any name.
+    function : casadi.Function
+        Any that can be written as C.
     of_what : str
-        What they belong to, for messages.
+        What it belongs to, for messages.
 
     Raises
     ------
     InvalidSetting
         If there is no C compiler, or it does not compile.
     """
-    build = build_of(functions, of_what)
-    return loaded(built(build), functions)
+    return loaded(built(build_of({"function": function}, of_what)), "function")
 
 
 def build_of(functions: Mapping[str, ca.Function], of_what: str) -> Build:
-    """Return what `compiled` builds."""
+    """Return what is to be built of functions by any name."""
     generator = ca.CodeGenerator("program.c")
     for name, function in functions.items():
         generator.add(_renamed(function, f"sc_native_{name}"))
     return Build(generator.dump(), of_what)
 
 
-def loaded(library: Path, functions: Mapping[str, ca.Function]) -> dict[str, ca.Function]:
-    """Return functions from a library of theirs."""
-    return {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
+def loaded(library: Path, name: str) -> ca.Function:
+    """Return the function of a name from a library of `build_of`."""
+    return ca.external(f"sc_native_{name}", str(library))
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

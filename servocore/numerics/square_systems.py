@@ -25,11 +25,17 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.components import IsomorphicParts, isomorphic_parts
+from servocore.numerics.elimination import (
+    KnownValues,
+    dependence,
+    is_linear,
+    small_inverse_times,
+    substituted,
+    symbolic_solution,
+    tear,
+)
 from servocore.numerics.expressions import constants_kept, largest
-from servocore.numerics.known_values import KnownValues, substituted
-from servocore.numerics.linear_solutions import small_inverse_times, symbolic_solution
 from servocore.numerics.step_operations import without_jumps
-from servocore.numerics.tearing import dependence, is_linear, tear
 
 NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -79,16 +85,10 @@ class SquareSystem:
     rough: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        size = self.unknowns.numel()
-        beside = {
-            "residual": self.residual,
-            "guess": self.guess,
-            "unknown_scale": self.unknown_scale,
-            "residual_scale": self.residual_scale,
-        }
-        for name, expression in beside.items():
-            if expression.numel() != size:
-                raise InvalidModel(f"{size} unknowns, but {name} has {expression.numel()} rows")
+        for name in ("residual", "guess", "unknown_scale", "residual_scale"):
+            rows = getattr(self, name).numel()
+            if rows != self.unknowns.numel():
+                raise InvalidModel(f"{self.unknowns.numel()} unknowns, but {name} has {rows} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
     def alike(self) -> list[IsomorphicParts]:

@@ -1,15 +1,32 @@
-"""Operations that jump, as `floor` does: CasADi takes their derivative for zero, and what holds them for linear.
+"""Expressions looked at operation by operation: those that jump, and bounds of rounding errors.
 
-An equation x + sign(x) = 1 has a constant Jacobian and is not linear. So that nobody takes it for linear, structure is
-read off a *stand-in*: the same expression with curved functions in the places of those that jump.
+CasADi takes the derivative of what jumps, as `floor` does, for zero, and what holds it for linear. An equation
+x + sign(x) = 1 has a constant Jacobian and is not linear. So that nobody takes it for linear, structure is read off a
+*stand-in*: the same expression with curved functions in the places of those that jump.
+
+Rounding errors are bounded to recognize terms that cancel, by running error analysis (Higham, *Accuracy and Stability
+of Numerical Algorithms*, 2nd ed. (2002), section 3.3): every operation passes the errors of its arguments on and adds
+its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import math
+import operator
+from collections.abc import Callable, Iterator, Sequence
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Bounded = tuple[float, float]
+Operation = tuple[int, list[int], list[int], float]
+"""Its number in CasADi, places of results and of arguments, and the number that it is, if it is a constant."""
+
+UNIT = 2e-15
+"""Relative error of an operation and of a constant: some ten roundings, for constants of a model are computed too."""
 
 _COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 _LOGIC = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}
@@ -21,6 +38,14 @@ KINKS = JUMPS | {ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_CALL}
 """Operations with a jump or a kink; a function that is called, such as a table, may have either."""
 
 Rule = Callable[[int, Sequence[ca.SX]], ca.SX]
+
+
+def operations_of(function: ca.Function) -> Iterator[Operation]:
+    """Yield the operations of a function of expressions, in their order."""
+    for k in range(function.n_instructions()):
+        number = function.instruction_id(k)
+        constant = function.instruction_constant(k) if number == ca.OP_CONST else 0.0
+        yield number, function.instruction_output(k), function.instruction_input(k), constant
 
 
 def holds_any(expression: ca.SX, operations: set[int]) -> bool:
@@ -77,16 +102,15 @@ def rebuilt(expression: ca.SX, rule: Rule) -> ca.SX:
     function = ca.Function("sc_jumping", [ca.vertcat(ca.SX(0, 1), *arguments)], [expression])
     work: dict[int, ca.SX] = {}
     result = ca.SX(function.sparsity_out(0), ca.SX.zeros(function.nnz_out(0)))
-    for k in range(function.n_instructions()):
-        operation, out = function.instruction_id(k), function.instruction_output(k)
+    for operation, out, places, constant in operations_of(function):
         if operation == ca.OP_CONST:
-            work[out[0]] = ca.SX(function.instruction_constant(k))
+            work[out[0]] = ca.SX(constant)
         elif operation == ca.OP_INPUT:
-            work[out[0]] = arguments[function.instruction_input(k)[1]]
+            work[out[0]] = arguments[places[1]]
         elif operation == ca.OP_OUTPUT:
-            result.nz[out[1]] = work[function.instruction_input(k)[0]]
+            result.nz[out[1]] = work[places[0]]
         else:
-            taken = [work[place] for place in function.instruction_input(k)]
+            taken = [work[place] for place in places]
             for place in out:
                 work[place] = rule(operation, taken)
     return result
@@ -108,3 +132,84 @@ def computed(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
 
 def _curved(taken: Sequence[ca.SX]) -> ca.SX:
     return ca.sin(sum((ca.sin(each) for each in taken), ca.SX(1)))
+
+
+# Rounding errors ------------------------------------------------------------------------------------------------------
+
+
+def evaluate(function: ca.Function, points: Sequence[Sequence[Array]]) -> tuple[Array, Array]:
+    """Evaluate the first result of a function of `casadi.SX` at several points, with bounds of its rounding errors.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Made of scalar operations.
+    points : sequence of sequences of ndarray
+        The arguments at every point: exact numbers but for the last one, which are constants of a model.
+
+    Returns
+    -------
+    values, errors : ndarray, shape (points, rows, columns)
+    """
+    program = list(operations_of(function))
+    rows, columns = function.sparsity_out(0).get_triplet()
+    dense = np.zeros((2, len(points), *function.size_out(0)))
+    for place, point in enumerate(points):
+        arguments = [np.ravel(argument, order="F").tolist() for argument in point]
+        dense[:, place, rows, columns] = np.array(_run(program, arguments, function.sz_w())).reshape(-1, 2).T
+    return dense[0], dense[1]
+
+
+def _run(program: list[Operation], arguments: list[list[float]], size: int) -> list[Bounded]:
+    """Go through the operations at one point, in plain numbers: arrays of a few points take far longer."""
+    work, results = [(0.0, 0.0)] * size, {}
+    for operation, to, operands, constant in program:
+        if operation == ca.OP_CONST:
+            work[to[0]] = constant, 0.0 if constant.is_integer() else UNIT * abs(constant)
+        elif operation == ca.OP_INPUT:
+            value = arguments[operands[0]][operands[1]]
+            work[to[0]] = value, UNIT * abs(value) if operands[0] == len(arguments) - 1 else 0.0
+        elif operation == ca.OP_OUTPUT:
+            results[to[1]] = work[operands[0]]
+        else:
+            work[to[0]] = _result(operation, [work[operand] for operand in operands])
+    return [results[k] for k in sorted(results)]
+
+
+def _result(operation: int, operands: list[Bounded]) -> Bounded:
+    """Return value and error of one operation from those of its arguments."""
+    (a, a_error), (b, b_error) = operands[0], operands[-1]
+    if operation == ca.OP_NEG:
+        return -a, a_error
+    if operation == ca.OP_ADD:
+        value, error = a + b, a_error + b_error
+    elif operation == ca.OP_SUB:
+        value, error = a - b, a_error + b_error
+    elif operation in (ca.OP_MUL, ca.OP_SQ):
+        # First order in the errors, whose product is 1e-30 relative.
+        value, error = a * b, abs(a) * b_error + abs(b) * a_error
+    elif len(operands) == 1:
+        value = _elementary(operation, a)
+        # By difference rather than by derivative: right as well where the derivative is infinite, as of sqrt at 0.
+        error = abs(_elementary(operation, a + a_error) - value)
+    else:
+        value = _elementary(operation, a, b)
+        error = abs(_elementary(operation, a + a_error, b) - value)
+        error += abs(_elementary(operation, a, b + b_error) - value)
+    return value, error + UNIT * abs(value)
+
+
+_FREQUENT: dict[int, Callable[..., float]] = {
+    ca.OP_DIV: operator.truediv,
+    ca.OP_SIN: math.sin,
+    ca.OP_COS: math.cos,
+    ca.OP_SQRT: math.sqrt,
+}
+
+
+def _elementary(operation: int, *arguments: float) -> float:
+    """Do what CasADi calls `operation`; by Python what is frequent, for calling CasADi takes far longer."""
+    if operation in _FREQUENT:
+        with contextlib.suppress(ArithmeticError, ValueError):  # infinite or not a number, as CasADi will say
+            return float(_FREQUENT[operation](*arguments))
+    return float((ca.DM.unary if len(arguments) == 1 else ca.DM.binary)(operation, *arguments))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import casadi as ca
 
 from servocore.numerics.just_in_time import NAME
-from servocore.numerics.vector_code import chain_part, joined, vector_part
+from servocore.numerics.vector_code import chain_part, vector_part, vectors
 
 NODES = 4
 """Steps whose values and rates belong to one polynomial."""
@@ -22,8 +22,8 @@ SOUND, OUTSIDE, UNSOUND, NO_MEMORY = range(4)
 """Nothing is wrong; a time lies outside the run; a value is no number or has a wrong sign; there is no memory."""
 
 
-def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, positive: range) -> str | None:
-    """Return the source; None if an operation has no counterpart.
+def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, positive: range) -> str:
+    """Return the source; raises `NoCounterpart` if an operation has none.
 
     Parameters
     ----------
@@ -37,15 +37,19 @@ def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, posit
         Which results must be positive.
     """
     steps = chain_part("sc_steps", step, (False, True, False, False))
-    rest = joined(
-        vector_part("sc_weigh", weights, (True, False)), vector_part("sc_read", read, (True, True, False, False))
+    weigh, reading = (
+        vector_part("sc_weigh", weights, (True, False)),
+        vector_part("sc_read", read, (True, True, False, False)),
     )
-    if steps is None or rest is None:
-        return None
     signs = ", ".join(str(int(k in positive)) for k in range(read.numel_out(0)))
     defined = {"STATES": step.numel_in(0), "COLUMNS": read.numel_out(0), "SIGNS": signs, "OUTSIDE": OUTSIDE,
                "UNSOUND": UNSOUND, "NO_MEMORY": NO_MEMORY}  # fmt: skip
-    return steps + rest + "".join(f"#define {name} {value}\n" for name, value in defined.items()) + _DRIVER
+    return (
+        steps
+        + vectors(weigh, reading)
+        + "".join(f"#define {name} {value}\n" for name, value in defined.items())
+        + _DRIVER
+    )
 
 
 _DRIVER = f"""#include <stdlib.h>

@@ -9,7 +9,6 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from math import prod
 from pathlib import Path
 from threading import Lock
@@ -25,7 +24,7 @@ from servocore.numerics.machine_code import Build
 from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import build_of_source
-from servocore.numerics.vectorized import addresses, threads_for
+from servocore.numerics.vectorized import addresses, in_threads, threads_for
 
 _BYTES = 8
 _MOST_LOOPS = 32  # that are kept, with memory for their arguments
@@ -324,8 +323,14 @@ def _loaded(library: Path) -> Any:
 def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None, columns: int) -> tuple[Array, bool]:
     count = len(instants.t)
     values = np.empty((cases or 1, columns, instants.as_c.instants))
-    threads = 1 if cases is None else min(cases, threads_for(cases * count))
-    sound = _into(code, run, instants, values) if threads < 2 else _in_threads(threads, code, run, instants, values)
+
+    def some(first: int, last: int) -> bool:
+        if cases is None or last - first == cases:
+            return _into(code, run, instants, values)
+        part = slice(first, last)
+        return _into(code, run.part(part), instants.part(part), values[part])
+
+    sound = all(in_threads(min(cases or 1, threads_for((cases or 1) * count)), cases or 1, some))
     values = values if len(values[0, 0]) == count else values[..., :count]
     return values if cases is not None else values[0], sound
 
@@ -339,15 +344,3 @@ def _into(code: Any, run: Run, instants: Instants, values: Array) -> bool:
     if answer == NO_MEMORY:
         raise MemoryError
     return bool(answer == SOUND)
-
-
-def _in_threads(threads: int, code: Any, run: Run, instants: Instants, values: Array) -> bool:
-    """Do the same, some cases in every thread."""
-    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
-
-    def some(cases: slice) -> bool:
-        return _into(code, run.part(cases), instants.part(cases), values[cases])
-
-    parts = np.linspace(0, len(values), threads + 1).astype(int).tolist()
-    with ThreadPoolExecutor(threads) as pool:
-        return all([*pool.map(some, [slice(a, b) for a, b in pairwise(parts)])])

@@ -20,6 +20,7 @@ import casadi as ca
 
 from servocore.numerics.just_in_time import LANES, NAME
 from servocore.numerics.machine_code import Build
+from servocore.numerics.step_operations import operations_of
 
 _MOST_OPERATIONS = 30_000  # of all expressions of a source: beyond, compilers take minutes
 _TILE = 64  # instants whose results are gathered before they are written out: each row lies in a page of its own
@@ -93,8 +94,21 @@ _NO_LONGER = "".join(
 )
 
 
-def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
-    """Return C source of a function for many instants and cases; None if an operation has no counterpart.
+class NoCounterpart(Exception):
+    """An operation, or a function that is not one of expressions, cannot be written for many instants."""
+
+
+def build_of_source(source: Callable[[], str], of_what: str, *functions: ca.Function) -> Build | None:
+    """Return what is to be built of the source of functions; None if there is none, or it is too long."""
+    try:
+        short = sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS
+        return Build(source(), of_what, True) if short else None
+    except NoCounterpart:
+        return None
+
+
+def vector_source(function: ca.Function, along: Sequence[bool]) -> str:
+    """Return C source of a function for many instants and cases.
 
     Parameters
     ----------
@@ -102,136 +116,130 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         Of expressions, its arguments and results dense.
     along : sequence of bool
         Which arguments go along with the instants; the others are shared by all instants of a case.
+
+    Raises
+    ------
+    NoCounterpart
+        If an operation has none.
     """
-    return joined(vector_part(NAME, function, along))
+    return vectors(vector_part(NAME, function, along))
 
 
-def build_of_vectors(function: ca.Function, along: Sequence[bool], of_what: str) -> Build | None:
-    """Return what is to be built of `vector_source`; None if there is none, or it is too long."""
-    return build_of_source(lambda: vector_source(function, along), of_what, function)
+def vectors(*parts: str) -> str:
+    """Return a source of parts that come after one another."""
+    return _HEAD + "".join(parts)
 
 
-def build_of_extremes(function: ca.Function, along: Sequence[bool], of_what: str) -> Build | None:
-    """Return what is to be built of `extremes_source`; None if there is none, or it is too long."""
-    return build_of_source(lambda: extremes_source(function, along), of_what, function)
+def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
+    """Return what `vector_source` writes as a part of a source, called `name`: tiles of instants, eight at once.
+
+    Where less than eight are left, the last eight are taken again.
+    """
+    of = _Statements(function, along)
+    return of.function(name, [
+        "  for (long done = 0; done < count; done += TILE) {",
+        "   const long first = done + LANES <= count ? done : count - LANES;",
+        "   const long size = count - first < TILE ? count - first : TILE;",
+        f"   double tile[{sum(of.sizes)}*TILE] __attribute__((aligned(64)));",
+        "   for (long next = 0; next < size; next += LANES) {",
+        "    const long place = next + LANES <= size ? next : size - LANES, k = first + place; (void)k;",
+        *[f"    {statement}" for statement in of.block],
+        *[f"    *(mem*)(tile + {of.first[which] + i}*TILE + place) = {value};" for which, i, value in of.results],
+        "   }",
+        *[
+            f"   for (long i = 0; i < {size}; ++i) __builtin_memcpy(out[{k}] + (c*{size} + i)*columns + first,"
+            f" tile + ({of.first[k]} + i)*TILE, size*sizeof(double));"
+            for k, size in enumerate(of.sizes)
+        ],
+        "  }",
+    ])  # fmt: skip
 
 
-def build_of_source(source: Callable[[], str | None], of_what: str, *functions: ca.Function) -> Build | None:
-    """Return what is to be built of the source of functions; None if there is none, or it is too long."""
-    if not all(each.is_a("SXFunction") for each in functions):
-        return None
-    text = source() if sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS else None
-    return None if text is None else Build(text, of_what, True)
-
-
-def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str | None:
-    """Return the same as a part of a source, called `name`."""
-    statements = _statements(function, along)
-    if statements is None:
-        return None
-    sizes = [function.numel_out(k) for k in range(function.n_out())]
-    return "\n".join(_lines(name, statements, along, sizes))
-
-
-def joined(*parts: str | None) -> str | None:
-    """Return a source of parts that come after one another; None if one of them is None."""
-    known = [part for part in parts if part is not None]
-    return _HEAD + "".join(known) if len(known) == len(parts) else None
-
-
-def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
+def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
     """Return C source of what `vector_source` computes, keeping highest and lowest values over the instants.
 
     Nothing but these leaves the registers. Of result entry i of case c the highest value lies at c*2*rows + i of its
     array and the lowest at c*2*rows + rows + i; both are NaN where the value is no finite number at some instant.
     """
-    statements = _statements(function, along)
-    if statements is None:
-        return None
-    sizes = [function.numel_out(k) for k in range(function.n_out())]
-    entries = sum(sizes)
-    first = [sum(sizes[:k]) for k in range(len(sizes))]
-    lines = [
-        *_begin(NAME, statements, along),
+    of = _Statements(function, along)
+    entries = sum(of.sizes)
+    return vectors(_EXTREMES, of.function(NAME, [
         f"  vec most[{entries}], least[{entries}], total[{entries}];",
         f"  for (int i = 0; i < {entries}; ++i)",
         "   most[i] = all(-INFINITY), least[i] = all(INFINITY), total[i] = all(0.0);",
         "  for (long next = 0; next < count; next += LANES) {",
         "   const long k = next + LANES <= count ? next : count - LANES; (void)k;",
-        *[f"   {statement}" for statement in statements.block],
+        *[f"   {statement}" for statement in of.block],
         *[
-            f"   {{ const vec x = {value}; const int i = {first[which] + i}; total[i] += x;"
+            f"   {{ const vec x = {value}; const int i = {of.first[which] + i}; total[i] += x;"
             " most[i] = raised(most[i], x); least[i] = lowered(least[i], x); }"
-            for which, i, value in statements.results
+            for which, i, value in of.results
         ],
         "  }",
         *[
-            f"  for (int i = 0; i < {size}; ++i) extremes(most[{first[k]} + i], least[{first[k]} + i],"
-            f" total[{first[k]} + i], out[{k}] + (c*2)*{size} + i, out[{k}] + (c*2 + 1)*{size} + i);"
-            for k, size in enumerate(sizes)
+            f"  for (int i = 0; i < {size}; ++i) extremes(most[{of.first[k]} + i], least[{of.first[k]} + i],"
+            f" total[{of.first[k]} + i], out[{k}] + (c*2)*{size} + i, out[{k}] + (c*2 + 1)*{size} + i);"
+            for k, size in enumerate(of.sizes)
         ],
-        " }",
-        "}",
-        "",
-    ]
-    return _HEAD + _EXTREMES + "\n".join(lines)
+    ]))  # fmt: skip
 
 
-def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str | None:
+def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
     """Return the part `name` that evaluates in a row: the first result is the first argument of the next instant.
 
     The parameters are those of `vector_source`; the first argument is where a case begins. It stands before what
-    `joined` returns.
+    `vectors` returns.
     """
-    statements = _statements(function, along, chained=True)
-    if statements is None:
-        return None
-    sizes = [function.numel_out(k) for k in range(function.n_out())]
-    lines = [
-        *_begin(name, statements, along),
-        f"  double state[{sizes[0]}];",
-        f"  for (long i = 0; i < {sizes[0]}; ++i) state[i] = in0[i];",
+    of = _Statements(function, along, chained=True)
+    return _SCALAR + of.function(name, [
+        f"  double state[{of.sizes[0]}];",
+        f"  for (long i = 0; i < {of.sizes[0]}; ++i) state[i] = in0[i];",
         "  for (long k = 0; k < count; ++k) {",
-        *[f"   {statement}" for statement in statements.block],
-        *[f"   state[{i}] = {value};" for which, i, value in statements.results if which == 0],
+        *[f"   {statement}" for statement in of.block],
+        *[f"   state[{i}] = {value};" for which, i, value in of.results if which == 0],
         *[
-            f"   out[{which}][(c*{sizes[which]} + {i})*columns + k] = {value if which else f'state[{i}]'};"
-            for which, i, value in statements.results
+            f"   out[{which}][(c*{of.sizes[which]} + {i})*columns + k] = {value if which else f'state[{i}]'};"
+            for which, i, value in of.results
         ],
         "  }",
-        " }",
-        "}",
-        "",
-    ]
-    return _SCALAR + "\n".join(lines) + _NO_LONGER
-
-
-def _statements(function: ca.Function, along: Sequence[bool], chained: bool = False) -> _Statements | None:
-    """Return the operations of a function; None if one has no counterpart."""
-    if not function.is_a("SXFunction"):
-        return None
-    statements = _Statements(function, along, chained)
-    return None if statements.strange else statements
+    ]) + _NO_LONGER  # fmt: skip
 
 
 class _Statements:
     """The operations of a function as statements: those of a case, and those of eight instants."""
 
     def __init__(self, function: ca.Function, along: Sequence[bool], chained: bool = False) -> None:
+        if not function.is_a("SXFunction"):
+            raise NoCounterpart
+        self.sizes = [function.numel_out(k) for k in range(function.n_out())]
+        self.first = [sum(self.sizes[:k]) for k in range(len(self.sizes))]
         self.once: list[str] = []
         self.block: list[str] = []
         self.results: list[tuple[int, int, str]] = []
-        self.strange = False
         self._along, self._chained = along, chained
         values: dict[int, tuple[str, bool]] = {}  # by place: its name, and whether it is one for all instants
-        for k in range(function.n_instructions()):
-            operation, operands = _NAMES[function.instruction_id(k)], function.instruction_input(k)
-            made = function.instruction_output(k)
-            if operation == "OUTPUT":
+        for k, (number, made, operands, constant) in enumerate(operations_of(function)):
+            if number == ca.OP_OUTPUT:
                 name, single = values[operands[0]]
                 self.results.append((made[0], made[1], f"all({name})" if single else name))
             else:
-                values[made[0]] = self._state(f"a{k}", operation, operands, values, function, k)
+                values[made[0]] = self._state(f"a{k}", _NAMES[number], operands, values, constant)
+
+    def function(self, name: str, body: list[str]) -> str:
+        """Return the function `name`: what is done once a case, and a body for every case."""
+        seen = "" if name == NAME else "static "
+        return "\n".join([
+            f"{seen}void {name}(long cases, long count, const double *const *in, const long *row, const long *lane,",
+            "            double *const *out, long columns) {",
+            " for (long c = 0; c < cases; ++c) {",
+            *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(self._along))],
+            *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, moves in enumerate(self._along) if moves],
+            *[f"  {statement}" for statement in self.once],
+            *body,
+            " }",
+            "}",
+            "",
+        ])  # fmt: skip
 
     def _state(
         self,
@@ -239,11 +247,10 @@ class _Statements:
         operation: str,
         arguments: list[int],
         values: dict[int, tuple[str, bool]],
-        of: ca.Function,
-        k: int,
+        constant: float,
     ) -> tuple[str, bool]:
         if operation == "CONST":
-            return _number(float(of.instruction_constant(k))), True
+            return _number(constant), True
         if operation == "INPUT":
             argument, i = arguments
             if self._chained and argument == 0:
@@ -262,7 +269,7 @@ class _Statements:
         elif operation in _VECTOR:
             self._calculate(name, operation, taken, single)
         else:
-            self.strange = True
+            raise NoCounterpart(operation)
         return name, single
 
     def _call(self, name: str, function: str, taken: list[str], single: bool) -> None:
@@ -288,45 +295,3 @@ def _number(value: float) -> str:
     if value in (float("inf"), -float("inf")):
         return f"({'-' if value < 0 else ''}(double)INFINITY)"
     return f"({value.hex()})"
-
-
-def _begin(name: str, statements: _Statements, along: Sequence[bool]) -> list[str]:
-    """Return the head of the function, and what is done once a case."""
-    seen = "" if name == NAME else "static "
-    return [
-        f"{seen}void {name}(long cases, long count, const double *const *in, const long *row, const long *lane,",
-        "            double *const *out, long columns) {",
-        " for (long c = 0; c < cases; ++c) {",
-        *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(along))],
-        *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, moves in enumerate(along) if moves],
-        *[f"  {statement}" for statement in statements.once],
-    ]
-
-
-def _lines(name: str, statements: _Statements, along: Sequence[bool], sizes: list[int]) -> list[str]:
-    """Return the lines of the function: cases, tiles of instants, and eight instants within a tile.
-
-    Where less than eight are left, the last eight are taken again.
-    """
-    first = [sum(sizes[:k]) for k in range(len(sizes))]
-    return [
-        *_begin(name, statements, along),
-        "  for (long done = 0; done < count; done += TILE) {",
-        "   const long first = done + LANES <= count ? done : count - LANES;",
-        "   const long size = count - first < TILE ? count - first : TILE;",
-        f"   double tile[{sum(sizes)}*TILE] __attribute__((aligned(64)));",
-        "   for (long next = 0; next < size; next += LANES) {",
-        "    const long place = next + LANES <= size ? next : size - LANES, k = first + place; (void)k;",
-        *[f"    {statement}" for statement in statements.block],
-        *[f"    *(mem*)(tile + {first[which] + i}*TILE + place) = {value};" for which, i, value in statements.results],
-        "   }",
-        *[
-            f"   for (long i = 0; i < {size}; ++i) __builtin_memcpy(out[{k}] + (c*{size} + i)*columns + first,"
-            f" tile + ({first[k]} + i)*TILE, size*sizeof(double));"
-            for k, size in enumerate(sizes)
-        ],
-        "  }",
-        " }",
-        "}",
-        "",
-    ]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Sequence
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
 _BYTES = 8
 _AT_ONCE = 1 << 16  # instants that the interpreter evaluates together: a million would fill the memory
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
+
+Result = TypeVar("Result")
 
 
 class Vectorized:
@@ -46,9 +47,14 @@ class Vectorized:
         self._code = JustInTime(self._build, _loaded, native, again)
 
     def _build(self) -> Build | None:
-        from servocore.numerics.vector_code import build_of_vectors  # noqa: PLC0415 - few compile
+        from servocore.numerics.vector_code import build_of_source  # noqa: PLC0415 - few compile
 
-        return build_of_vectors(self.function, self._along, self._of_what)
+        return build_of_source(self._source, self._of_what, self.function)
+
+    def _source(self) -> str:
+        from servocore.numerics.vector_code import vector_source  # noqa: PLC0415 - few compile
+
+        return vector_source(self.function, self._along)
 
     def ready(self, count: int, called: bool = True) -> bool:
         """Whether machine code is there for so many instants; a call (is this one?) brings it nearer."""
@@ -97,58 +103,43 @@ class Vectorized:
 
     def _together(self, arguments: Sequence[Array]) -> list[Array]:
         count = arguments[self._along.index(True)].shape[-1]
-        pairs = zip(arguments, self._along, strict=True)
-        results = mapped(self.function, count)(*[a if along else np.tile(a, count) for a, along in pairs])
+        results = mapped(self.function, count, self._along)(*arguments)
         return [result.reshape(-1, count, order="F") for result in results]
 
     def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
 
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
-        if count < LANES:
-            widened = self._in_machine_code(run, self._widened(arguments, count), cases, LANES)
-            return [result[..., :count] for result in widened]
-        held, row, lanes = self._placed(arguments)
-        results = [np.empty((cases, size, count)) for size in self._sizes]
-        sources, targets = (addresses(arrays) for arrays in (held, results))
+        arguments, width = (arguments, count) if count >= LANES else (self._widened(arguments, count), LANES)
+        results = [np.empty((cases, size, width)) for size in self._sizes]
         threads = threads_for(cases * count)
-        if threads < 2:
-            run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
-            return results
-
-        def some(first: int, last: int, begin: int, end: int) -> None:
-            """Evaluate some cases at some instants."""
-            places = [
-                source + _BYTES * (first * lane + begin * along)
-                for source, lane, along in zip(sources, lanes, self._along, strict=True)
-            ]
-            ends = [
-                target + _BYTES * (first * size * count + begin)
-                for target, size in zip(targets, self._sizes, strict=True)
-            ]
-            run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
-
-        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
-
         by_case = cases >= threads
-        parts = np.linspace(0, cases if by_case else count, threads + 1).astype(int).tolist()
-        shares = [(a, b, 0, count) if by_case else (0, cases, a, b) for a, b in pairwise(parts)]
-        with ThreadPoolExecutor(threads) as pool:
-            for task in [pool.submit(some, *share) for share in shares]:
-                task.result()
-        return results
+
+        def some(first: int, last: int) -> None:
+            pairs = zip(arguments, self._along, strict=True)
+            shares = np.s_[first:last] if by_case else np.s_[..., first:last]
+            part = [a[shares] if (a.ndim == 2 + along if by_case else along) else a for a, along in pairs]
+            self._run(run, part, [result[shares] for result in results], width if by_case else last - first)
+
+        if threads < 2:
+            self._run(run, arguments, results, width)
+        else:
+            in_threads(threads, cases if by_case else width, some)
+        return results if width == count else [result[..., :count] for result in results]
+
+    def _run(self, run: Any, arguments: Sequence[Array], results: list[Array], count: int) -> None:
+        """Run machine code; a row of the results may be part of a longer one."""
+        held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
+        pairs = list(zip(held, self._along, strict=True))
+        row = [a.strides[-2] // _BYTES if along else 0 for a, along in pairs]
+        lane = [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
+        places, ends = _longs(addresses(held)), _longs(addresses(results))
+        run(len(results[0]), count, places, _longs(row), _longs(lane), ends, results[0].strides[-2] // _BYTES)
 
     def _widened(self, arguments: tuple[Array, ...], count: int) -> tuple[Array, ...]:
         """Repeat the last instant until a register is full."""
         some = np.minimum(np.arange(LANES), count - 1)
         return tuple(a[..., some] if along else a for a, along in zip(arguments, self._along, strict=True))
-
-    def _placed(self, arguments: tuple[Array, ...]) -> tuple[list[Array], Any, list[int]]:
-        """Return the arguments as the compiled function reads them, and how far rows and cases lie apart."""
-        held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
-        pairs = list(zip(held, self._along, strict=True))
-        row = _longs([a.strides[-2] // _BYTES if along else 0 for a, along in pairs])
-        return held, row, [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
 
 
 class Extremes(Vectorized):
@@ -161,17 +152,14 @@ class Extremes(Vectorized):
         """Evaluate one case by CasADi's interpreter."""
         return [extremes_of(values) for values in super().interpreted(*arguments)]
 
-    def _build(self) -> Build | None:
-        from servocore.numerics.vector_code import build_of_extremes  # noqa: PLC0415 - few compile
+    def _source(self) -> str:
+        from servocore.numerics.vector_code import extremes_source  # noqa: PLC0415 - few compile
 
-        return build_of_extremes(self.function, self._along, self._of_what)
+        return extremes_source(self.function, self._along)
 
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
-        if count < LANES:
-            return self._in_machine_code(run, self._widened(arguments, count), cases, LANES)
-        held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, 2, size)) for size in self._sizes]
-        run(cases, count, _longs(addresses(held)), row, _longs(lanes), _longs(addresses(results)), count)
+        self._run(run, arguments if count >= LANES else self._widened(arguments, count), results, max(count, LANES))
         return results
 
 
@@ -206,6 +194,17 @@ def _longs(values: list[int]) -> Any:
 def threads_for(count: int) -> int:
     """Return how many threads so many instants are worth, of all cases together."""
     return 1 if count < 2 * _PER_THREAD else min(_processors(), count // _PER_THREAD)
+
+
+def in_threads(threads: int, count: int, task: Callable[[int, int], Result]) -> list[Result]:
+    """Do a task for the first to the last of so many, shared out among threads; return what it returns in each."""
+    if threads < 2:
+        return [task(0, count)]
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
+
+    ends = np.linspace(0, count, threads + 1).astype(int).tolist()
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(task, ends[:-1], ends[1:]))
 
 
 def _processors() -> int:

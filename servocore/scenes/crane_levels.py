@@ -144,7 +144,7 @@ def assemble(
     weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
     constraints = ca.vertcat(frame.constraints, *links, rope.constraints)
     lam, gamma = ca.SX.sym("lam", constraints.numel()), reference_symbols(dimension)
-    drives = (*frame.drives, Drive(ROPE, c[ROPE.name], _unit_row(c, ROPE.name), "winch_friction"))
+    drives = (*frame.drives, Drive(ROPE, c[ROPE.name], ca.jacobian(c[ROPE.name], c.q), "winch_friction"))
     gear = ca.diag(ca.vertcat(*[1] * len(frame.drives), 1 / p["winch_radius"]))
     return MechanicalSystem(
         name=name,
@@ -167,10 +167,6 @@ def assemble(
             **dict(zip(hanging, ca.vertsplit((points[0] - frame.exit)[: len(hanging)]), strict=True)),
         },
     )
-
-
-def _unit_row(c: Coordinates, name: str) -> ca.SX:
-    return ca.jacobian(c[name], c.q)
 
 
 @dataclass(frozen=True, eq=False)

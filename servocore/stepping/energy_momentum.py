@@ -24,6 +24,7 @@ from servocore.model.potentials import summands
 from servocore.model.symbols import Coordinates
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.constraint_ranks import assembled, scaled_rows
 from servocore.numerics.square_systems import SquareSystem, compile_solver
 from servocore.stepping.energy_momentum_terms import step_terms
 from servocore.stepping.rotation_update import RotationUpdate, compile_rotation_step
@@ -215,12 +216,8 @@ def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array
 
 def _assembled_elsewhere(system: MechanicalSystem, q: Array, p: Array) -> Array | None:
     """Return another configuration in which the constraints hold, away from `q`; None if none is found."""
-    look = Call(ca.Function("sc_g", [system.q, system.p], [ca.densify(system.constraints), ca.densify(system.G)]))
+    nominal = np.array(system.coordinates.nominal)
     # Incommensurate displacements, so that no symmetry of the model hides what changes under a rotation.
-    other: Array = q + 0.3 * np.array(system.coordinates.nominal) * np.sin(1.0 + 7.0 * np.arange(len(q)))
-    for _ in range(50):
-        g, G = look(other, p)
-        if not g.size or np.abs(g).max() < 1e-13 * (1.0 + np.abs(other).max()):
-            return other
-        other = other - np.linalg.lstsq(G, g.ravel(), rcond=None)[0]
-    return None
+    start = q / nominal + 0.3 * np.sin(1.0 + 7.0 * np.arange(len(q)))
+    found = assembled(scaled_rows(system.constraints, system.q, system.p, p, nominal), start)
+    return None if found is None else found * nominal

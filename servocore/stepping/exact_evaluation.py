@@ -86,10 +86,10 @@ class ExactEvaluation:
 
     def _left(self, results: Sequence[Array]) -> Sequence[int]:
         """Return the instants that are left to Newton's method."""
-        good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
-        if not self.is_expression or good.all():
+        if not self.is_expression:
             return ()
-        left: list[int] = np.flatnonzero(~good.all(axis=0)).tolist()
+        good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
+        left: list[int] = [] if good.all() else np.flatnonzero(~good.all(axis=0)).tolist()
         return left
 
 
@@ -121,7 +121,7 @@ def exact_evaluation(
         if native:
             from servocore.numerics.machine_code import compiled  # noqa: PLC0415 - few compile
 
-            function = compiled({"by_newton": function}, resolved.system.name)["by_newton"]
+            function = compiled(function, resolved.system.name)
     path_function = PathFunction(function, native, resolved.system.name)
     return ExactEvaluation(resolved, read, whole, path_function, expression is not None)
 

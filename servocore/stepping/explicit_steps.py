@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,21 +22,6 @@ from servocore.stepping.exact_evaluation import reading
 from servocore.stepping.observation import observed
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_explicit
-
-
-class Tableau(NamedTuple):
-    """Coefficients of an explicit Runge-Kutta method: nodes (s,), matrix (s, s) and weights (s,)."""
-
-    c: Array
-    A: Array
-    b: Array
-
-
-def order_eight() -> Tableau:
-    """Return the method of order eight in twelve stages by Dormand and Prince, as SciPy holds it."""
-    from scipy.integrate import DOP853  # noqa: PLC0415 - the library is imported where SciPy is not
-
-    return Tableau(DOP853.C, DOP853.A, DOP853.B)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +82,15 @@ def _of_all(references: Sequence[Reference], t: Array, order: int, count: int) -
 def compile_explicit_steps(
     resolved: ResolvedSystem, formula: Formula | None, native: bool | None, names: tuple[str, ...] = ()
 ) -> ExplicitSteps:
-    """Compile steps and inputs, and quantities of some names.
+    """Compile steps and inputs, and quantities of some names, by the method of Dormand and Prince of order eight.
 
     Raises
     ------
     InvalidModel
         If the equations do not give the rates of the states without iterations.
     """
+    from scipy.integrate import DOP853  # noqa: PLC0415 - the library is imported where SciPy is not
+
     explicit, array, system = compile_explicit(resolved.array), resolved.array, resolved.system
     if explicit is None:
         raise InvalidModel(f"{system.name}: the rates of its internal dynamics take iterations; sc.solve steps them")
@@ -112,20 +98,19 @@ def compile_explicit_steps(
     x, hp = ca.SX.sym("x", count), ca.SX.sym("hp", 1 + system.p.numel())
     p, time, numbers = hp[1:], ca.SX.sym("t"), ca.SX.sym("n", len(formula.numbers(order)) if formula else 1)
     size = system.gamma.size1()
-    method = order_eight()
-    stages = range(len(method.c))
+    stages = range(len(DOP853.C))
     tables = [ca.SX.sym("gamma", size, order + 1) for _ in stages]
 
     def jet(k: int) -> ca.SX:
         if formula is None:
             return tables[k]
-        return ca.horzcat(*formula.jet(time + float(method.c[k]) * hp[0], ca.vertsplit(numbers), order))
+        return ca.horzcat(*formula.jet(time + float(DOP853.C[k]) * hp[0], ca.vertsplit(numbers), order))
 
     rates = list[ca.SX]()
     for k in stages:
-        inner = sum((float(a) * rate for a, rate in zip(method.A[k], rates, strict=False) if a), ca.SX.zeros(count))
+        inner = sum((float(a) * rate for a, rate in zip(DOP853.A[k], rates, strict=False) if a), ca.SX.zeros(count))
         rates.append(_rates(array, explicit(jet(k), p, x + hp[0] * inner)))
-    after = x + hp[0] * sum((float(b) * rate for b, rate in zip(method.b, rates, strict=True)), ca.SX.zeros(count))
+    after = x + hp[0] * sum((float(b) * rate for b, rate in zip(DOP853.B, rates, strict=True)), ca.SX.zeros(count))
     path = time if formula else ca.vertcat(*map(ca.vec, tables))
     step = ca.Function("sc_explicit_step", [x, path, numbers, hp], [after, rates[0]], {"cse": True})
     q = ca.SX.sym("p", system.p.numel())
@@ -139,7 +124,7 @@ def compile_explicit_steps(
     positive = len(resolved.must_be_positive)
     inputs = system.u.numel()
     runs = SteppedRuns(step, read, range(inputs, inputs + positive), native, system.name)
-    return ExplicitSteps(runs, order, formula, method.c)
+    return ExplicitSteps(runs, order, formula, DOP853.C)
 
 
 def _rates(array: DerivativeArray, unknowns: ca.SX) -> ca.SX:

@@ -10,6 +10,7 @@ import numpy as np
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import MANY, pays
+from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem
 from servocore.references.base import Formula, Reference
@@ -34,7 +35,6 @@ class PathFunction:
         self.function, self._native, self._of_what = function, native, of_what
         self.order = int(function.size2_in(0)) - 1
         self._calls = 0
-        self._inside: dict[Formula, Vectorized] = {}
         # The path that machine code was last called with, at most one: to choose again takes longer than to evaluate.
         self._last: list[tuple[Reference, Vectorized, Array]] = []
 
@@ -64,7 +64,9 @@ class PathFunction:
                 return chosen(t[None], numbers, problem.p)
             if len(t) <= _FEW:
                 return chosen.interpreted(t[None], numbers, problem.p)
-        return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
+        jets = reference.jet(t, self.order)
+        evaluate = self._of_jets if reference.formula is None else self._of_jets.interpreted
+        return evaluate(jets.reshape(len(jets), -1).T, problem.p)
 
     def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
         """Return the results of cases, shape (cases, rows, N) each.
@@ -85,11 +87,6 @@ class PathFunction:
         """Whether machine code is there for so many instants."""
         return self._on_path(problem.reference, count)[0].ready(count, called=False)
 
-    def at_jets(self, jets: Array, p: Array, compiled: bool = True) -> list[Array]:
-        """Return the same for reference jets (N, order + 1, m), by machine code if there is such for jets."""
-        evaluate = self._of_jets if compiled else self._of_jets.interpreted
-        return evaluate(jets.reshape(len(jets), -1).T, p)
-
     @cached_property  # where it is machine code from the start, and all paths are formulas, it is never made
     def _of_jets(self) -> Vectorized:
         return Vectorized(self.function, (True, False), self._native, self._of_what)
@@ -105,18 +102,16 @@ class PathFunction:
         inside = self._native or (pays(self._calls, count) and (self._native is None or count <= _FEW))
         if not inside or formula is None or not self.function.is_a("SXFunction"):
             return self._of_jets, None
-        if formula not in self._inside:
-            function = with_path_inside(self.function, formula)
-            along = (True, False, False)
-            self._inside[formula] = Vectorized(function, along, self._native, self._of_what, again=True)
-        return self._inside[formula], formula
+        return _inside(self.function, formula, self._native, self._of_what), formula
 
 
-def with_path_inside(function: ca.Function, formula: Formula) -> ca.Function:
-    """Return (t, numbers of the path, p) -> the results of a function of expressions (gamma, p) on that path."""
+@made_once
+def _inside(function: ca.Function, formula: Formula, native: bool | None, of_what: str) -> Vectorized:
+    """Return the results of a function of expressions (gamma, p) on a path, of (t, numbers of the path, p)."""
     jet, p = jet_of(formula, function.size2_in(0) - 1), ca.SX.sym("p", function.numel_in(1))
     t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", jet.numel_in(1))
-    return ca.Function("sc_on_path", [t, numbers, p], function.call([jet(t, numbers), p]), {"cse": True})
+    on_path = ca.Function("sc_on_path", [t, numbers, p], function.call([jet(t, numbers), p]), {"cse": True})
+    return Vectorized(on_path, (True, False, False), native, of_what, again=True)
 
 
 def jet_of(formula: Formula, order: int) -> ca.Function:

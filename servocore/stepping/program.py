@@ -22,15 +22,15 @@ from servocore.numerics.compiled_calls import Array, call_of
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
 from servocore.stepping.observation import compile_observation, observed
 from servocore.stepping.step_functions import (
-    compile_between,
     compile_following_step,
     compile_guess_residual,
     compile_pointwise_step,
-    compile_rescale,
+    compile_restart,
+    compile_start,
     compile_step,
+    start_instants,
 )
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
@@ -156,12 +156,14 @@ class Program:
     @cached_property
     def rescale(self) -> ca.Function:
         """(state, ratio) -> the state made ready for steps of another size, `ratio` times the old."""
-        return compile_rescale(self.discretization)
+        step = self.discretization
+        return ca.Function("sc_rescale", [step.state, step.ratio], [ca.densify(step.rescaled)])
 
     @cached_property
     def between(self) -> ca.Function:
         """(state, fraction, h) -> the state with its own instant moved to a fraction of the last step."""
-        return compile_between(self.discretization)
+        step = self.discretization
+        return ca.Function("sc_between", [step.state, step.fraction, step.step], [ca.densify(step.between)])
 
     @cached_property
     def state_size(self) -> int:

@@ -24,7 +24,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.expressions import time_derivative
-from servocore.numerics.rounding_errors import UNIT, Array, evaluate
+from servocore.numerics.step_operations import UNIT, Array, evaluate
 from servocore.structure.signature import (
     Point,
     SecondOrderEquations,

@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.assignment import largest_assignment
-from servocore.numerics.components import Part, filled, of_one_shape, parts_of
-from servocore.numerics.rounding_errors import UNIT, Array, evaluate
+from servocore.numerics.components import Part, filled, largest_assignment, of_one_shape, parts_of
+from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
@@ -247,25 +246,6 @@ def lost_rank(structure: Signature, J: Array) -> str:
     return f"it loses rank in the equations {worst[0]} and the variables {worst[1]}"
 
 
-@dataclass(frozen=True)
-class Presence:
-    """Where the entries of a matrix are numbers of their own, and not the round-off of terms that cancel.
-
-    Attributes
-    ----------
-    structural : ndarray of bool
-        Entries that are not empty as expressions.
-    here : ndarray of bool
-        Those that do not vanish at the system's parameter values.
-    special : bool
-        Whether some vanish at these values only.
-    """
-
-    structural: npt.NDArray[np.bool_]
-    here: npt.NDArray[np.bool_]
-    special: bool
-
-
 def probe_points(
     equations: SecondOrderEquations,
     evaluate: ca.Function,
@@ -342,8 +322,11 @@ def _has_full_rank(matrix: Array) -> bool:
     return height == width and bool(np.linalg.matrix_rank(equilibrated(matrix)) == height)
 
 
-def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presence:
+def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:
     """Tell which entries of a sum of matrices, expressions of y, gamma and p, vanish at all probes.
+
+    They are expressions, and numbers of their own nowhere, but the round-off of terms that cancel. The second result is
+    whether some vanish at the system's parameter values only.
 
     The parts are evaluated one by one: where constants cancel, their sum no longer shows the size of the terms.
     """
@@ -370,10 +353,9 @@ def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presenc
         seen = present(compiled(absent), [*others, *disturbed])
         here[absent] = seen[: len(others)].any(axis=0)
         special = bool((seen[len(others) :].any(axis=0) & ~here[absent]).any())
-    places = tuple(np.array(pattern.get_triplet()))
-    structural, numerical = np.zeros(pattern.shape, dtype=bool), np.zeros(pattern.shape, dtype=bool)
-    structural[places], numerical[places] = True, here
-    return Presence(structural, numerical, special)
+    vanishing = np.zeros(pattern.shape, dtype=bool)
+    vanishing[tuple(np.array(pattern.get_triplet()))] = ~here
+    return vanishing, special
 
 
 def without_vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[ca.SX, bool, bool]:
@@ -385,9 +367,9 @@ def without_vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -
     derivatives, rows = ca.vec(equations.y), reduce(operator.add, parts)
     rest = np.zeros(derivatives.numel())
     rest[: len(equations.home.q)] = equations.home.q
-    entries = presence(equations, [ca.jacobian(part, derivatives) for part in parts])
+    vanishing, special = _vanishing(equations, [ca.jacobian(part, derivatives) for part in parts])
     cleaned = []
     for k in range(rows.numel()):
-        absent = [int(j) for j in np.flatnonzero(entries.structural[k] & ~entries.here[k])]
+        absent = [int(j) for j in np.flatnonzero(vanishing[k])]
         cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX(rest[absent])) if absent else rows[k])
-    return ca.vertcat(*cleaned), entries.special, bool((entries.structural & ~entries.here).any())
+    return ca.vertcat(*cleaned), special, bool(vanishing.any())

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from servocore.errors import InvalidModel, InvalidSetting, require_kind, require_package
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
+from servocore.model.drawing import picture_of
 from servocore.model.limits import Named
-from servocore.model.picture import picture_of
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem

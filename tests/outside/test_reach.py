@@ -24,7 +24,7 @@ from outside.reach_systems import (
 from outside.systems import LOOP, Outsider, named, symbols
 
 import servocore as sc
-from servocore.numerics.rounding_errors import evaluate
+from servocore.numerics.step_operations import evaluate
 
 
 def assert_exact(outsider: Outsider, index: int, tolerance: float = 1e-10) -> sc.StructureReport:

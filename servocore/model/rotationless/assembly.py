@@ -231,10 +231,7 @@ class Assembly:
                 continue
             tension = row.tension(lam[name])
             same = [quantity for quantity, value in with_tensions.items() if self._equal(value, tension, lam)]
-            for each in same:
-                with_tensions = {
-                    replace(k, tension=True) if k == each else k: value for k, value in with_tensions.items()
-                }
+            with_tensions = {replace(k, tension=True) if k in same else k: value for k, value in with_tensions.items()}
             if not same:
                 with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)] = tension
         return with_tensions

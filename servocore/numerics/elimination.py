@@ -1,0 +1,284 @@
+"""Elimination: symbols with their values in the compiled graph, while a square system is solved block by block.
+
+Tearing substitutes unknowns of a block that a row gives explicitly, so that fewer remain to be iterated. Small linear
+systems are solved as expressions: by Cramer's rule, determinants by Laplace's expansion, or QR.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.step_operations import without_jumps
+
+_FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
+_LARGEST = 6  # rows to develop determinants of: each one more doubles the minors
+_DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many products, when most entries are there
+_FILL = 0  # a substitution must not leave more entries than it removes
+
+_Columns = frozenset[int]
+
+
+@dataclass(eq=False)
+class KnownValues:
+    """Symbols with values in a compiled graph, and unknowns that are expressions of these, not yet evaluated.
+
+    Every compiled piece takes the symbols that it needs and no others, so that a system of many parts costs what its
+    parts do.
+
+    Attributes
+    ----------
+    explicit : dict of int to (casadi.SX, casadi.SX)
+        By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
+    iterations : list of casadi.MX
+        Counts of Newton's method.
+    isomorphic_counts : list of casadi.MX
+        Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
+    corrections : list of casadi.MX
+        Squared scaled corrections of guesses that should be exact.
+    linear_blocks : int
+        Blocks that needed no iterations.
+    """
+
+    explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
+    iterations: list[ca.MX] = field(default_factory=list)
+    isomorphic_counts: list[ca.MX] = field(default_factory=list)
+    corrections: list[ca.MX] = field(default_factory=list)
+    linear_blocks: int = 0
+    _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
+    _places: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def add_values(self, symbols: ca.SX, values: ca.MX) -> None:
+        """Add a column of symbols with their values."""
+        for position, symbol in enumerate(ca.vertsplit(symbols) if symbols.numel() else ()):
+            self._places[symbol.element_hash()] = len(self._pieces), position
+        self._pieces.append((symbols, values))
+
+    def add_explicit(self, symbol: ca.SX, expression: ca.SX) -> None:
+        """Add an unknown as an expression of symbols that are known."""
+        self.explicit[symbol.element_hash()] = symbol, self.resolved(expression)[0]
+
+    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
+        """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
+        pairs = [self.explicit[key] for key in _symbols(expressions) if key in self.explicit]
+        return substituted(pairs, *expressions)
+
+    def evaluate_explicit(self) -> None:
+        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
+        if self.explicit:
+            # All at once in one function: their common subexpressions are computed once.
+            symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit.values(), strict=True))
+            self.explicit = {}
+            self.add_values(symbols, *self.evaluated("sc_explicit", expressions))
+
+    def evaluated(self, name: str, *expressions: ca.SX, common: bool = True) -> list[ca.MX]:
+        """Return the values of `expressions` of evaluated symbols, by one compiled function.
+
+        What is `common` to subexpressions is computed once, if that is asked for.
+        """
+        symbols, values = self.needed(*expressions)
+        results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
+        return results
+
+    def counts(self) -> ca.MX:
+        """Return the iterations of the slowest block, and the factorizations of all."""
+        most, total = ca.MX(0), ca.MX(self.linear_blocks)
+        for count in self.iterations:
+            most, total = ca.fmax(most, count), total + count
+        for counts in self.isomorphic_counts:
+            most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
+        return ca.vertcat(most, total)
+
+    def needed(self, *expressions: ca.SX) -> tuple[ca.SX, ca.MX]:
+        """Return the evaluated symbols in `expressions`, and their values."""
+        wanted: dict[int, list[int]] = {}
+        for piece, position in sorted(self._places[key] for key in _symbols(expressions) if key in self._places):
+            wanted.setdefault(piece, []).append(position)
+        symbols, values = [ca.SX(0, 1)], [ca.MX(0, 1)]
+        for piece, positions in wanted.items():
+            known, at = self._pieces[piece]
+            whole = len(positions) == known.numel()
+            # A whole piece needs no indexing: each index would be an operation of its own in the graph.
+            symbols.append(known if whole else known[positions])
+            values.append(at if whole else at[positions])
+        return ca.vertcat(*symbols), ca.vertcat(*values)
+
+
+def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[ca.SX]:
+    """Return `expressions` with (symbol, expression in its place) of all pairs put in at once."""
+    if not pairs:
+        return list(expressions)
+    symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
+    results: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
+    return results
+
+
+def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:
+    """Hashes of the symbols that occur."""
+    return [symbol.element_hash() for symbol in ca.symvar(ca.veccat(*expressions))]
+
+
+def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[tuple[ca.SX, ca.SX]]]:
+    """Take unknowns out of a block that one of its rows gives explicitly with a constant coefficient.
+
+    Returns the remaining unknowns and rows, and the substitutions in an order in which each holds unknowns that remain
+    or come later in the list; they are returned already resolved among themselves.
+    """
+    jacobian = ca.jacobian(without_jumps(residual), unknowns)
+    pattern = dependence(jacobian)
+    constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
+    active_rows, active_columns = set(range(len(pattern))), set(range(len(pattern)))
+    pivots: list[tuple[int, int]] = []
+    while len(active_rows) > 1:
+        best = _cheapest_pivot(pattern, constant, active_rows)
+        if best is None:
+            break
+        i, j = best
+        touched = [k for k in active_rows if pattern[k, j] and k != i]
+        # Structural fill: cancellation is not looked for, which only makes the estimate careful.
+        pattern[touched] |= pattern[i]
+        constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
+        active_rows.remove(i)
+        active_columns.remove(j)
+        pivots.append(best)
+    torn: list[tuple[ca.SX, ca.SX]] = []
+    for i, j in pivots:
+        (row,), unknown = substituted(torn, residual[i]), unknowns[j]
+        # Constant, so that dividing by it can hit no zero at run time.
+        coefficient = ca.jacobian(row, unknown)
+        value = -ca.substitute(row, unknown, ca.SX(0)) / coefficient
+        torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]
+        torn.append((unknown, value))
+    return sorted(active_columns), sorted(active_rows), torn
+
+
+def is_linear(residual: ca.SX, unknowns: ca.SX, jacobian: ca.SX) -> bool:
+    """Whether a residual with this Jacobian is linear in unknowns; one that jumps is not, whatever that says."""
+    if ca.depends_on(jacobian, unknowns):
+        return False
+    stand_in = without_jumps(residual)
+    return stand_in is residual or not ca.depends_on(ca.jacobian(stand_in, unknowns), unknowns)
+
+
+def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
+    """Where a sparse matrix has entries."""
+    pattern = np.zeros(jacobian.shape, dtype=bool)
+    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
+    return pattern
+
+
+def _cheapest_pivot(
+    pattern: npt.NDArray[np.bool_],
+    constant: set[tuple[int, int]],
+    active_rows: set[int],
+) -> tuple[int, int] | None:
+    """Return the constant entry whose elimination creates the fewest new entries, if those are few enough."""
+
+    def fill(i: int, j: int) -> int:
+        touched = [k for k in active_rows if pattern[k, j] and k != i]
+        return int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
+
+    best = min(((fill(i, j), i, j) for i, j in constant if i in active_rows), default=None)
+    return best[1:] if best is not None and best[0] <= _FILL else None
+
+
+def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Return matrix^-1 right as an expression.
+
+    Parameters
+    ----------
+    matrix : casadi.SX
+        Square and sparse.
+    right : casadi.SX
+        Column vector.
+
+    Returns
+    -------
+    casadi.SX
+        Column vector.
+    """
+    if matrix.size1() <= _FORMULA:
+        return small_inverse_times(matrix, right)
+    if matrix.size1() <= _LARGEST:
+        rows = _with_right_side(matrix, right)
+        products, order = _cheapest_order([frozenset(row) for row in rows])
+        if products <= _DEAREST * matrix.size1() ** 3:
+            return _by_determinants([rows[i] for i in order])
+    # QR is Gram and Schmidt's here: its error grows with the square of the condition, which is large where equations of
+    # forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
+    length = ca.sqrt(ca.sum2(matrix**2))
+    return ca.solve(ca.mtimes(ca.diag(1 / length), matrix), right / length)
+
+
+def small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Return matrix^-1 right for up to three rows, by Cramer's rule."""
+    if matrix.size1() == 1:
+        return right / matrix
+    if matrix.size1() == 2:
+        (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
+        return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / (a * d - b * c)
+    rows = [matrix[i, :].T for i in range(3)]
+    # The columns of the adjugate are the cross products of the rows.
+    adjugate = ca.horzcat(*[ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)])
+    return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
+
+
+def _with_right_side(matrix: ca.SX, right: ca.SX) -> list[dict[int, ca.SX]]:
+    """Return the entries of rows by column, with the right side as one column more."""
+    size = matrix.size1()
+    rows = [{size: right[i]} for i in range(size)]
+    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
+        rows[i][j] = matrix[i, j]
+    return rows
+
+
+def _by_determinants(rows: list[dict[int, ca.SX]]) -> ca.SX:
+    """Develop determinants row after row by Laplace, with every minor computed once: all unknowns share most of them.
+
+    How rows and columns are scaled does not matter to round-off, nothing but the determinant is divided by, and the
+    chain of operations is short where a factorization has a division and a root in every row.
+    """
+    size, minors = len(rows), {_Columns(): ca.SX(1)}
+    for row in rows:
+        minors = _with_row(minors, row)
+    every = _Columns(range(size))
+    # In the place of column j stands the right side: moved there from the end past all columns between.
+    signs = [(-1) ** (size - 1 - j) for j in range(size)]
+    numerators: ca.SX = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
+    return numerators / minors[every]
+
+
+def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Columns, ca.SX]:
+    """Return the minors with a row more, above those that they have, developed by that row."""
+    larger: dict[_Columns, ca.SX] = {}
+    for columns, minor in minors.items():
+        for j in sorted(row.keys() - columns):
+            term = row[j] * minor
+            odd = sum(k < j for k in columns) % 2
+            more_columns = columns | {j}
+            if more_columns in larger:
+                larger[more_columns] = larger[more_columns] - term if odd else larger[more_columns] + term
+            else:
+                larger[more_columns] = -term if odd else term
+    return larger
+
+
+def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
+    """Return the fewest products that developing takes, and the order of rows for it, the lowest first.
+
+    Which minors there are depends on the rows that they are of, not on their order: so the best order of some rows ends
+    with the best one of all but its last.
+    """
+    best: dict[_Columns, tuple[int, list[int], set[_Columns]]] = {_Columns(): (0, [], {_Columns()})}
+    for size in range(len(rows)):
+        for taken in [rows_taken for rows_taken in best if len(rows_taken) == size]:
+            products, order, minors = best[taken]
+            for i in set(range(len(rows))) - taken:
+                total = products + sum(len(rows[i] - columns) for columns in minors)
+                if taken | {i} not in best or total < best[taken | {i}][0]:
+                    grown = {columns | {j} for columns in minors for j in rows[i] - columns}
+                    best[taken | {i}] = total, [*order, i], grown
+    return best[_Columns(range(len(rows)))][:2]
