@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import Exit
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from servocore.cli.command import HELP_FLAGS
 from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if_asked, was_asked
@@ -105,28 +105,49 @@ class CommandLine(click.Group):
         )  # fmt: skip
         self.former = dict(former or {})
 
-    def main(self, *args: Any, **options: Any) -> Any:
-        """Run the command line and end the process; the arguments are those of `click.Command.main`."""
+    def main(
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: object, **settings: Any
+    ) -> NoReturn:
+        """Run the command line and end the process; Click's own would tell of errors in its way."""
         if sys.stderr is None:  # closed: print takes no stream for the standard output stream, and tables go there
             sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
+        with self._notes_on_the_error_stream(), heeded_interruption():
+            sys.exit(self._code(sys.argv[1:] if args is None else list(args), prog_name or self.name or "", settings))
+
+    def _code(self, words: list[str], name: str, settings: Mapping[str, Any]) -> int:
+        """Run a command; return its exit code, and say in one sentence what stopped or refused it."""
         try:
-            with self._notes_on_the_error_stream(), heeded_interruption():
-                code = super().main(*args, **{**options, "standalone_mode": False})
-        except ServocoreError as error:
-            self._refuse(str(error))
-        except ModuleNotFoundError as error:
-            refusal = missing_package(error)
-            if refusal is None:
+            with self.make_context(name, words, **settings) as ctx:
+                self.invoke(ctx)
+            if sys.stdout is not None:  # the stream may be closed
+                sys.stdout.flush()  # what it cannot take is refused, not left for the interpreter's end
+        except Exit as end:
+            return end.exit_code
+        except BrokenPipeError:  # whoever reads the standard output stream, such as head, wants no more
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
+            return UNREAD
+        except KeyboardInterrupt as error:
+            sentence, code = str(error) or "stopped", INTERRUPTED
+        except Exception as error:
+            sentence, code = ("stopped", INTERRUPTED) if was_asked() else (self._refusal(error), REFUSED)
+            if not sentence:
                 raise
-            self._refuse(str(refusal))
-        except OSError as error:
-            hindered = _hindered(error)
-            if hindered is None:
-                raise
-            self._refuse(hindered)
-        except click.UsageError as error:
-            self._refuse(self._misused(error))
-        sys.exit(code if isinstance(code, int) else 0)
+        else:
+            return 0
+        print(f"{self.name}: {sentence}", file=sys.stderr)
+        return code
+
+    def _refusal(self, error: Exception) -> str:
+        """Return what is told of an error, empty where it is a defect."""
+        if isinstance(error, ModuleNotFoundError):
+            error = missing_package(error) or error
+        if isinstance(error, OSError):
+            sentence = _hindered(error)
+        elif isinstance(error, click.UsageError):
+            sentence = self._misused(error)
+        else:
+            sentence = str(error) if isinstance(error, ServocoreError) else ""
+        return advised_here(" ".join(sentence.split()))
 
     def _misused(self, error: click.UsageError) -> str:
         """Return what to say of a command line that Click does not take."""
@@ -150,33 +171,6 @@ class CommandLine(click.Group):
         """Return the names of the commands, in their order."""
         return list(self.commands)
 
-    def make_context(self, *args: Any, **options: Any) -> Any:
-        """Read the command line; Ctrl-C ends it as it ends a command."""
-        with self._stoppable():
-            return super().make_context(*args, **options)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command; Ctrl-C ends it with a sentence and `INTERRUPTED`, whatever error came of it."""
-        with self._stoppable(), _quiet_where_nobody_reads():
-            result = super().invoke(ctx)
-            if sys.stdout is not None:  # the stream may be closed
-                sys.stdout.flush()  # what it cannot take is refused, not left for the interpreter's end
-            return result
-
-    @contextmanager
-    def _stoppable(self) -> Iterator[None]:
-        try:
-            yield
-            return
-        except KeyboardInterrupt as error:
-            sentence = str(error) or "stopped"
-        except Exception:
-            if not was_asked():
-                raise
-            sentence = "stopped"
-        print(f"{self.name}: {sentence}", file=sys.stderr)
-        raise Exit(INTERRUPTED)
-
     @contextmanager
     def _notes_on_the_error_stream(self) -> Iterator[None]:
         """Print the library's warnings as plain lines; those of others stay as they are."""
@@ -193,20 +187,6 @@ class CommandLine(click.Group):
             warnings.simplefilter("always", ServocoreWarning)
             yield
 
-    def _refuse(self, sentence: str) -> NoReturn:
-        print(f"{self.name}: {advised_here(' '.join(sentence.split()))}", file=sys.stderr)
-        sys.exit(REFUSED)
-
-
-@contextmanager
-def _quiet_where_nobody_reads() -> Iterator[None]:
-    """End with `UNREAD` where whoever reads the standard output stream, such as ``head``, wants no more."""
-    try:
-        yield
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
-        raise Exit(UNREAD) from None
-
 
 def advised_here(sentence: str) -> str:
     """Return a sentence of the library with its advice for the command line."""
@@ -215,8 +195,8 @@ def advised_here(sentence: str) -> str:
     return sentence
 
 
-def _hindered(error: OSError) -> str | None:
-    """Return what to tell of an error that lies in the machine, such as a full disk; None for any other."""
+def _hindered(error: OSError) -> str:
+    """Return what to tell of an error that lies in the machine, such as a full disk; empty for any other."""
     if error.errno in FULL:
         return f"a disk is full, that of the output or that of TMPDIR: {MORE_SPACE} ({error.strerror})"
     if isinstance(error, FileNotFoundError) and error.filename is None:  # as `os.getcwd` and `tempfile` raise it
@@ -225,7 +205,7 @@ def _hindered(error: OSError) -> str | None:
         except FileNotFoundError:
             return "the present folder is gone: change into one that is there"
         return f"{error.strerror}: let TMPDIR name a folder that can be written"
-    return None
+    return ""
 
 
 @contextmanager
@@ -254,7 +234,7 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
     """
 
     def __init__(self, label: str) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
         self._task = self._progress.add_task(label, total=None)
         self._tenth, self._told = 0, 0.0
@@ -263,7 +243,8 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
         """Show that `done` of `total` steps are done."""
         tenth = 10 * done // max(total, 1)
         if self._slow() and self._tenth < tenth < 10:
-            self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %")
+            left = self._elapsed() * (total - done) / done
+            self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %, {left:.0f} s left")
         self._tenth = tenth
         self._update(completed=done, total=total)
 

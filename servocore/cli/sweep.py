@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from servocore.cli.command import option
-from servocore.cli.interruption import stop_if_asked
+from servocore.cli.console import PatientProgress
 from servocore.cli.kinds import COUNT, FOLDER, SEED, text
 from servocore.cli.options import GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
@@ -89,7 +87,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         bounds, varied = limits.bounds(), cases.varied()
         require_writable(cases.output, cases.output)
         store = cases.output / (_TABLES if cases.parquet else _STORE)
-        with _client(cases.scheduler) as client, _SweepProgress() as progress:
+        with _client(cases.scheduler) as client, PatientProgress("sweeping") as progress:
             try:
                 found = sweep(
                     moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
@@ -134,36 +132,3 @@ def _client(address: str | None) -> Iterator[Any]:
         raise InvalidSetting(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
         yield client
-
-
-class _SweepProgress(AbstractContextManager["_SweepProgress"]):
-    """Cases done, rate and time left, on the error stream: a bar on a terminal, else a line each tenth."""
-
-    def __init__(self) -> None:
-        console = Console(stderr=True)
-        columns = (
-            TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )  # fmt: skip
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._progress.add_task("", total=None, rate="")
-        self._console, self._told = console, 0
-
-    def __enter__(self) -> _SweepProgress:
-        self._progress.start()
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show how many cases are done."""
-        stop_if_asked()
-        task = self._progress.tasks[0]
-        rate = done / task.elapsed if task.elapsed else 0.0
-        self._progress.update(self._task, completed=done, total=total, rate=f"{rate:.0f} cases/s")
-        tenth = 10 * done // total
-        if not self._console.is_terminal and tenth > self._told:
-            self._told = tenth
-            left = (total - done) / rate if rate else 0.0
-            self._console.print(f"{done} of {total} cases, {rate:.0f} cases/s, {left:.0f} s left", highlight=False)
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
