@@ -14,7 +14,7 @@ import numpy as np
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress
 from servocore.cli.kinds import COUNT, FOLDER, SEED, text
-from servocore.cli.options import GivenLimits, GivenPath, Subject, output
+from servocore.cli.options import MOST_ROWS, GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
 from servocore.planning.sweep_settings import drawn
@@ -44,8 +44,8 @@ class Cases:
     sample: int | None = option(
         "--sample", kind=COUNT, metavar="COUNT", help="Draw so many cases from the ranges instead."
     )
-    seed: int = option(
-        "--seed", kind=SEED, metavar="N", default=0, help="Of --sample; the same seed draws the same cases. Default: 0."
+    seed: int | None = option(
+        "--seed", kind=SEED, metavar="N", help="Of --sample; the same seed draws the same cases. Default: 0."
     )
     instants: int = option(
         "--instants", kind=COUNT, metavar="N", default=201, help="Evaluate each case at so many. Default: 201."
@@ -65,8 +65,12 @@ class Cases:
         ranges = dict(_range(text, self.sample is None) for text in self.vary)
         if len(ranges) < len(self.vary):
             raise InvalidSetting("--vary names something twice")
+        if self.seed is not None and self.sample is None:
+            raise InvalidSetting("--seed belongs to --sample")
+        if max(self.instants, self.sample or 1, *(count for _, _, count in ranges.values())) > MOST_ROWS:
+            raise InvalidSetting(f"more than {MOST_ROWS:g} values or instants fill the memory: take fewer")
         if self.sample is not None:
-            return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, self.sample, self.seed)
+            return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, self.sample, self.seed or 0)
         return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
 
 
@@ -114,8 +118,8 @@ def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
         beside = "" if counted else " beside --sample, which says how many"
         example = f"as in load_mass=50..150{':100' * counted}"
         raise InvalidSetting(f"--vary {text} is not {wanted}{beside}, {example}") from None
-    if not (np.isfinite([low, high]).all() and count >= 1):
-        raise InvalidSetting(f"--vary {text}: the range must be finite, and its count at least 1")
+    if not (-np.inf < low <= high < np.inf and count >= 1):
+        raise InvalidSetting(f"--vary {text}: the range must be finite, from LOW to HIGH, and its count at least 1")
     return found[1].strip(), (low, high, count)
 
 
