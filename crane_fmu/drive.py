@@ -105,7 +105,10 @@ def signals(pairs: Sequence[str]) -> dict[str, str]:
             continue
         ours, equals, theirs = pair.partition("=")
         if not (equals and ours and theirs):
-            raise sc.InvalidSetting(f"--map {pair}: it must be OURS=THEIRS or a file that ends in .toml")
+            raise sc.InvalidSetting(
+                f"--map {pair}: it must be OURS=THEIRS or a file that ends in .toml: write it as in --map"
+                " F=trolley.force"
+            )
         found[ours.strip()] = theirs.strip()
     for name in found:
         if name not in (*GIVEN, *SEEN):
@@ -144,13 +147,13 @@ def settings(pairs: Sequence[str]) -> dict[str, float]:
     """
     found = {}
     for pair in pairs:
-        name, _, value = pair.rpartition("=")
+        name, _, value = (part.strip() for part in pair.rpartition("="))
         try:
-            found[name.strip()] = float(value)
+            found[name] = float(value)
         except ValueError:
             name = ""
-        if not name:
-            raise sc.InvalidSetting(f"--set {pair}: it must be NAME=NUMBER")
+        if not (name and np.isfinite(found[name])):
+            raise sc.InvalidSetting(f"--set {pair}: it must be NAME=NUMBER: write it as in --set start.swing=0.1")
     return found
 
 
