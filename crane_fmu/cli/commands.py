@@ -110,7 +110,6 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     """
     from crane_fmu import drive as driving  # noqa: PLC0415
 
-    rows.require()
     names, starts = driving.signals(plant.mapped), driving.settings(plant.settings)
     moved = path.along(subject.chosen().with_limits(**limits.bounds()))
     rows.require(moved.reference.duration)

@@ -18,7 +18,7 @@ from servocore.cli.kinds import PICTURE, FileRead, FileWritten, Kind, Point, fla
 from servocore.errors import InvalidSetting
 from servocore.files import require_picture, require_places
 
-_NUMBER = re.compile(r"[+-]?(\d|\.\d)[\d.eE+,;-]*|[+-]?(nan|inf),?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\.?\d|nan|inf)\S*", re.IGNORECASE)  # or what was meant to be one, such as 5m
 _OPTION_BEGINS = re.compile(r" (?=--?[a-z])")
 HELP_FLAGS = ("-h", "--help")
 _EXAMPLE_WIDTH = 76

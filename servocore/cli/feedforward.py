@@ -34,7 +34,6 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
     Peaks, rest, and how far the inputs are from right are told on the error stream. Where an input is off by half of
     its peak or more, which can happen with a --formulation, the exit code is 1.
     """
-    how.require()
     accuracy, scene = how.accuracy(), subject.chosen()
     names = chosen_columns(table.columns, scene, subject.model)
     bounds = limits.bounds()

@@ -48,7 +48,7 @@ class Kind(ParamType):
         try:
             return self.read(value)
         except InvalidSetting as error:
-            raise InvalidSetting(f"{option}: {error}; {right}") from None
+            raise InvalidSetting(f"{option}: {error}: {right}") from None
         except ValueError:
             raise InvalidSetting(f"{option} {value or repr(value)} is no {self.what}: {right}") from None
 
@@ -124,22 +124,26 @@ def _number(text: str) -> float:
     return number
 
 
-def _count(text: str) -> int:
-    count = int(text)
-    if count < 1:
-        raise ValueError
-    return count
+def _whole(least: int) -> Kind:
+    """Return the kind of whole numbers from a least one on."""
 
+    def read(text: str) -> int:
+        if int(text) < least:
+            raise ValueError
+        return int(text)
 
-def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise ValueError
-    return seed
+    return Kind(f"whole number of {least} or more", "100", read)
 
 
 def _time(text: str) -> float:
     return in_unit(text, "s", "the time")
+
+
+def _step(text: str) -> float:
+    step = _time(text)
+    if step <= 0.0:
+        raise InvalidSetting(f"the step must be a positive time, not {step:g} s")
+    return step
 
 
 def _point(text: str) -> tuple[float, ...]:
@@ -147,9 +151,9 @@ def _point(text: str) -> tuple[float, ...]:
 
 
 NUMBER = Kind("number", "1e-3", _number)
-COUNT = Kind("whole number of 1 or more", "100", _count)
-SEED = Kind("whole number of 0 or more", "1", _seed)
+COUNT, SEED = _whole(1), _whole(0)
 TIME = Kind("time", "20", _time)
+STEP = Kind("time", "0.1", _step)
 POINT = Point("point", "5 0 -5", _point)
 FILE_READ = FileRead("file name", "FILE", _file)
 FILE = FileWritten("file name", "FILE", _file)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
-
-import numpy as np
 
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
-from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, TIME, Kind, choice, quantity, text
+from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, STEP, TIME, Kind, choice, quantity, text
 from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
 from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
@@ -168,10 +166,9 @@ class GivenPath:
         for name, point in found:
             if len(point) != len(names):
                 shown = "".join(f" {each:g}" for each in point)
-                raise InvalidSetting(
-                    f"{name}{shown}: it needs {len(names)} numbers, {', '.join(names)}: write it as {name}"
-                    f" {' '.join(each.upper() for each in names)}"
-                )
+                numbers = f"{len(names)} number{'s' * (len(names) > 1)}, {', '.join(names)}"
+                form = " ".join(names).upper()
+                raise InvalidSetting(f"{name}{shown}: it needs {numbers}: write it as {name} {form}")
         return [point for _, point in found]
 
     def along(self, scene: Scene, model: str | None = None) -> Scene:
@@ -223,23 +220,17 @@ class Rows:
     title: ClassVar[str] = "Computation"
 
     step: float | None = option(
-        "--step", kind=TIME, metavar="H",
+        "--step", kind=STEP, metavar="H",
         help="Time between rows (s). It divides the duration; a plan takes the next smaller one that does. Default:"
         " duration/200.",
     )  # fmt: skip
 
-    def require(self, duration: float = 0.0) -> None:
-        """Raise `InvalidSetting` unless the step is positive, and gives no more than `MOST_ROWS` in a duration."""
-        _require_rows("--step", self.step, duration)
-
-
-def _require_rows(name: str, step: float | None, duration: float) -> None:
-    if step is None:
-        return
-    if not (np.isfinite(step) and step > 0.0):
-        raise InvalidSetting(f"{name}: the step must be a positive time, not {step:g} s: write it as in {name} 0.1")
-    if duration / step > MOST_ROWS:
-        raise InvalidSetting(f"a step of {step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
+    def require(self, duration: float) -> None:
+        """Raise `InvalidSetting` if a duration has more than `MOST_ROWS` steps."""
+        for each in fields(self):
+            step = getattr(self, each.name)
+            if each.metadata["kind"] is STEP and step is not None and duration / step > MOST_ROWS:
+                raise InvalidSetting(f"a step of {step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
 
 
 @dataclass(frozen=True)
@@ -262,7 +253,7 @@ class Computation(Rows):
         "--atol", kind=NUMBER, metavar="A", help="In place of a step: error of the inputs in their own units."
     )
     output_step: float | None = option(
-        "--output-step", kind=TIME, metavar="H",
+        "--output-step", kind=STEP, metavar="H",
         help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200.",
     )  # fmt: skip
 
@@ -275,11 +266,6 @@ class Computation(Rows):
         if self.step is not None:
             raise InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
         return Adaptive(self.rtol or 0.0, self.atol or 0.0)
-
-    def require(self, duration: float = 0.0) -> None:
-        """Raise `InvalidSetting` as `Rows.require`, for --output-step too."""
-        super().require(duration)
-        _require_rows("--output-step", self.output_step, duration)
 
 
 @dataclass(frozen=True)

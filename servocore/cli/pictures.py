@@ -24,7 +24,7 @@ from servocore.solvers.branch_continuation import exact_states, prepared_table
 
 _INSTANTS = 1001
 _PLAN = {"color": "#0072b2", "label": "fastest"}
-_OTHER = {"color": "#999999", "linewidth": 1.2, "linestyle": "--"}
+_OTHER: dict[str, object] = {"color": "#999999", "linewidth": 1.2, "linestyle": "--"}
 _ACTIVE = {"color": "#d55e00", "linewidth": 3.5, "label": "held back by this limit"}
 _BOUND = {"color": "#000000", "linewidth": 0.8, "linestyle": ":"}
 

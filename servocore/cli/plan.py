@@ -85,7 +85,6 @@ def plan_motion(
     limits, is printed when the table goes into a file.
     """
     scene, bounds = subject.chosen(), limits.bounds()
-    rows.require()
     if freedom.path is not None:
         _require_a_path_file(scene, subject.model)
     way = _way(scene, subject.model, path)

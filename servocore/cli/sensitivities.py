@@ -40,7 +40,6 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
     that the path asks for, and on where the load goes (drift) if the inputs stay as they were. With --output all
     derivatives over time go into a file.
     """
-    rows.require()
     moved = path.along(subject.chosen(), subject.model)
     rows.require(moved.reference.duration)
     with PatientProgress("differentiating"):
