@@ -195,7 +195,7 @@ def test_a_value_that_is_missing_is_refused_with_an_example(name: str) -> None:
 FF, CRANE = "crane-fmu feedforward", "--from 5 0 -5 --to -2 2 -2"
 WRONG = [
     # times
-    *[(f"{command} {option} {value}", f"write it as in {option} 20")
+    *[(f"{command} {option} {value}", f"write it as in {option} {'0.1' if 'step' in option else '20'}")
       for command, option in (
           (FF, "--duration"), (FF, "--step"), (FF, "--ramp"), (FF, "--output-step"),
           ("crane-fmu plan", "--step"), ("servocore view cars", "--step"),
@@ -300,7 +300,7 @@ WRONG = [
     # words that there are not, and those that there were
     (f"{FF} --spep 3", "did you mean --step; see crane-fmu feedforward --help"),
     (f"{FF} --free", "see crane-fmu feedforward --help"),
-    (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu --help"),
+    (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu feedforward --help"),
     (f"{FF} more", "got unexpected extra argument (more); see crane-fmu feedforward --help"),
     ("servocore plan", "see servocore plan --help"),
     ("crane-fmu drive", "see crane-fmu drive --help"),

@@ -13,6 +13,7 @@ from dataclasses import MISSING, Field, field, fields
 from typing import Any, get_type_hints
 
 import click
+from click.core import augment_usage_errors
 
 from servocore.cli.kinds import PICTURE, FileRead, FileWritten, Kind, Point, flag_of
 from servocore.errors import InvalidSetting
@@ -111,7 +112,8 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a command line."""
-        return super().parse_args(ctx, list(self._gathered(args)))
+        with augment_usage_errors(ctx):  # a refusal names the help of the command, not that of the program
+            return super().parse_args(ctx, list(self._gathered(args)))
 
     def _gathered(self, words: list[str]) -> Iterator[str]:
         """Give the words of a command line with those of a value together.

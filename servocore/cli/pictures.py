@@ -24,7 +24,7 @@ from servocore.solvers.branch_continuation import exact_states, prepared_table
 
 _INSTANTS = 1001
 _PLAN = {"color": "#0072b2", "label": "fastest"}
-_OTHER: dict[str, object] = {"color": "#999999", "linewidth": 1.2, "linestyle": "--"}
+_OTHER = {"color": "#999999", "linewidth": 1.2, "linestyle": "--"}
 _ACTIVE = {"color": "#d55e00", "linewidth": 3.5, "label": "held back by this limit"}
 _BOUND = {"color": "#000000", "linewidth": 0.8, "linestyle": ":"}
 
@@ -40,10 +40,10 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
         What `fastest` returned.
     """
     problem = Problem.of(scene.with_reference(path))
-    limits, laws = motion_limits(problem), [(problem, _PLAN)]
+    limits, laws = motion_limits(problem), [(problem, dict[str, object](_PLAN))]
     if isinstance(path, TimedPath) and np.isfinite(report.degree9):
         slower = polynomial_path(path.curve, report.degree9, (report.degree - 1) // 2)
-        laws.insert(0, (replace(problem, reference=slower), {**_OTHER, "label": f"degree {report.degree}"}))
+        laws.insert(0, (replace(problem, reference=slower), {"label": f"degree {report.degree}"} | _OTHER))
     t = np.linspace(path.start_time, max(law.reference.end_time for law, _ in laws), _INSTANTS)
     curves = [
         Curve(each.quantity, each.unit, "", row, look)
