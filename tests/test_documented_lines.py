@@ -70,7 +70,7 @@ def filled(command: Command, words: list[str]) -> list[str]:
 CHECKS: dict[type, Callable[[Any], object]] = {
     GivenPath: lambda path: path.options(),
     GivenLimits: lambda limits: limits_given(limits.limit, None),
-    Computation: lambda how: (how.require(), how.accuracy()),
+    Computation: lambda how: (how.require(20.0), how.accuracy()),
     Freedom: lambda freedom: (freedom.space(3), factors_of_texts(freedom.robust)),
     Cases: lambda cases: cases.varied(),
     Question: lambda question: (question.allowed("m"), question.drives()),

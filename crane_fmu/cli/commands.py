@@ -31,15 +31,17 @@ FMUS: dict[str, object] = {**CRANE, **NO_POINTS_BETWEEN, "model": None}
 
 
 @dataclass(frozen=True)
-class Here:
-    """Where an FMU goes."""
+class Place:
+    """Where FMUs go."""
 
     title = "Results"
 
-    output: Path = output("DIR", "Write into this folder, which is made if need be. Default: here.", FOLDER, Path())
+    output: Path | None = output(
+        "DIR", "Write into this folder, which is made if need be. Default: here, system of ssp, out of demo.", FOLDER
+    )
 
 
-def build(subject: Subject, place: Here, platforms: Platforms) -> None:
+def build(subject: Subject, place: Place, platforms: Platforms) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder.
 
     With --parameters the crane of the file is the FMU's default. It is the same as python build_fmu.py.
@@ -48,19 +50,14 @@ def build(subject: Subject, place: Here, platforms: Platforms) -> None:
 
     changed = subject.changes(sc.scenes.rotary_crane())
     with PatientProgress("building the FMU") as progress:
-        file = build_fmu(place.output, progress.describe, starts=changed, targets=platforms.targets)
+        file = build_fmu(place.output or Path(), progress.describe, starts=changed, targets=platforms.targets)
     print(file)
 
 
 @dataclass(frozen=True)
-class SystemPlace:
+class SystemPlace(Place):
     """Where the system of FMUs goes, and in what language."""
 
-    title = "Results"
-
-    output: Path = output(
-        "DIR", "Write into this folder, which is made if need be. Default: system.", FOLDER, Path("system")
-    )
     native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
 
 
@@ -80,7 +77,7 @@ def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platfo
     profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
     wishes = Wishes(line, profile, subject.changes(crane), place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
-        files = build_ssp(place.output, progress.describe, wishes)
+        files = build_ssp(place.output or Path("system"), progress.describe, wishes)
     print(*files, sep="\n")
 
 
@@ -120,16 +117,7 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     print(*found.sentences(), sep="\n")
 
 
-@dataclass(frozen=True)
-class DemoPlace:
-    """Where the demo goes."""
-
-    title = "Results"
-
-    output: Path = output("DIR", "Write into this folder, which is made if need be. Default: out.", FOLDER, Path("out"))
-
-
-def run_demo(place: DemoPlace) -> None:
+def run_demo(place: Place) -> None:
     """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.
 
     The folder then holds RotaryCrane.fmu, the folder system of the command ssp, inputs.csv, report.html and a folder
@@ -139,7 +127,7 @@ def run_demo(place: DemoPlace) -> None:
     from crane_fmu.demo import REPORT, demo  # noqa: PLC0415
 
     with PatientProgress("demo") as progress:
-        done = demo(place.output, progress.describe)
+        done = demo(place.output or Path("out"), progress.describe)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = table_console()

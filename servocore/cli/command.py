@@ -165,14 +165,14 @@ class Command(click.Command):
         if self.examples:
             with formatter.section("Examples"):
                 for example in self.examples:
-                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip()))
+                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip(), formatter.width - 2))
 
 
-def _continued(line: str) -> str:
+def _continued(line: str, width: int) -> str:
     """Return a command line in indented lines that a shell takes as one, broken before options."""
     lines = ["  "]
     for part in _OPTION_BEGINS.split(line):
-        if len(lines[-1]) + len(part) > _EXAMPLE_WIDTH:
+        if len(lines[-1]) + len(part) > min(width, _EXAMPLE_WIDTH):
             lines += ["     "]
         lines[-1] += f" {part}" if lines[-1].strip() or len(lines) > 1 else part
     return " \\\n".join(lines) + "\n"

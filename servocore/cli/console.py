@@ -294,41 +294,33 @@ def table_console() -> Console:
     return console
 
 
-def deliver(
-    table: str | Iterable[str], output: Path | None, beside: Mapping[Path, str | bytes], report: object = ""
-) -> None:
+def deliver(table: Iterable[str], output: Path | None, beside: Mapping[Path, str | bytes], report: object = "") -> None:
     """Write a table where it is wanted, and what goes beside it.
 
     Parameters
     ----------
-    table : str or iterable of str
-        Whole or in pieces, for the file `output`, or for the standard output stream if that is None.
+    table : iterable of str
+        Its pieces, for the file `output`, or for the standard output stream if that is None.
     output : Path or None
         Where the table goes.
     beside : mapping of Path to str or bytes
         Other files, which appear together with it.
     report : object
         Printed where the table went into a file.
-    """
-    write_together(beside if output is None else {**beside, output: table})
-    if output is None:
-        write_to_stdout((table,) if isinstance(table, str) else table)
-    elif report:
-        print(report)
-
-
-def write_to_stdout(pieces: Iterable[str]) -> None:
-    """Write the pieces of a text to the standard output stream.
 
     Raises
     ------
     InvalidSetting
         If the stream cannot take it, for example because the disk is full or the stream is closed.
     """
+    write_together(beside if output is None else {**beside, output: table})
+    if output is not None:
+        print(report, end="\n" if report else "")
+        return
     if sys.stdout is None:
         raise InvalidSetting("cannot write to the standard output stream: it is closed; name a file with --output")
     try:
-        sys.stdout.writelines(pieces)
+        sys.stdout.writelines(table)
         sys.stdout.flush()
     except BrokenPipeError:
         raise  # whoever reads has seen enough

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from servocore.cli.console import PatientProgress, deliver, end_as_of_no_use, held_notes
@@ -37,7 +35,6 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
     accuracy, scene = how.accuracy(), subject.chosen()
     names = chosen_columns(table.columns, scene, subject.model)
     bounds = limits.bounds()
-    contents: dict[Path, str | bytes] = {}
     with held_notes() as notes, PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):
         moved = path.along(scene.with_limits(**bounds), subject.model)  # what is not finite is refused, not warned of
         how.require(moved.reference.duration)
@@ -50,10 +47,7 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
         told = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
         if useless:
             notes.clear()  # one sentence says it all
-        if table.plot is not None:
-            from servocore.cli.pictures import saved_figure  # noqa: PLC0415 - slow to import
-
-            contents[table.plot] = saved_figure(solution.plot(names), table.plot)
+        contents = table.picture(lambda _: solution.plot(names))
     deliver(table_pieces(solution, names), table.output, contents)
     if useless:
         end_as_of_no_use(useless)

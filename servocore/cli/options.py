@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -111,7 +112,7 @@ class GivenPath:
         help=f"Time law on the line: {', '.join(TIME_LAWS)}. Default: the first that is smooth enough for the scene.",
     )  # fmt: skip
     ramp: float | None = option(
-        "--ramp", kind=TIME, metavar="TAU0", help="Time to accelerate (s), of three-phase. Default: duration/4."
+        "--ramp", kind=TIME, metavar="TAU0", help="Of three-phase: time to accelerate (s). Default: duration/4."
     )
 
     def options(self) -> list[str]:
@@ -284,6 +285,13 @@ class Table:
         "--plot", kind=PICTURE, metavar="FILE.png", help=f"Draw a picture; {', '.join(PICTURES)} are known."
     )
     verbose: bool = option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
+
+    def picture(self, draw: Callable[[Any], Any]) -> dict[Path, str | bytes]:
+        """Return the picture by its place, none without --plot; `draw` is given the module of pictures."""
+        if self.plot is None:
+            return {}
+        pictures = import_module("servocore.cli.pictures")  # slow, for it imports Matplotlib
+        return {self.plot: pictures.saved_figure(draw(pictures), self.plot)}
 
 
 @dataclass(frozen=True)
