@@ -105,8 +105,8 @@ OPTIONS = {
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
-    "--map": Option({"crane-fmu drive"}, "F=trolley.force", ("F=trolley.force",)),
-    "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ("start.position[1]=5.1",)),
+    "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
+    "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip
 
 
@@ -295,8 +295,8 @@ WRONG = [
     (f"{FF} --parameters none.toml", "none.toml cannot be read"),
     ("servocore view cars -o cars.pdf", "the name of a page ends with .html"),
     ("crane-fmu drive none.fmu", "cannot read none.fmu"),
-    ("crane-fmu drive p.fmu --map F", "--map F: it must be OURS=THEIRS"),
-    ("crane-fmu drive p.fmu --set a", "--set a: it must be NAME=NUMBER"),
+    ("crane-fmu drive p.fmu --map F", "--map F is no OURS=THEIRS, nor a file that ends in .toml: write it as in --map F=trolley.force"),
+    ("crane-fmu drive p.fmu --set a", "--set a is no NAME=NUMBER: write it as in --set start.swing=0.1"),
     # words that there are not, and those that there were
     (f"{FF} --spep 3", "did you mean --step; see crane-fmu feedforward --help"),
     (f"{FF} --free", "see crane-fmu feedforward --help"),

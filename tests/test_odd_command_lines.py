@@ -208,8 +208,8 @@ crane-fmu drive afile -> cannot read afile as an FMU: File is not a zip file
 crane-fmu drive afile --map =x -> write it as in --map F=trolley.force
 crane-fmu drive afile --map F= -> write it as in --map F=trolley.force
 crane-fmu drive afile --map G=x -> there is no signal 'G' to map
-crane-fmu drive afile --map none.toml -> cannot read none.toml: No such file or directory
-crane-fmu drive afile --map bad.toml -> cannot read bad.toml: Expected '=' after a key in a key/value
+crane-fmu drive afile --map none.toml -> none.toml cannot be read: No such file or directory
+crane-fmu drive afile --map bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu drive afile --set =3 -> write it as in --set start.swing=0.1
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
 crane-fmu drive afile --step 0 -> write it as in --step 0.1

@@ -14,7 +14,7 @@ import servocore as sc
 from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
-from servocore.cli.kinds import FILE_READ, FOLDER, text
+from servocore.cli.kinds import FILE_READ, FOLDER, NAMES, VALUE
 from servocore.cli.options import NO_POINTS_BETWEEN, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
@@ -88,12 +88,12 @@ class Plant:
     title = "Plant"
 
     plant: Path = option(kind=FILE_READ, metavar="PLANT.fmu", default=..., help="An FMU of a crane, your own say.")
-    mapped: tuple[str, ...] = option(
-        "--map", kind=text("F=trolley.force"), metavar="OURS=THEIRS", default=(),
+    mapped: tuple[dict[str, str], ...] = option(
+        "--map", kind=NAMES, metavar="OURS=THEIRS", default=(),
         help="What M_b, F, M_w and the load's x, y, z are called in the FMU, or a TOML file that says so.",
     )  # fmt: skip
-    settings: tuple[str, ...] = option(
-        "--set", kind=text("start.swing=0.1"), metavar="NAME=NUMBER", default=(),
+    settings: tuple[dict[str, float], ...] = option(
+        "--set", kind=VALUE, metavar="NAME=NUMBER", default=(),
         help="A start value of the FMU, in its own unit.",
     )  # fmt: skip
 
@@ -107,7 +107,8 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     """
     from crane_fmu import drive as driving  # noqa: PLC0415
 
-    names, starts = driving.signals(plant.mapped), driving.settings(plant.settings)
+    names = {ours: theirs for each in plant.mapped for ours, theirs in each.items()}
+    starts = {name: value for each in plant.settings for name, value in each.items()}
     moved = path.along(subject.chosen().with_limits(**limits.bounds()))
     rows.require(moved.reference.duration)
     with PatientProgress("driving the plant"):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from servocore.errors import InvalidSetting
+from servocore.model.parameter_files import read_table
 from servocore.model.units import in_unit
 
 if TYPE_CHECKING:
@@ -150,10 +151,28 @@ def _point(text: str) -> tuple[float, ...]:
     return tuple(float(word) for word in _BETWEEN_NUMBERS.split(text.strip(" ,;")))
 
 
+def _names(text: str) -> dict[str, object]:
+    if text.endswith(".toml") and "=" not in text:
+        return read_table(Path(text))
+    ours, _, theirs = (part.strip() for part in text.partition("="))
+    if not (ours and theirs):
+        raise ValueError
+    return {ours: theirs}
+
+
+def _value(text: str) -> dict[str, float]:
+    name, _, number = (part.strip() for part in text.rpartition("="))
+    if not (name and math.isfinite(float(number))):
+        raise ValueError
+    return {name: float(number)}
+
+
 NUMBER = Kind("number", "1e-3", _number)
 COUNT, SEED = _whole(1), _whole(0)
 TIME = Kind("time", "20", _time)
 STEP = Kind("time", "0.1", _step)
+NAMES = Kind("OURS=THEIRS, nor a file that ends in .toml", "F=trolley.force", _names)
+VALUE = Kind("NAME=NUMBER", "start.swing=0.1", _value)
 POINT = Point("point", "5 0 -5", _point)
 FILE_READ = FileRead("file name", "FILE", _file)
 FILE = FileWritten("file name", "FILE", _file)
