@@ -87,10 +87,8 @@ class Command(click.Command):
             offered = [_parameter(each) for each in fields(group) if each.name not in self.fixed]
             self.sections.setdefault(group.title, []).extend(offered)
         params = [each for section in self.sections.values() for each in section]
-        settings = {"help_option_names": list(HELP_FLAGS)}
-        super().__init__(
-            name, callback=self._run, params=params, help=inspect.getdoc(function), context_settings=settings
-        )
+        text = inspect.getdoc(function) or ""
+        super().__init__(name, callback=self._run, params=params, help=text, short_help=text.partition("\n\n")[0])
 
     def _run(self, **values: Any) -> None:
         """Call the function with its groups, once the places of all results can be written."""

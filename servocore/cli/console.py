@@ -13,7 +13,6 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -34,12 +33,6 @@ _STAGES_APART = 5.0  # seconds between lines that say what goes on, where no ter
 
 WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
-
-
-def _show_version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:  # noqa: ARG001
-    if wanted:
-        print(f"servocore {metadata.version('servocore')}", flush=True)
-        raise Exit
 
 
 ON_THE_COMMAND_LINE = {
@@ -94,15 +87,12 @@ class CommandLine(click.Group):
         commands: Sequence[click.Command],
         former: Mapping[str, str] | None = None,
     ) -> None:
-        version = click.Option(
-            ["--version", "-V"], is_flag=True, expose_value=False, is_eager=True, callback=_show_version,
-            help="Print the version and end.",
-        )  # fmt: skip
         settings = {"help_option_names": list(HELP_FLAGS), "max_content_width": _WIDEST_HELP}
         super().__init__(
-            name, list(commands), help=help, params=[version], epilog=_CODES, no_args_is_help=False,
-            context_settings=settings,
-        )  # fmt: skip
+            name, list(commands), help=help, epilog=_CODES, no_args_is_help=False, context_settings=settings
+        )
+        told = {"package_name": "servocore", "message": "servocore %(version)s", "help": "Print the version and end."}
+        click.version_option(None, "--version", "-V", **told)(self)
         self.former = dict(former or {})
 
     def main(
@@ -159,13 +149,6 @@ class CommandLine(click.Group):
         meant = f"; did you mean {' or '.join(near)}" if near else ""
         asked = error.ctx.command_path if error.ctx else self.name
         return f"{message[:1].lower()}{message[1:]}{meant}; see {asked} --help"
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write what every command does, in a whole sentence."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, " ".join((each.help or "").split("\n\n")[0].split())) for name, each in self.commands.items()]
-            )
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Return the names of the commands, in their order."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from servocore.cli.console import PatientProgress, deliver, end_as_of_no_use, held_notes
 from servocore.cli.options import Computation, GivenLimits, GivenPath, Subject, Table
-from servocore.cli.run_summary import chosen_columns, details, summary, table_pieces, tell, timed
+from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces, tell
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
@@ -38,11 +38,13 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
     with held_notes() as notes, PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):
         moved = path.along(scene.with_limits(**bounds), subject.model)  # what is not finite is refused, not warned of
         how.require(moved.reference.duration)
-        with shortest_duration_told(moved, subject.model), timed() as seconds:
+        began = clocks()
+        with shortest_duration_told(moved, subject.model):
             solution = solve(
                 moved, how.formulation, how.method, step=accuracy, output_step=how.output_step, model=subject.model,
                 progress=progress,
             )  # fmt: skip
+        seconds = [end - begin for begin, end in zip(began, clocks(), strict=True)]
         useless = None if isinstance(how.formulation, Reduced | None) else _far_off(moved, solution, subject.model)
         told = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
         if useless:
