@@ -22,9 +22,6 @@ from servocore.files import write_together
 
 NAME = "crane-fmu"
 
-FORMER = {"-v": "-v is --verbose, behind a command; the version is told by --version or -V"}
-"""What to say of words that once meant something."""
-
 CRANE: dict[str, object] = {"scene": "rotary_crane"}
 FMUS: dict[str, object] = {**CRANE, **NO_POINTS_BETWEEN, "model": None}
 """Options that are fixed: for commands of the crane, and for those of its FMUs."""
@@ -175,5 +172,4 @@ app = CommandLine(
         ),
         Command("demo", run_demo, ("-o out",)),
     ],
-    FORMER,
 )  # fmt: skip

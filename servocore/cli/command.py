@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import click
 from click.core import augment_usage_errors
 
-from servocore.cli.kinds import PICTURE, FileRead, FileWritten, Kind, Point, flag_of
+from servocore.cli.kinds import PICTURE, Kind, flag_of
 from servocore.errors import InvalidSetting
 from servocore.files import require_picture, require_places
 
@@ -92,9 +92,9 @@ class Command(click.Command):
 
     def _run(self, **values: Any) -> None:
         """Call the function with its groups, once the places of all results can be written."""
-        written = {flag_of(each): values[str(each.name)] for each in self.params if isinstance(each.type, FileWritten)}
-        read = [values[str(each.name)] for each in self.params if isinstance(each.type, FileRead)]
-        require_places(written, read)
+        places = [(getattr(each.type, "role", ""), flag_of(each), values[str(each.name)]) for each in self.params]
+        written = {flag: place for role, flag, place in places if role == "written"}
+        require_places(written, [place for role, _, place in places if role == "read"])
         for each in self.params:
             if each.type is PICTURE:
                 require_picture(values[str(each.name)])
@@ -140,7 +140,7 @@ class Command(click.Command):
                     raise InvalidSetting(f"{name} needs a value: write it as in {name} {param.type.example}")
                 value = words[k]
                 k += 1
-            while isinstance(param.type, Point) and k < len(words) and _NUMBER.fullmatch(words[k]):
+            while param.type.role == "numbers" and k < len(words) and _NUMBER.fullmatch(words[k]):
                 value = f"{value} {words[k]}"
                 k += 1
             yield f"{name}={value}"

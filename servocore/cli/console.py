@@ -93,7 +93,8 @@ class CommandLine(click.Group):
         )
         told = {"package_name": "servocore", "message": "servocore %(version)s", "help": "Print the version and end."}
         click.version_option(None, "--version", "-V", **told)(self)
-        self.former = dict(former or {})
+        verbose = "-v is --verbose, behind a command; the version is told by --version or -V"
+        self.former = {"-v": verbose, **(former or {})}
 
     def main(
         self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: object, **settings: Any
@@ -225,27 +226,28 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` steps are done."""
         tenth = 10 * done // max(total, 1)
-        if self._slow() and self._tenth < tenth < 10:
-            left = self._elapsed() * (total - done) / done
+        if self._tenth < tenth < 10 and self._slow():
+            left = self._elapsed * (total - done) / done
             self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %, {left:.0f} s left")
         self._tenth = tenth
         self._update(completed=done, total=total)
 
     def describe(self, label: str) -> None:
         """Change what is said to be going on."""
-        if self._slow() and self._elapsed() - self._told > _STAGES_APART:
+        if self._slow() and self._elapsed - self._told > _STAGES_APART:
             self._tell(label)
         self._update(description=label)
 
+    @property
     def _elapsed(self) -> float:
         return self._progress.tasks[0].elapsed or 0.0
 
     def _slow(self) -> bool:
-        return self._elapsed() > 1.0
+        return self._elapsed > 1.0
 
     def _tell(self, line: str) -> None:
         if not self._progress.console.is_terminal:
-            self._told = self._elapsed()
+            self._told = self._elapsed
             print(line, file=sys.stderr)
 
     def _update(self, **changes: Any) -> None:

@@ -33,12 +33,14 @@ class Kind(ParamType):
         A word that is one.
     read : callable
         From the word to the value; raises `ValueError`, or `InvalidSetting` where it knows more to say.
+    role : str, optional
+        ``read`` or ``written`` of a file; ``numbers`` of a value that has as many words as numbers follow.
     """
 
     name = "value"
 
-    def __init__(self, what: str, example: str, read: Callable[[str], Any]) -> None:
-        self.what, self.example, self.read = what, example, read
+    def __init__(self, what: str, example: str, read: Callable[[str], Any], role: str = "") -> None:
+        self.what, self.example, self.read, self.role = what, example, read, role
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ARG002
         """Read a word, or refuse it with the right form."""
@@ -52,18 +54,6 @@ class Kind(ParamType):
             raise InvalidSetting(f"{option}: {error}: {right}") from None
         except ValueError:
             raise InvalidSetting(f"{option} {value or repr(value)} is no {self.what}: {right}") from None
-
-
-class FileRead(Kind):
-    """A file that a command reads."""
-
-
-class FileWritten(Kind):
-    """A file that a command writes."""
-
-
-class Point(Kind):
-    """Numbers one after another, as many as follow the option."""
 
 
 def flag_of(param: click.Parameter | None) -> str:
@@ -173,8 +163,8 @@ TIME = Kind("time", "20", _time)
 STEP = Kind("time", "0.1", _step)
 NAMES = Kind("OURS=THEIRS, nor a file that ends in .toml", "F=trolley.force", _names)
 VALUE = Kind("NAME=NUMBER", "start.swing=0.1", _value)
-POINT = Point("point", "5 0 -5", _point)
-FILE_READ = FileRead("file name", "FILE", _file)
-FILE = FileWritten("file name", "FILE", _file)
-PICTURE = FileWritten("file name", "FILE.png", _file)
+POINT = Kind("point", "5 0 -5", _point, "numbers")
+FILE_READ = Kind("file name", "FILE", _file, "read")
+FILE = Kind("file name", "FILE", _file, "written")
+PICTURE = Kind("file name", "FILE.png", _file, "written")
 FOLDER = Kind("folder name", "DIR", _file)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from servocore.cli.kinds import COUNT, FOLDER, SEED, text
 from servocore.cli.options import MOST_ROWS, GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
+from servocore.planning.sweep import sweep
 from servocore.planning.sweep_settings import drawn
 
 EXAMPLES = (
@@ -74,37 +75,32 @@ class Cases:
         return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
 
 
-def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
-    """Return the command around `servocore.sweep`, which whoever assembles the commands hands over."""
+def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: Cases) -> None:
+    """Compute peaks, margins and swing of many cases of a scene.
 
-    def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: Cases) -> None:
-        """Compute peaks, margins and swing of many cases of a scene.
+    The results stream into DIR/sweep.zarr, which xarray opens. A run that was interrupted goes on with --resume
+    where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
+    shows the peak of the first input over what varies.
+    """
+    extra("xarray")  # what may be missing is told before the work
+    from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
-        The results stream into DIR/sweep.zarr, which xarray opens. A run that was interrupted goes on with --resume
-        where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
-        shows the peak of the first input over what varies.
-        """
-        extra("xarray")  # what may be missing is told before the work
-        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
-
-        moved = path.along(subject.chosen(), subject.model)
-        bounds, varied = limits.bounds(), cases.varied()
-        require_writable(cases.output, cases.output)
-        store = cases.output / (_TABLES if cases.parquet else _STORE)
-        with _client(cases.scheduler) as client, PatientProgress("sweeping") as progress:
-            try:
-                found = sweep(
-                    moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
-                    inputs=cases.inputs, model=subject.model, distributed=client, progress=progress,
-                )  # fmt: skip
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
-        page, figure = sweep_page(found, moved.name, store.name)
-        write_together({cases.output / _PAGE: page, cases.output / _FIGURE: figure})
-        failed = int((found.failure.to_numpy() != "").sum())
-        print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {cases.output / _PAGE}")
-
-    return sweep_scene
+    moved = path.along(subject.chosen(), subject.model)
+    bounds, varied = limits.bounds(), cases.varied()
+    require_writable(cases.output, cases.output)
+    store = cases.output / (_TABLES if cases.parquet else _STORE)
+    with _client(cases.scheduler) as client, PatientProgress("sweeping") as progress:
+        try:
+            found = sweep(
+                moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
+                inputs=cases.inputs, model=subject.model, distributed=client, progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
+    page, figure = sweep_page(found, moved.name, store.name)
+    write_together({cases.output / _PAGE: page, cases.output / _FIGURE: figure})
+    failed = int((found.failure.to_numpy() != "").sum())
+    print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {cases.output / _PAGE}")
 
 
 def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
