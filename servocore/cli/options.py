@@ -123,14 +123,15 @@ class GivenPath:
         InvalidSetting
             If they exclude each other.
         """
-        line = {"--from": self.start, "--to": self.end, "--by": self.by or None, "--duration": self.duration,
-                "--profile": self.profile, "--ramp": self.ramp}  # fmt: skip
-        files = {"--reference": self.reference, "--waypoints": self.waypoints}
-        given = [name for name, value in {**files, **line}.items() if value is not None]
-        if given and given[0] in files and len(given) > 1:
+        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) not in (None, ())]
+        if "--tolerance" in given:
+            if self.reference is None:
+                raise InvalidSetting(
+                    "--tolerance belongs to --reference: it is how far the path may stay from its samples"
+                )
+            given.remove("--tolerance")
+        if len(given) > 1 and (self.reference or self.waypoints):
             raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-        if self.tolerance is not None and self.reference is None:
-            raise InvalidSetting("--tolerance belongs to --reference: it is how far the path may stay from its samples")
         return given
 
     def path(self, scene: Scene, model: str | None = None) -> Reference | None:
