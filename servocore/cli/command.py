@@ -163,7 +163,7 @@ class Command(click.Command):
         if self.examples:
             with formatter.section("Examples"):
                 for example in self.examples:
-                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip(), formatter.width - 2))
+                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip(), formatter.width - 3))
 
 
 def _continued(line: str, width: int) -> str:

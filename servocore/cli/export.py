@@ -95,6 +95,7 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
     scene needs, its outputs the inputs of the mechanical system and what its model observes. Scenes whose internal
     dynamics are unstable are refused. With --plant it is the forward dynamics that is exported, with --trajectory a
     generator of the path and its derivatives, which carries the path of --reference, --waypoints or --from and --to.
+
     With --cross-check the run goes along that path.
     """
     targets = platforms.targets
