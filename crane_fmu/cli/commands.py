@@ -29,13 +29,14 @@ FMUS: dict[str, object] = {**CRANE, **NO_POINTS_BETWEEN, "model": None}
 
 @dataclass(frozen=True)
 class Place:
-    """Where FMUs go."""
+    """Where FMUs go, and in what language they are."""
 
     title = "Results"
 
     output: Path | None = output(
         "DIR", "Write into this folder, which is made if need be. Default: here, system of ssp, out of demo.", FOLDER
     )
+    native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
 
 
 def build(subject: Subject, place: Place, platforms: Platforms) -> None:
@@ -51,14 +52,7 @@ def build(subject: Subject, place: Place, platforms: Platforms) -> None:
     print(file)
 
 
-@dataclass(frozen=True)
-class SystemPlace(Place):
-    """Where the system of FMUs goes, and in what language."""
-
-    native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
-
-
-def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platforms) -> None:
+def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
@@ -162,7 +156,7 @@ app = CommandLine(
             "view", view.view_scene, ("", f"{_LINE} --duration 20 --limit F=60 -o mine.html"),
             {**CRANE, **NO_POINTS_BETWEEN},
         ),
-        Command("build", build, ("-o fmus",), FMUS),
+        Command("build", build, ("-o fmus",), {**FMUS, "native": False}),
         Command("ssp", ssp, ("-o system", "--reference way.csv -o system"), FMUS),
         Command(
             "drive", drive,
@@ -170,6 +164,6 @@ app = CommandLine(
              f" --map z=load.r[3] {_LINE} --duration 20",),
             {**FMUS, "columns": None, "plot": None, "verbose": False},
         ),
-        Command("demo", run_demo, ("-o out",)),
+        Command("demo", run_demo, ("-o out",), {"native": False}),
     ],
 )  # fmt: skip

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from servocore.cli.console import PatientProgress, deliver, end_as_of_no_use, held_notes
 from servocore.cli.options import Computation, GivenLimits, GivenPath, Subject, Table
-from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces, tell
+from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
@@ -53,7 +55,7 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
     deliver(table_pieces(solution, names), table.output, contents)
     if useless:
         end_as_of_no_use(useless)
-    tell(told)
+    print(*told, sep="\n", file=sys.stderr)
 
 
 def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import platform
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
@@ -67,11 +66,6 @@ def chosen_columns(wanted: str | None, scene: Scene, model: str | None, more: bo
 def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
     """Return time and columns of a solution as the text of a CSV file, piece by piece."""
     return csv_pieces(["time", *names], [solution.t, *[solution[name] for name in names]])
-
-
-def tell(lines: Sequence[str]) -> None:
-    """Print lines on the error stream."""
-    print(*lines, sep="\n", file=sys.stderr)
 
 
 def summary(solution: Solution) -> list[str]:
