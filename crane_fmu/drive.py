@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,80 +79,6 @@ class Driven:
         return csv_text(names, [self.t, both, self.distances])
 
 
-def signals(pairs: Sequence[str]) -> dict[str, str]:
-    """Return names of the plant's variables by ours.
-
-    Parameters
-    ----------
-    pairs : sequence of str
-        ``OURS=THEIRS``, or files in TOML that say the same.
-
-    Returns
-    -------
-    dict of str to str
-        Later pairs replace earlier ones of the same name.
-
-    Raises
-    ------
-    InvalidSetting
-        If a pair or a file does not say that, or a name is none of ours.
-    """
-    found: dict[str, str] = {}
-    for pair in pairs:
-        if pair.endswith(".toml") and "=" not in pair:
-            found |= _from_file(Path(pair))
-            continue
-        ours, equals, theirs = pair.partition("=")
-        if not (equals and ours and theirs):
-            raise sc.InvalidSetting(f"--map {pair}: it must be OURS=THEIRS or a file that ends in .toml")
-        found[ours.strip()] = theirs.strip()
-    for name in found:
-        if name not in (*GIVEN, *SEEN):
-            raise sc.InvalidSetting(f"there is no signal {name!r} to map; there are {', '.join((*GIVEN, *SEEN))}")
-    return found
-
-
-def _from_file(file: Path) -> dict[str, str]:
-    try:
-        pairs = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
-        raise sc.InvalidSetting(f"cannot read {file}: {_reason(error)}") from error
-    wrong = [name for name, value in pairs.items() if not isinstance(value, str)]
-    if wrong:
-        raise sc.InvalidSetting(f"{file}: {wrong[0]} must be the name of a variable, in quotes")
-    return pairs
-
-
-def settings(pairs: Sequence[str]) -> dict[str, float]:
-    """Return start values of the plant by name.
-
-    Parameters
-    ----------
-    pairs : sequence of str
-        ``NAME=NUMBER``, in the units of the plant.
-
-    Returns
-    -------
-    dict of str to float
-        Values by name of the variable.
-
-    Raises
-    ------
-    InvalidSetting
-        If a text is no such pair.
-    """
-    found = {}
-    for pair in pairs:
-        name, _, value = pair.rpartition("=")
-        try:
-            found[name.strip()] = float(value)
-        except ValueError:
-            name = ""
-        if not name:
-            raise sc.InvalidSetting(f"--set {pair}: it must be NAME=NUMBER")
-    return found
-
-
 def drive(
     plant: Path,
     crane: sc.Scene,
@@ -184,10 +109,15 @@ def drive(
     Raises
     ------
     InvalidSetting
-        If the FMU cannot be read or lacks a variable.
+        If a name is none of ours, or the FMU cannot be read or lacks a variable.
     IntegrationFailed
         If it does not reach the end of the path.
     """
+    for name, variable in names.items():
+        if name not in (*GIVEN, *SEEN):
+            raise sc.InvalidSetting(f"there is no signal {name!r} to map; there are {', '.join((*GIVEN, *SEEN))}")
+        if not isinstance(variable, str):
+            raise sc.InvalidSetting(f"{name} must be the name of a variable, in quotes, not {variable!r}")
     known = _variables(plant)
     theirs = {name: _found(plant, known, name, names) for name in (*GIVEN, *SEEN)}
     for name in starts:
@@ -207,17 +137,13 @@ def drive(
     return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
 
-def _reason(error: Exception) -> object:
-    """Return what an error says, without the number that the machine has for it."""
-    return getattr(error, "strerror", None) or error
-
-
 def _variables(plant: Path) -> dict[str, str]:
     """Return the causality of an FMU's variables by name."""
     try:
         described = fmpy.read_model_description(str(plant), validate=False)
     except Exception as error:  # FMPy raises what its parts raise
-        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {_reason(error)}") from error
+        reason = getattr(error, "strerror", None) or error  # without the number that the machine has for it
+        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
     return {variable.name: variable.causality for variable in described.modelVariables}
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import servocore as sc
-from servocore.files import made_folder, not_written, rename_together, require_writable
+from servocore.files import made_folder, require_writable, write_together
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -31,7 +29,7 @@ def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
 
 @contextmanager
 def filled_folder(target: Path) -> Iterator[Path]:
-    """Offer an empty folder beside `target` whose content becomes that of `target` if all goes well.
+    """Offer an empty folder whose content goes into `target` if all goes well.
 
     What `target` already holds stays, unless a new file has the same name.
 
@@ -51,38 +49,14 @@ def filled_folder(target: Path) -> Iterator[Path]:
         If the folder cannot be made or written.
     """
     require_writable(target, target)
-    parent = Path(os.path.realpath(target)).parent
-    with made_folder(parent, target):
-        try:
-            draft = Path(tempfile.mkdtemp(prefix=f".{target.name}", suffix=".part", dir=parent))
-        except OSError as error:
-            raise not_written(target, error) from error
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_", ignore_cleanup_errors=True) as name, ExitStack() as made:
+        draft = Path(name)
         try:
             yield draft
-            _move(draft, target)
         except sc.InvalidSetting as error:  # what could not be written has a name that nobody knows
-            raise sc.InvalidSetting(str(error).replace(str(draft), str(target))) from error
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
-
-
-def _move(draft: Path, target: Path) -> None:
-    try:
-        for source in (draft, *sorted(draft.rglob("*"))):
-            source.chmod(0o755 if source.is_dir() else 0o644)
-        if not target.exists():
-            draft.rename(target)
-            return
-        with ExitStack() as made:
-            files = []
-            for source in sorted(draft.rglob("*")):
-                place = target / source.relative_to(draft)
-                if not source.is_dir():
-                    files.append((source, place, target))
-                elif not place.is_dir():
-                    place.mkdir()
-                    made.callback(place.rmdir)
-            rename_together(files)
-            made.pop_all()
-    except OSError as error:
-        raise not_written(target, error) from error
+            raise sc.InvalidSetting(str(error).replace(name, str(target))) from error
+        files = [each for each in sorted(draft.rglob("*")) if each.is_file()]
+        contents = {target / each.relative_to(draft): each.read_bytes() for each in files}
+        for folder in dict.fromkeys(each.parent for each in contents):
+            made.enter_context(made_folder(folder, target))
+        write_together(contents)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,16 +22,17 @@ _ONE_COLUMN = 4  # panels; more stand in two columns
 
 @dataclass(frozen=True)
 class Curve:
-    """A trajectory with its name, unit, meaning, and one value an instant."""
+    """A trajectory with its name, unit, meaning, one value an instant, and how Matplotlib draws it."""
 
     name: str
     unit: str
     description: str
     values: Array
+    look: Mapping[str, Any] = field(default_factory=dict)
 
 
 def figure_of(t: Array, curves: Sequence[Curve], title: str) -> Figure:
-    """Return a figure with a panel for every trajectory, angles in degrees.
+    """Return a figure with a panel for all trajectories of a name, angles in degrees, and a legend of their labels.
 
     Raises
     ------
@@ -40,21 +41,25 @@ def figure_of(t: Array, curves: Sequence[Curve], title: str) -> Figure:
     """
     with refused_if_missing():
         from matplotlib import pyplot  # noqa: PLC0415, only whoever plots needs it
-    columns = 1 if len(curves) <= _ONE_COLUMN else 2
-    rows = -(-len(curves) // columns)
+    names = list(dict.fromkeys(curve.name for curve in curves))
+    columns = 1 if len(names) <= _ONE_COLUMN else 2
+    rows = -(-len(names) // columns)
     figure = pyplot.figure(figsize=(7.0 if columns == 1 else 9.0, 0.9 + 1.4 * rows), layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False).T.ravel()
-    for panel, curve in zip(panels, curves, strict=False):
-        unit, factor = _shown_unit(curve.unit)
-        panel.plot(t, factor * curve.values)
+    for curve in curves:
+        panel, (unit, factor) = panels[names.index(curve.name)], _shown_unit(curve.unit)
+        panel.plot(t, factor * curve.values, **curve.look)
         panel.set_title(f"{curve.name} ({unit})", loc="left", fontsize="medium")
         panel.margins(x=0.0)
         panel.grid(alpha=0.25)
-    for panel in panels[len(curves) :]:
+    for panel in panels[len(names) :]:
         panel.set_visible(False)
-    for panel in (panels[rows - 1], panels[len(curves) - 1]):
+    for panel in (panels[rows - 1], panels[len(names) - 1]):
         panel.tick_params(labelbottom=True)
         panel.set_xlabel("time (s)")
+    labels = {label: line for panel in panels for line, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    if labels:
+        figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import click
 import pytest
+from click.testing import CliRunner
 from command_lines import CommandLine
 
 import crane_fmu.cli.commands
@@ -105,8 +106,8 @@ OPTIONS = {
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
-    "--map": Option({"crane-fmu drive"}, "F=trolley.force", ("F=trolley.force",)),
-    "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ("start.position[1]=5.1",)),
+    "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
+    "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip
 
 
@@ -195,7 +196,7 @@ def test_a_value_that_is_missing_is_refused_with_an_example(name: str) -> None:
 FF, CRANE = "crane-fmu feedforward", "--from 5 0 -5 --to -2 2 -2"
 WRONG = [
     # times
-    *[(f"{command} {option} {value}", f"write it as in {option} 20")
+    *[(f"{command} {option} {value}", f"write it as in {option} {'0.1' if 'step' in option else '20'}")
       for command, option in (
           (FF, "--duration"), (FF, "--step"), (FF, "--ramp"), (FF, "--output-step"),
           ("crane-fmu plan", "--step"), ("servocore view cars", "--step"),
@@ -295,12 +296,12 @@ WRONG = [
     (f"{FF} --parameters none.toml", "none.toml cannot be read"),
     ("servocore view cars -o cars.pdf", "the name of a page ends with .html"),
     ("crane-fmu drive none.fmu", "cannot read none.fmu"),
-    ("crane-fmu drive p.fmu --map F", "--map F: it must be OURS=THEIRS"),
-    ("crane-fmu drive p.fmu --set a", "--set a: it must be NAME=NUMBER"),
+    ("crane-fmu drive p.fmu --map F", "--map F is no OURS=THEIRS, nor a file that ends in .toml: write it as in"),
+    ("crane-fmu drive p.fmu --set a", "--set a is no NAME=NUMBER: write it as in --set start.swing=0.1"),
     # words that there are not, and those that there were
     (f"{FF} --spep 3", "did you mean --step; see crane-fmu feedforward --help"),
     (f"{FF} --free", "see crane-fmu feedforward --help"),
-    (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu --help"),
+    (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu feedforward --help"),
     (f"{FF} more", "got unexpected extra argument (more); see crane-fmu feedforward --help"),
     ("servocore plan", "see servocore plan --help"),
     ("crane-fmu drive", "see crane-fmu drive --help"),
@@ -342,3 +343,11 @@ def test_what_is_advised_in_python_is_said_somewhere_in_the_library() -> None:
     ]
     whole = re.sub(r'"\s*\n\s*f?"', "", "\n".join(sources))
     assert [each for each in ON_THE_COMMAND_LINE if each not in whole] == []
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+@pytest.mark.parametrize("name", [*PROGRAMS, *COMMANDS])
+def test_a_help_is_as_wide_as_the_terminal_and_breaks_no_word(name: str, width: int) -> None:
+    program, *words = name.split()
+    text = CliRunner().invoke(PROGRAMS[program], [*words, "--help"], prog_name=program, terminal_width=width).stdout
+    assert [line for line in text.splitlines() if len(line) > width or re.search(r"\w-$", line)] == []

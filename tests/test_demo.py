@@ -260,7 +260,7 @@ class TestWriting:
     def test_an_existing_folder_that_does_not_take_a_file_is_left_alone(self, tmp_path: Path) -> None:
         (tmp_path / "out" / "report.html").mkdir(parents=True)
         (tmp_path / "out" / "inputs.csv").write_text("old")
-        with pytest.raises(sc.InvalidSetting, match=r"cannot write .*/out: Is a directory"):
+        with pytest.raises(sc.InvalidSetting, match=r"cannot write .*/out/report.html: Is a directory"):
             _done(tmp_path / "out")
         assert (tmp_path / "out" / "inputs.csv").read_text() == "old"
         assert sorted(os.listdir(tmp_path / "out")) == ["inputs.csv", "report.html"]

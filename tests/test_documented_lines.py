@@ -70,7 +70,7 @@ def filled(command: Command, words: list[str]) -> list[str]:
 CHECKS: dict[type, Callable[[Any], object]] = {
     GivenPath: lambda path: path.options(),
     GivenLimits: lambda limits: limits_given(limits.limit, None),
-    Computation: lambda how: (how.require(), how.accuracy()),
+    Computation: lambda how: (how.require(20.0), how.accuracy()),
     Freedom: lambda freedom: (freedom.space(3), factors_of_texts(freedom.robust)),
     Cases: lambda cases: cases.varied(),
     Question: lambda question: (question.allowed("m"), question.drives()),
@@ -90,10 +90,12 @@ def test_a_command_line_of_a_page_is_taken(line: Line) -> None:
     words = filled(command, line.words[2:])
     if words[0].startswith("-"):  # a page may leave out what the command is about
         words = [*argument_of(command), *words]
+    names = Path("names.toml")  # read with the words that name it
+    names.write_text('M_b = "slew.torque"', encoding="utf-8")
     values = command.make_context(line.name, words).params
     for group in command.given(values).values():
         CHECKS.get(type(group), lambda _: None)(group)
-    assert list(Path().iterdir()) == []
+    assert list(Path().iterdir()) == [names]
 
 
 # The tables of docs/command-line.md.

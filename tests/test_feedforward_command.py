@@ -158,7 +158,7 @@ def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path: Pat
     [
         (("--from", "0", "--to", "nan", "--duration", "3"), "component 0 is nan, not a finite number"),
         (("--from", "0", "--to", "1"), "a straight line also needs --duration"),
-        (("--from", "0", "--to", "1", "2", "--duration", "3"), "--to 1 2: it needs 1 numbers, y"),
+        (("--from", "0", "--to", "1", "2", "--duration", "3"), "--to 1 2: it needs 1 number, y"),
         (("--duration", "3", "--reference", "x.csv"), "either by --reference or by --duration, not by both"),
         (("--waypoints", "y.csv", "--reference", "x.csv"), "either by --reference or by --waypoints, not by both"),
         (("--tolerance", "1"), "--tolerance belongs to --reference"),

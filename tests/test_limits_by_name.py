@@ -154,7 +154,7 @@ class TestWhatALimitIs:
             ({"F": "60 lbf"}, "the limit of F is given in lbf, which is no unit known here: 1, %, m, "),
             ({"F": "much"}, "the limit of F is given as 'much', which is no number with a unit, such as '2 N'"),
             ({"F": -60}, "the limit of F is -60: one number is the largest magnitude and must be positive"),
-            ({"F": (3, -3)}, "the limit of F must run from a lower to an upper number, not (3, -3)"),
+            ({"F": (3, -3)}, "the limit of F must run from a lower to an upper number, not from 3 to -3"),
             ({"F": (None, None)}, "the limit of F must run from a lower to an upper number"),
             ({"F": (1, 2, 3)}, "the limit of F must be one number or a lower and an upper one, not (1, 2, 3)"),
             ({"F": float("nan")}, "the limit of F must be a number or a text with its unit, such as '2 N', not nan"),

@@ -23,7 +23,7 @@ from thinned import thinned
 
 import crane_fmu.cli.commands
 import servocore.cli.commands
-from servocore.cli.kinds import FOLDER, FileWritten
+from servocore.cli.kinds import FOLDER
 
 LINES = {"crane-fmu": crane_fmu.cli.commands.app, "servocore": servocore.cli.commands.app}
 CODE = {"crane-fmu": CRANE, "servocore": LIBRARY}
@@ -78,7 +78,11 @@ def results() -> Iterator[tuple[str, list[list[str]]]]:
         for command, found in app.commands.items():
             yield (
                 f"{name} {command}",
-                [each.opts for each in found.params if isinstance(each.type, FileWritten) or each.type is FOLDER],
+                [
+                    each.opts
+                    for each in found.params
+                    if getattr(each.type, "role", "") == "written" or each.type is FOLDER
+                ],
             )
 
 

@@ -14,7 +14,7 @@ import servocore as sc
 from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
-from servocore.cli.kinds import FILE_READ, FOLDER, text
+from servocore.cli.kinds import FILE_READ, FOLDER, NAMES, VALUE
 from servocore.cli.options import NO_POINTS_BETWEEN, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
@@ -22,24 +22,24 @@ from servocore.files import write_together
 
 NAME = "crane-fmu"
 
-FORMER = {"-v": "-v is --verbose, behind a command; the version is told by --version or -V"}
-"""What to say of words that once meant something."""
-
 CRANE: dict[str, object] = {"scene": "rotary_crane"}
 FMUS: dict[str, object] = {**CRANE, **NO_POINTS_BETWEEN, "model": None}
 """Options that are fixed: for commands of the crane, and for those of its FMUs."""
 
 
 @dataclass(frozen=True)
-class Here:
-    """Where an FMU goes."""
+class Place:
+    """Where FMUs go, and in what language they are."""
 
     title = "Results"
 
-    output: Path = output("DIR", "Write into this folder, which is made if need be. Default: here.", FOLDER, Path())
+    output: Path | None = output(
+        "DIR", "Write into this folder, which is made if need be. Default: here, system of ssp, out of demo.", FOLDER
+    )
+    native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
 
 
-def build(subject: Subject, place: Here, platforms: Platforms) -> None:
+def build(subject: Subject, place: Place, platforms: Platforms) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder.
 
     With --parameters the crane of the file is the FMU's default. It is the same as python build_fmu.py.
@@ -48,23 +48,11 @@ def build(subject: Subject, place: Here, platforms: Platforms) -> None:
 
     changed = subject.changes(sc.scenes.rotary_crane())
     with PatientProgress("building the FMU") as progress:
-        file = build_fmu(place.output, progress.describe, starts=changed, targets=platforms.targets)
+        file = build_fmu(place.output or Path(), progress.describe, starts=changed, targets=platforms.targets)
     print(file)
 
 
-@dataclass(frozen=True)
-class SystemPlace:
-    """Where the system of FMUs goes, and in what language."""
-
-    title = "Results"
-
-    output: Path = output(
-        "DIR", "Write into this folder, which is made if need be. Default: system.", FOLDER, Path("system")
-    )
-    native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
-
-
-def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platforms) -> None:
+def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
@@ -80,7 +68,7 @@ def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platfo
     profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
     wishes = Wishes(line, profile, subject.changes(crane), place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
-        files = build_ssp(place.output, progress.describe, wishes)
+        files = build_ssp(place.output or Path("system"), progress.describe, wishes)
     print(*files, sep="\n")
 
 
@@ -91,12 +79,12 @@ class Plant:
     title = "Plant"
 
     plant: Path = option(kind=FILE_READ, metavar="PLANT.fmu", default=..., help="An FMU of a crane, your own say.")
-    mapped: tuple[str, ...] = option(
-        "--map", kind=text("F=trolley.force"), metavar="OURS=THEIRS", default=(),
+    mapped: tuple[dict[str, str], ...] = option(
+        "--map", kind=NAMES, metavar="OURS=THEIRS", default=(),
         help="What M_b, F, M_w and the load's x, y, z are called in the FMU, or a TOML file that says so.",
     )  # fmt: skip
-    settings: tuple[str, ...] = option(
-        "--set", kind=text("start.swing=0.1"), metavar="NAME=NUMBER", default=(),
+    settings: tuple[dict[str, float], ...] = option(
+        "--set", kind=VALUE, metavar="NAME=NUMBER", default=(),
         help="A start value of the FMU, in its own unit.",
     )  # fmt: skip
 
@@ -110,8 +98,8 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     """
     from crane_fmu import drive as driving  # noqa: PLC0415
 
-    rows.require()
-    names, starts = driving.signals(plant.mapped), driving.settings(plant.settings)
+    names = {ours: theirs for each in plant.mapped for ours, theirs in each.items()}
+    starts = {name: value for each in plant.settings for name, value in each.items()}
     moved = path.along(subject.chosen().with_limits(**limits.bounds()))
     rows.require(moved.reference.duration)
     with PatientProgress("driving the plant"):
@@ -121,16 +109,7 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     print(*found.sentences(), sep="\n")
 
 
-@dataclass(frozen=True)
-class DemoPlace:
-    """Where the demo goes."""
-
-    title = "Results"
-
-    output: Path = output("DIR", "Write into this folder, which is made if need be. Default: out.", FOLDER, Path("out"))
-
-
-def run_demo(place: DemoPlace) -> None:
+def run_demo(place: Place) -> None:
     """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.
 
     The folder then holds RotaryCrane.fmu, the folder system of the command ssp, inputs.csv, report.html and a folder
@@ -140,7 +119,7 @@ def run_demo(place: DemoPlace) -> None:
     from crane_fmu.demo import REPORT, demo  # noqa: PLC0415
 
     with PatientProgress("demo") as progress:
-        done = demo(place.output, progress.describe)
+        done = demo(place.output or Path("out"), progress.describe)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = table_console()
@@ -177,7 +156,7 @@ app = CommandLine(
             "view", view.view_scene, ("", f"{_LINE} --duration 20 --limit F=60 -o mine.html"),
             {**CRANE, **NO_POINTS_BETWEEN},
         ),
-        Command("build", build, ("-o fmus",), FMUS),
+        Command("build", build, ("-o fmus",), {**FMUS, "native": False}),
         Command("ssp", ssp, ("-o system", "--reference way.csv -o system"), FMUS),
         Command(
             "drive", drive,
@@ -185,7 +164,6 @@ app = CommandLine(
              f" --map z=load.r[3] {_LINE} --duration 20",),
             {**FMUS, "columns": None, "plot": None, "verbose": False},
         ),
-        Command("demo", run_demo, ("-o out",)),
+        Command("demo", run_demo, ("-o out",), {"native": False}),
     ],
-    FORMER,
 )  # fmt: skip

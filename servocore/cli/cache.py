@@ -32,25 +32,16 @@ def show_cache(order: Order) -> None:
     """
     if order.what not in (None, "clear"):
         raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {order.what}")
-    kept, console = CodeCache.of_user(), table_console()
+    kept = CodeCache.of_user()
     refusal = kept.refusal()
     if refusal:
         raise InvalidSetting(f"no machine code is kept: {refusal}; {FOLDER} may name another folder")
     if order.what:
         count, size = kept.clear()
-        console.print(f"{_libraries(count)} with {_megabytes(size)} removed from {kept.folder}", soft_wrap=True)
-        return
-    found = kept.contents()
-    size = sum(file.stat().st_size for file in found)
-    console.print(
-        f"{_libraries(len(found))} with {_megabytes(size)} of at most {_megabytes(MOST_BYTES)} in {kept.folder}",
-        soft_wrap=True,
-    )
-
-
-def _libraries(count: int) -> str:
-    return f"{count} {'library' if count == 1 else 'libraries'} of machine code"
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.3g} MB"
+        where = f"removed from {kept.folder}"
+    else:
+        found = kept.contents()
+        count, size = len(found), sum(file.stat().st_size for file in found)
+        where = f"of at most {MOST_BYTES / 1e6:.3g} MB in {kept.folder}"
+    libraries = "library" if count == 1 else "libraries"
+    table_console().print(f"{count} {libraries} of machine code with {size / 1e6:.3g} MB {where}", soft_wrap=True)

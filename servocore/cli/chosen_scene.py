@@ -27,10 +27,8 @@ def chosen_scene(name: str) -> Scene:
     InvalidSetting
         If there is no such scene, module or function, or it returns something else.
     """
-    return _scene_of_user(name) if ":" in name else _registered(name)
-
-
-def _registered(name: str) -> Scene:
+    if ":" in name:
+        return _scene_of_user(name)
     if name not in REGISTRY:
         raise InvalidSetting(
             f"no scene is called {name or repr(name)}; there are {', '.join(REGISTRY)}, and module:function for one of"

@@ -13,12 +13,13 @@ from dataclasses import MISSING, Field, field, fields
 from typing import Any, get_type_hints
 
 import click
+from click.core import augment_usage_errors
 
-from servocore.cli.kinds import PICTURE, FileRead, FileWritten, Kind, Point, flag_of
+from servocore.cli.kinds import PICTURE, Kind, flag_of
 from servocore.errors import InvalidSetting
 from servocore.files import require_picture, require_places
 
-_NUMBER = re.compile(r"[+-]?(\d|\.\d)[\d.eE+,;-]*|[+-]?(nan|inf),?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\.?\d|nan|inf)\S*", re.IGNORECASE)  # or what was meant to be one, such as 5m
 _OPTION_BEGINS = re.compile(r" (?=--?[a-z])")
 HELP_FLAGS = ("-h", "--help")
 _EXAMPLE_WIDTH = 76
@@ -86,16 +87,14 @@ class Command(click.Command):
             offered = [_parameter(each) for each in fields(group) if each.name not in self.fixed]
             self.sections.setdefault(group.title, []).extend(offered)
         params = [each for section in self.sections.values() for each in section]
-        settings = {"help_option_names": list(HELP_FLAGS)}
-        super().__init__(
-            name, callback=self._run, params=params, help=inspect.getdoc(function), context_settings=settings
-        )
+        text = inspect.getdoc(function) or ""
+        super().__init__(name, callback=self._run, params=params, help=text, short_help=text.partition("\n\n")[0])
 
     def _run(self, **values: Any) -> None:
         """Call the function with its groups, once the places of all results can be written."""
-        written = {flag_of(each): values[str(each.name)] for each in self.params if isinstance(each.type, FileWritten)}
-        read = [values[str(each.name)] for each in self.params if isinstance(each.type, FileRead)]
-        require_places(written, read)
+        places = [(getattr(each.type, "role", ""), flag_of(each), values[str(each.name)]) for each in self.params]
+        written = {flag: place for role, flag, place in places if role == "written"}
+        require_places(written, [place for role, _, place in places if role == "read"])
         for each in self.params:
             if each.type is PICTURE:
                 require_picture(values[str(each.name)])
@@ -111,7 +110,8 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a command line."""
-        return super().parse_args(ctx, list(self._gathered(args)))
+        with augment_usage_errors(ctx):  # a refusal names the help of the command, not that of the program
+            return super().parse_args(ctx, list(self._gathered(args)))
 
     def _gathered(self, words: list[str]) -> Iterator[str]:
         """Give the words of a command line with those of a value together.
@@ -140,7 +140,7 @@ class Command(click.Command):
                     raise InvalidSetting(f"{name} needs a value: write it as in {name} {param.type.example}")
                 value = words[k]
                 k += 1
-            while isinstance(param.type, Point) and k < len(words) and _NUMBER.fullmatch(words[k]):
+            while param.type.role == "numbers" and k < len(words) and _NUMBER.fullmatch(words[k]):
                 value = f"{value} {words[k]}"
                 k += 1
             yield f"{name}={value}"
@@ -163,14 +163,14 @@ class Command(click.Command):
         if self.examples:
             with formatter.section("Examples"):
                 for example in self.examples:
-                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip()))
+                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip(), formatter.width - 3))
 
 
-def _continued(line: str) -> str:
+def _continued(line: str, width: int) -> str:
     """Return a command line in indented lines that a shell takes as one, broken before options."""
     lines = ["  "]
     for part in _OPTION_BEGINS.split(line):
-        if len(lines[-1]) + len(part) > _EXAMPLE_WIDTH:
+        if len(lines[-1]) + len(part) > min(width, _EXAMPLE_WIDTH):
             lines += ["     "]
         lines[-1] += f" {part}" if lines[-1].strip() or len(lines) > 1 else part
     return " \\\n".join(lines) + "\n"

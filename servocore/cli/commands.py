@@ -12,23 +12,18 @@ import rich.table
 from rich.markup import escape
 
 from servocore.analysis import analyse
-from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, view
-from servocore.cli import sweep as sweeping
+from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, sweep, view
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import NO_POINTS_BETWEEN, Subject
 from servocore.model.scene import Scene
-from servocore.planning.sweep import sweep
 from servocore.scenes import REGISTRY
 
 NAME = "servocore"
 _INDENT = 22  # where the second column of a printed analysis begins
 
-FORMER = {
-    "-v": "-v is --verbose, behind a command; the version is told by --version or -V",
-    "levels": "levels is a benchmark: python -m benchmarks.levels SCENE, in a clone of the project",
-}
-"""What to say of words that once meant something."""
+FORMER = {"levels": "levels is a benchmark: python -m benchmarks.levels SCENE, in a clone of the project"}
+"""What to say of commands that there once were."""
 
 
 def list_scenes() -> None:
@@ -90,7 +85,7 @@ app = CommandLine(
         Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES, NO_POINTS_BETWEEN),
         Command("plan", plan.plan_motion, plan.EXAMPLES, plan.FIXED),
         Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
-        Command("sweep", sweeping.sweep_command(sweep), sweeping.EXAMPLES, NO_POINTS_BETWEEN),
+        Command("sweep", sweep.sweep_scene, sweep.EXAMPLES, NO_POINTS_BETWEEN),
         Command("effects", effects.show_effects, effects.EXAMPLES, {**NO_POINTS_BETWEEN, "model": None}),
         Command("view", view.view_scene, view.EXAMPLES, NO_POINTS_BETWEEN),
         Command("export", export.export_scene, export.EXAMPLES, NO_POINTS_BETWEEN),

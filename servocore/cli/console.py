@@ -13,14 +13,13 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 from click.exceptions import Exit
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from servocore.cli.command import HELP_FLAGS
 from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if_asked, was_asked
@@ -34,12 +33,6 @@ _STAGES_APART = 5.0  # seconds between lines that say what goes on, where no ter
 
 WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
-
-
-def _show_version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:  # noqa: ARG001
-    if wanted:
-        print(f"servocore {metadata.version('servocore')}", flush=True)
-        raise Exit
 
 
 ON_THE_COMMAND_LINE = {
@@ -94,39 +87,58 @@ class CommandLine(click.Group):
         commands: Sequence[click.Command],
         former: Mapping[str, str] | None = None,
     ) -> None:
-        version = click.Option(
-            ["--version", "-V"], is_flag=True, expose_value=False, is_eager=True, callback=_show_version,
-            help="Print the version and end.",
-        )  # fmt: skip
         settings = {"help_option_names": list(HELP_FLAGS), "max_content_width": _WIDEST_HELP}
         super().__init__(
-            name, list(commands), help=help, params=[version], epilog=_CODES, no_args_is_help=False,
-            context_settings=settings,
-        )  # fmt: skip
-        self.former = dict(former or {})
+            name, list(commands), help=help, epilog=_CODES, no_args_is_help=False, context_settings=settings
+        )
+        told = {"package_name": "servocore", "message": "servocore %(version)s", "help": "Print the version and end."}
+        click.version_option(None, "--version", "-V", **told)(self)
+        verbose = "-v is --verbose, behind a command; the version is told by --version or -V"
+        self.former = {"-v": verbose, **(former or {})}
 
-    def main(self, *args: Any, **options: Any) -> Any:
-        """Run the command line and end the process; the arguments are those of `click.Command.main`."""
+    def main(
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: object, **settings: Any
+    ) -> NoReturn:
+        """Run the command line and end the process; Click's own would tell of errors in its way."""
         if sys.stderr is None:  # closed: print takes no stream for the standard output stream, and tables go there
             sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
+        with self._notes_on_the_error_stream(), heeded_interruption():
+            sys.exit(self._code(sys.argv[1:] if args is None else list(args), prog_name or self.name or "", settings))
+
+    def _code(self, words: list[str], name: str, settings: Mapping[str, Any]) -> int:
+        """Run a command; return its exit code, and say in one sentence what stopped or refused it."""
         try:
-            with self._notes_on_the_error_stream(), heeded_interruption():
-                code = super().main(*args, **{**options, "standalone_mode": False})
-        except ServocoreError as error:
-            self._refuse(str(error))
-        except ModuleNotFoundError as error:
-            refusal = missing_package(error)
-            if refusal is None:
+            with self.make_context(name, words, **settings) as ctx:
+                self.invoke(ctx)
+            if sys.stdout is not None:  # the stream may be closed
+                sys.stdout.flush()  # what it cannot take is refused, not left for the interpreter's end
+        except Exit as end:
+            return end.exit_code
+        except BrokenPipeError:  # whoever reads the standard output stream, such as head, wants no more
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
+            return UNREAD
+        except KeyboardInterrupt as error:
+            sentence, code = str(error) or "stopped", INTERRUPTED
+        except Exception as error:
+            sentence, code = ("stopped", INTERRUPTED) if was_asked() else (self._refusal(error), REFUSED)
+            if not sentence:
                 raise
-            self._refuse(str(refusal))
-        except OSError as error:
-            hindered = _hindered(error)
-            if hindered is None:
-                raise
-            self._refuse(hindered)
-        except click.UsageError as error:
-            self._refuse(self._misused(error))
-        sys.exit(code if isinstance(code, int) else 0)
+        else:
+            return 0
+        print(f"{self.name}: {sentence}", file=sys.stderr)
+        return code
+
+    def _refusal(self, error: Exception) -> str:
+        """Return what is told of an error, empty where it is a defect."""
+        if isinstance(error, ModuleNotFoundError):
+            error = missing_package(error) or error
+        if isinstance(error, OSError):
+            sentence = _hindered(error)
+        elif isinstance(error, click.UsageError):
+            sentence = self._misused(error)
+        else:
+            sentence = str(error) if isinstance(error, ServocoreError) else ""
+        return advised_here(" ".join(sentence.split()))
 
     def _misused(self, error: click.UsageError) -> str:
         """Return what to say of a command line that Click does not take."""
@@ -139,43 +151,9 @@ class CommandLine(click.Group):
         asked = error.ctx.command_path if error.ctx else self.name
         return f"{message[:1].lower()}{message[1:]}{meant}; see {asked} --help"
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write what every command does, in a whole sentence."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, " ".join((each.help or "").split("\n\n")[0].split())) for name, each in self.commands.items()]
-            )
-
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Return the names of the commands, in their order."""
         return list(self.commands)
-
-    def make_context(self, *args: Any, **options: Any) -> Any:
-        """Read the command line; Ctrl-C ends it as it ends a command."""
-        with self._stoppable():
-            return super().make_context(*args, **options)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command; Ctrl-C ends it with a sentence and `INTERRUPTED`, whatever error came of it."""
-        with self._stoppable(), _quiet_where_nobody_reads():
-            result = super().invoke(ctx)
-            if sys.stdout is not None:  # the stream may be closed
-                sys.stdout.flush()  # what it cannot take is refused, not left for the interpreter's end
-            return result
-
-    @contextmanager
-    def _stoppable(self) -> Iterator[None]:
-        try:
-            yield
-            return
-        except KeyboardInterrupt as error:
-            sentence = str(error) or "stopped"
-        except Exception:
-            if not was_asked():
-                raise
-            sentence = "stopped"
-        print(f"{self.name}: {sentence}", file=sys.stderr)
-        raise Exit(INTERRUPTED)
 
     @contextmanager
     def _notes_on_the_error_stream(self) -> Iterator[None]:
@@ -193,20 +171,6 @@ class CommandLine(click.Group):
             warnings.simplefilter("always", ServocoreWarning)
             yield
 
-    def _refuse(self, sentence: str) -> NoReturn:
-        print(f"{self.name}: {advised_here(' '.join(sentence.split()))}", file=sys.stderr)
-        sys.exit(REFUSED)
-
-
-@contextmanager
-def _quiet_where_nobody_reads() -> Iterator[None]:
-    """End with `UNREAD` where whoever reads the standard output stream, such as ``head``, wants no more."""
-    try:
-        yield
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
-        raise Exit(UNREAD) from None
-
 
 def advised_here(sentence: str) -> str:
     """Return a sentence of the library with its advice for the command line."""
@@ -215,8 +179,8 @@ def advised_here(sentence: str) -> str:
     return sentence
 
 
-def _hindered(error: OSError) -> str | None:
-    """Return what to tell of an error that lies in the machine, such as a full disk; None for any other."""
+def _hindered(error: OSError) -> str:
+    """Return what to tell of an error that lies in the machine, such as a full disk; empty for any other."""
     if error.errno in FULL:
         return f"a disk is full, that of the output or that of TMPDIR: {MORE_SPACE} ({error.strerror})"
     if isinstance(error, FileNotFoundError) and error.filename is None:  # as `os.getcwd` and `tempfile` raise it
@@ -225,7 +189,7 @@ def _hindered(error: OSError) -> str | None:
         except FileNotFoundError:
             return "the present folder is gone: change into one that is there"
         return f"{error.strerror}: let TMPDIR name a folder that can be written"
-    return None
+    return ""
 
 
 @contextmanager
@@ -254,7 +218,7 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
     """
 
     def __init__(self, label: str) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
         self._task = self._progress.add_task(label, total=None)
         self._tenth, self._told = 0, 0.0
@@ -262,26 +226,28 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` steps are done."""
         tenth = 10 * done // max(total, 1)
-        if self._slow() and self._tenth < tenth < 10:
-            self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %")
+        if self._tenth < tenth < 10 and self._slow():
+            left = self._elapsed * (total - done) / done
+            self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %, {left:.0f} s left")
         self._tenth = tenth
         self._update(completed=done, total=total)
 
     def describe(self, label: str) -> None:
         """Change what is said to be going on."""
-        if self._slow() and self._elapsed() - self._told > _STAGES_APART:
+        if self._slow() and self._elapsed - self._told > _STAGES_APART:
             self._tell(label)
         self._update(description=label)
 
+    @property
     def _elapsed(self) -> float:
         return self._progress.tasks[0].elapsed or 0.0
 
     def _slow(self) -> bool:
-        return self._elapsed() > 1.0
+        return self._elapsed > 1.0
 
     def _tell(self, line: str) -> None:
         if not self._progress.console.is_terminal:
-            self._told = self._elapsed()
+            self._told = self._elapsed
             print(line, file=sys.stderr)
 
     def _update(self, **changes: Any) -> None:
@@ -313,41 +279,33 @@ def table_console() -> Console:
     return console
 
 
-def deliver(
-    table: str | Iterable[str], output: Path | None, beside: Mapping[Path, str | bytes], report: object = ""
-) -> None:
+def deliver(table: Iterable[str], output: Path | None, beside: Mapping[Path, str | bytes], report: object = "") -> None:
     """Write a table where it is wanted, and what goes beside it.
 
     Parameters
     ----------
-    table : str or iterable of str
-        Whole or in pieces, for the file `output`, or for the standard output stream if that is None.
+    table : iterable of str
+        Its pieces, for the file `output`, or for the standard output stream if that is None.
     output : Path or None
         Where the table goes.
     beside : mapping of Path to str or bytes
         Other files, which appear together with it.
     report : object
         Printed where the table went into a file.
-    """
-    write_together(beside if output is None else {**beside, output: table})
-    if output is None:
-        write_to_stdout((table,) if isinstance(table, str) else table)
-    elif report:
-        print(report)
-
-
-def write_to_stdout(pieces: Iterable[str]) -> None:
-    """Write the pieces of a text to the standard output stream.
 
     Raises
     ------
     InvalidSetting
         If the stream cannot take it, for example because the disk is full or the stream is closed.
     """
+    write_together(beside if output is None else {**beside, output: table})
+    if output is not None:
+        print(report, end="\n" if report else "")
+        return
     if sys.stdout is None:
         raise InvalidSetting("cannot write to the standard output stream: it is closed; name a file with --output")
     try:
-        sys.stdout.writelines(pieces)
+        sys.stdout.writelines(table)
         sys.stdout.flush()
     except BrokenPipeError:
         raise  # whoever reads has seen enough

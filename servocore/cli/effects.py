@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import rich.box
-import rich.table
-
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.kinds import FILE, NUMBER, quantity, text
 from servocore.cli.options import GivenPath, Subject
 from servocore.effects.drives import Drives
-from servocore.effects.report import HEADINGS, EffectsReport
 from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
@@ -25,7 +21,6 @@ EXAMPLES = (
     "overhead_crane --deviation 20mm --bandwidth 3 --parameters crane.toml",
     "gantry_crane --open-loop --simulate --markdown effects.md",
 )
-_LEFT = 1  # columns of text before those of numbers
 
 
 @dataclass(frozen=True)
@@ -92,13 +87,4 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
         )
     if question.markdown is not None:
         write_together({question.markdown: f"# What {moved.name} may leave out\n\n{found.markdown()}"})
-    table_console().print(_table(found), *found.remarks, sep="\n", soft_wrap=False)
-
-
-def _table(report: EffectsReport) -> rich.table.Table:
-    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for k, heading in enumerate(HEADINGS):
-        table.add_column(heading, justify="left" if k < _LEFT else "right")
-    for row, cells in zip(report.rows, report.cells(), strict=True):
-        table.add_row(*cells, style="bold" if row.needed else None)
-    return table
+    table_console().print(str(found), markup=False, highlight=False, soft_wrap=True)

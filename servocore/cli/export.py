@@ -66,23 +66,18 @@ class Products:
         """Raise `InvalidSetting` if options exclude each other, or there is nothing to write."""
         if self.plant and self.trajectory:
             raise InvalidSetting("--plant and --trajectory are FMUs of their own: ask for one at a time")
-        carried = path.options()
-        if carried and not (self.trajectory or self.cross_check):
-            raise InvalidSetting(f"{carried[0]} belongs to --trajectory or --cross-check")
-        inverse = _given({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check or None})
-        if inverse and (self.plant or self.trajectory):
-            which = "--plant" if self.plant else "--trajectory"
-            raise InvalidSetting(f"{inverse} about inverse models: not with {which}")
-        about = _given({"--fmi": self.fmi, "--targets": targets, "--cross-check": self.cross_check or None})
+        if path.options() and not (self.trajectory or self.cross_check):
+            raise InvalidSetting(f"{path.options()[0]} belongs to --trajectory or --cross-check")
+        other = "--plant" if self.plant else "--trajectory" if self.trajectory else ""
+        inverse = _given({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check})
+        if inverse and other:
+            raise InvalidSetting(f"{inverse} about inverse models: not with {other}")
+        about = _given({"--fmi": self.fmi, "--targets": targets, "--cross-check": self.cross_check})
         if self.output is None and about:
             raise InvalidSetting(f"{about} about an FMU: name it with -o FILE.fmu")
-        if self.output is None and (self.plant or self.trajectory):
-            raise InvalidSetting("name the file to write with -o FILE.fmu")
-        if self.output is None and self.c is None and self.wasm is None:
-            raise InvalidSetting(
-                "name the file to write with -o FILE.fmu, a folder for C source with --c DIR, or a module with --wasm"
-                " FILE"
-            )
+        if not (self.output or inverse):
+            more = "" if other else ", a folder for C source with --c DIR, or a module with --wasm FILE"
+            raise InvalidSetting(f"name the file to write with -o FILE.fmu{more}")
 
     def require_apart(self) -> None:
         """Raise `InvalidSetting` if two results are to be in one place."""
@@ -100,6 +95,7 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
     scene needs, its outputs the inputs of the mechanical system and what its model observes. Scenes whose internal
     dynamics are unstable are refused. With --plant it is the forward dynamics that is exported, with --trajectory a
     generator of the path and its derivatives, which carries the path of --reference, --waypoints or --from and --to.
+
     With --cross-check the run goes along that path.
     """
     targets = platforms.targets
@@ -170,9 +166,9 @@ def _told(scene: Scene, products: Products, targets: str | None) -> None:
         print(f"{products.wasm}, {loader_beside(products.wasm)}: WebAssembly of {scene.name}")
 
 
-def _given(options: Mapping[str, object | None]) -> str:
+def _given(options: Mapping[str, object]) -> str:
     """Return those options that are given as the subject of a sentence, with its verb; empty without one."""
-    names = [name for name, value in options.items() if value is not None]
+    names = [name for name, value in options.items() if value]
     if not names:
         return ""
     *most, last = names

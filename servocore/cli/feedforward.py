@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import sys
 
 import numpy as np
 
 from servocore.cli.console import PatientProgress, deliver, end_as_of_no_use, held_notes
 from servocore.cli.options import Computation, GivenLimits, GivenPath, Subject, Table
-from servocore.cli.run_summary import chosen_columns, details, summary, table_pieces, tell, timed
+from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
@@ -34,31 +34,28 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
     Peaks, rest, and how far the inputs are from right are told on the error stream. Where an input is off by half of
     its peak or more, which can happen with a --formulation, the exit code is 1.
     """
-    how.require()
     accuracy, scene = how.accuracy(), subject.chosen()
     names = chosen_columns(table.columns, scene, subject.model)
     bounds = limits.bounds()
-    contents: dict[Path, str | bytes] = {}
     with held_notes() as notes, PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):
         moved = path.along(scene.with_limits(**bounds), subject.model)  # what is not finite is refused, not warned of
         how.require(moved.reference.duration)
-        with shortest_duration_told(moved, subject.model), timed() as seconds:
+        began = clocks()
+        with shortest_duration_told(moved, subject.model):
             solution = solve(
                 moved, how.formulation, how.method, step=accuracy, output_step=how.output_step, model=subject.model,
                 progress=progress,
             )  # fmt: skip
+        seconds = [end - begin for begin, end in zip(began, clocks(), strict=True)]
         useless = None if isinstance(how.formulation, Reduced | None) else _far_off(moved, solution, subject.model)
         told = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
         if useless:
             notes.clear()  # one sentence says it all
-        if table.plot is not None:
-            from servocore.cli.pictures import saved_figure  # noqa: PLC0415 - slow to import
-
-            contents[table.plot] = saved_figure(solution.plot(names), table.plot)
+        contents = table.picture(lambda _: solution.plot(names))
     deliver(table_pieces(solution, names), table.output, contents)
     if useless:
         end_as_of_no_use(useless)
-    tell(told)
+    print(*told, sep="\n", file=sys.stderr)
 
 
 def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from servocore.errors import InvalidSetting
+from servocore.model.parameter_files import read_table
 from servocore.model.units import in_unit
 
 if TYPE_CHECKING:
@@ -32,12 +33,14 @@ class Kind(ParamType):
         A word that is one.
     read : callable
         From the word to the value; raises `ValueError`, or `InvalidSetting` where it knows more to say.
+    role : str, optional
+        ``read`` or ``written`` of a file; ``numbers`` of a value that has as many words as numbers follow.
     """
 
     name = "value"
 
-    def __init__(self, what: str, example: str, read: Callable[[str], Any]) -> None:
-        self.what, self.example, self.read = what, example, read
+    def __init__(self, what: str, example: str, read: Callable[[str], Any], role: str = "") -> None:
+        self.what, self.example, self.read, self.role = what, example, read, role
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ARG002
         """Read a word, or refuse it with the right form."""
@@ -48,21 +51,9 @@ class Kind(ParamType):
         try:
             return self.read(value)
         except InvalidSetting as error:
-            raise InvalidSetting(f"{option}: {error}; {right}") from None
+            raise InvalidSetting(f"{option}: {error}: {right}") from None
         except ValueError:
             raise InvalidSetting(f"{option} {value or repr(value)} is no {self.what}: {right}") from None
-
-
-class FileRead(Kind):
-    """A file that a command reads."""
-
-
-class FileWritten(Kind):
-    """A file that a command writes."""
-
-
-class Point(Kind):
-    """Numbers one after another, as many as follow the option."""
 
 
 def flag_of(param: click.Parameter | None) -> str:
@@ -124,34 +115,56 @@ def _number(text: str) -> float:
     return number
 
 
-def _count(text: str) -> int:
-    count = int(text)
-    if count < 1:
-        raise ValueError
-    return count
+def _whole(least: int) -> Kind:
+    """Return the kind of whole numbers from a least one on."""
 
+    def read(text: str) -> int:
+        if int(text) < least:
+            raise ValueError
+        return int(text)
 
-def _seed(text: str) -> int:
-    seed = int(text)
-    if seed < 0:
-        raise ValueError
-    return seed
+    return Kind(f"whole number of {least} or more", "100", read)
 
 
 def _time(text: str) -> float:
     return in_unit(text, "s", "the time")
 
 
+def _step(text: str) -> float:
+    step = _time(text)
+    if step <= 0.0:
+        raise InvalidSetting(f"the step must be a positive time, not {step:g} s")
+    return step
+
+
 def _point(text: str) -> tuple[float, ...]:
     return tuple(float(word) for word in _BETWEEN_NUMBERS.split(text.strip(" ,;")))
 
 
+def _names(text: str) -> dict[str, object]:
+    if text.endswith(".toml") and "=" not in text:
+        return read_table(Path(text))
+    ours, _, theirs = (part.strip() for part in text.partition("="))
+    if not (ours and theirs):
+        raise ValueError
+    return {ours: theirs}
+
+
+def _value(text: str) -> dict[str, float]:
+    name, _, number = (part.strip() for part in text.rpartition("="))
+    if not (name and math.isfinite(float(number))):
+        raise ValueError
+    return {name: float(number)}
+
+
 NUMBER = Kind("number", "1e-3", _number)
-COUNT = Kind("whole number of 1 or more", "100", _count)
-SEED = Kind("whole number of 0 or more", "1", _seed)
+COUNT, SEED = _whole(1), _whole(0)
 TIME = Kind("time", "20", _time)
-POINT = Point("point", "5 0 -5", _point)
-FILE_READ = FileRead("file name", "FILE", _file)
-FILE = FileWritten("file name", "FILE", _file)
-PICTURE = FileWritten("file name", "FILE.png", _file)
+STEP = Kind("time", "0.1", _step)
+NAMES = Kind("OURS=THEIRS, nor a file that ends in .toml", "F=trolley.force", _names)
+VALUE = Kind("NAME=NUMBER", "start.swing=0.1", _value)
+POINT = Kind("point", "5 0 -5", _point, "numbers")
+FILE_READ = Kind("file name", "FILE", _file, "read")
+FILE = Kind("file name", "FILE", _file, "written")
+PICTURE = Kind("file name", "FILE.png", _file, "written")
 FOLDER = Kind("folder name", "DIR", _file)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
-
-import numpy as np
 
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
-from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, TIME, Kind, choice, quantity, text
+from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, STEP, TIME, Kind, choice, quantity, text
 from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
 from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
@@ -113,7 +112,7 @@ class GivenPath:
         help=f"Time law on the line: {', '.join(TIME_LAWS)}. Default: the first that is smooth enough for the scene.",
     )  # fmt: skip
     ramp: float | None = option(
-        "--ramp", kind=TIME, metavar="TAU0", help="Time to accelerate (s), of three-phase. Default: duration/4."
+        "--ramp", kind=TIME, metavar="TAU0", help="Of three-phase: time to accelerate (s). Default: duration/4."
     )
 
     def options(self) -> list[str]:
@@ -124,14 +123,15 @@ class GivenPath:
         InvalidSetting
             If they exclude each other.
         """
-        line = {"--from": self.start, "--to": self.end, "--by": self.by or None, "--duration": self.duration,
-                "--profile": self.profile, "--ramp": self.ramp}  # fmt: skip
-        files = {"--reference": self.reference, "--waypoints": self.waypoints}
-        given = [name for name, value in {**files, **line}.items() if value is not None]
-        if given and given[0] in files and len(given) > 1:
+        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) not in (None, ())]
+        if "--tolerance" in given:
+            if self.reference is None:
+                raise InvalidSetting(
+                    "--tolerance belongs to --reference: it is how far the path may stay from its samples"
+                )
+            given.remove("--tolerance")
+        if len(given) > 1 and (self.reference or self.waypoints):
             raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-        if self.tolerance is not None and self.reference is None:
-            raise InvalidSetting("--tolerance belongs to --reference: it is how far the path may stay from its samples")
         return given
 
     def path(self, scene: Scene, model: str | None = None) -> Reference | None:
@@ -168,10 +168,9 @@ class GivenPath:
         for name, point in found:
             if len(point) != len(names):
                 shown = "".join(f" {each:g}" for each in point)
-                raise InvalidSetting(
-                    f"{name}{shown}: it needs {len(names)} numbers, {', '.join(names)}: write it as {name}"
-                    f" {' '.join(each.upper() for each in names)}"
-                )
+                numbers = f"{len(names)} number{'s' * (len(names) > 1)}, {', '.join(names)}"
+                form = " ".join(names).upper()
+                raise InvalidSetting(f"{name}{shown}: it needs {numbers}: write it as {name} {form}")
         return [point for _, point in found]
 
     def along(self, scene: Scene, model: str | None = None) -> Scene:
@@ -223,23 +222,17 @@ class Rows:
     title: ClassVar[str] = "Computation"
 
     step: float | None = option(
-        "--step", kind=TIME, metavar="H",
+        "--step", kind=STEP, metavar="H",
         help="Time between rows (s). It divides the duration; a plan takes the next smaller one that does. Default:"
         " duration/200.",
     )  # fmt: skip
 
-    def require(self, duration: float = 0.0) -> None:
-        """Raise `InvalidSetting` unless the step is positive, and gives no more than `MOST_ROWS` in a duration."""
-        _require_rows("--step", self.step, duration)
-
-
-def _require_rows(name: str, step: float | None, duration: float) -> None:
-    if step is None:
-        return
-    if not (np.isfinite(step) and step > 0.0):
-        raise InvalidSetting(f"{name}: the step must be a positive time, not {step:g} s: write it as in {name} 0.1")
-    if duration / step > MOST_ROWS:
-        raise InvalidSetting(f"a step of {step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
+    def require(self, duration: float) -> None:
+        """Raise `InvalidSetting` if a duration has more than `MOST_ROWS` steps."""
+        for each in fields(self):
+            step = getattr(self, each.name)
+            if each.metadata["kind"] is STEP and step is not None and duration / step > MOST_ROWS:
+                raise InvalidSetting(f"a step of {step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
 
 
 @dataclass(frozen=True)
@@ -262,7 +255,7 @@ class Computation(Rows):
         "--atol", kind=NUMBER, metavar="A", help="In place of a step: error of the inputs in their own units."
     )
     output_step: float | None = option(
-        "--output-step", kind=TIME, metavar="H",
+        "--output-step", kind=STEP, metavar="H",
         help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200.",
     )  # fmt: skip
 
@@ -275,11 +268,6 @@ class Computation(Rows):
         if self.step is not None:
             raise InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
         return Adaptive(self.rtol or 0.0, self.atol or 0.0)
-
-    def require(self, duration: float = 0.0) -> None:
-        """Raise `InvalidSetting` as `Rows.require`, for --output-step too."""
-        super().require(duration)
-        _require_rows("--output-step", self.output_step, duration)
 
 
 @dataclass(frozen=True)
@@ -298,6 +286,13 @@ class Table:
         "--plot", kind=PICTURE, metavar="FILE.png", help=f"Draw a picture; {', '.join(PICTURES)} are known."
     )
     verbose: bool = option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
+
+    def picture(self, draw: Callable[[Any], Any]) -> dict[Path, str | bytes]:
+        """Return the picture by its place, none without --plot; `draw` is given the module of pictures."""
+        if self.plot is None:
+            return {}
+        pictures = import_module("servocore.cli.pictures")  # slow, for it imports Matplotlib
+        return {self.plot: pictures.saved_figure(draw(pictures), self.plot)}
 
 
 @dataclass(frozen=True)

@@ -85,14 +85,12 @@ def plan_motion(
     limits, is printed when the table goes into a file.
     """
     scene, bounds = subject.chosen(), limits.bounds()
-    rows.require()
     if freedom.path is not None:
         _require_a_path_file(scene, subject.model)
     way = _way(scene, subject.model, path)
     space = freedom.space(len(scene.model(subject.model).outputs))
     ranges = factors_of_texts(freedom.robust)
     names = chosen_columns(table.columns, scene, subject.model, more=True)
-    contents: dict[Path, str | bytes] = {}
     with PatientProgress("planning") as progress:
         found, report = fastest(
             scene, way, bounds, free=space, robust=ranges, model=subject.model, progress=progress.describe
@@ -101,10 +99,7 @@ def plan_motion(
         count = _ROWS if rows.step is None else math.ceil(found.duration / rows.step * (1.0 - 1e-12))
         bounded = scene.with_limits(**bounds)
         solution = solve(bounded.with_reference(found), step=found.duration / count, model=subject.model)
-        if table.plot is not None:
-            from servocore.cli.pictures import plan_figure, saved_figure  # noqa: PLC0415 - slow to import
-
-            contents[table.plot] = saved_figure(plan_figure(bounded, found, report), table.plot)
+        contents = table.picture(lambda pictures: pictures.plan_figure(bounded, found, report))
     if freedom.path is not None:
         contents[freedom.path] = csv_of(found, [quantity.name for quantity in scene.model(subject.model).outputs])
     deliver(table_pieces(solution, names), table.output, contents, report)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import platform
-import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from importlib import metadata
 
 import numpy as np
@@ -70,11 +68,6 @@ def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
     return csv_pieces(["time", *names], [solution.t, *[solution[name] for name in names]])
 
 
-def tell(lines: Sequence[str]) -> None:
-    """Print lines on the error stream."""
-    print(*lines, sep="\n", file=sys.stderr)
-
-
 def summary(solution: Solution) -> list[str]:
     """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
     problem: Problem = solution.origin
@@ -105,13 +98,9 @@ def _undefined(solution: Solution, name: str) -> str:
     return f"{name}: undefined in {len(gaps)} of {len(solution.t)} rows, first at t = {solution.t[gaps[0]]:.6g} s"
 
 
-@contextmanager
-def timed() -> Iterator[list[float]]:
-    """Offer a list that holds the seconds of the processor and those of the clock, once this is left."""
-    seconds: list[float] = []
-    began = time.process_time(), time.perf_counter()
-    yield seconds
-    seconds += [time.process_time() - began[0], time.perf_counter() - began[1]]
+def clocks() -> tuple[float, float]:
+    """Return the seconds of the processor and those of the clock."""
+    return time.process_time(), time.perf_counter()
 
 
 def details(solution: Solution, seconds: Sequence[float]) -> list[str]:

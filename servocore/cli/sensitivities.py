@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import rich.box
@@ -40,19 +39,12 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
     that the path asks for, and on where the load goes (drift) if the inputs stay as they were. With --output all
     derivatives over time go into a file.
     """
-    rows.require()
     moved = path.along(subject.chosen(), subject.model)
     rows.require(moved.reference.duration)
     with PatientProgress("differentiating"):
         found = sensitivities(moved, tuple(dict.fromkeys(by.wrt)) or None, step=rows.step, model=subject.model)
-        contents: dict[Path, str | bytes] = {}
-        if results.output is not None:
-            contents[results.output] = found.table()
-        if results.plot is not None:
-            from servocore.cli.pictures import saved_figure, sensitivities_figure  # noqa: PLC0415 - slow to import
-
-            contents[results.plot] = saved_figure(sensitivities_figure(found), results.plot)
-    write_together(contents)
+        contents = results.picture(lambda pictures: pictures.sensitivities_figure(found))
+    write_together(contents if results.output is None else {**contents, results.output: found.table()})
     table_console().print(_table(found), "Largest effect of one per cent more of a parameter.")
 
 

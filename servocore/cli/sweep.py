@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from servocore.cli.command import option
-from servocore.cli.interruption import stop_if_asked
+from servocore.cli.console import PatientProgress
 from servocore.cli.kinds import COUNT, FOLDER, SEED, text
-from servocore.cli.options import GivenLimits, GivenPath, Subject, output
+from servocore.cli.options import MOST_ROWS, GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, extra
 from servocore.files import require_writable, write_together
+from servocore.planning.sweep import sweep
 from servocore.planning.sweep_settings import drawn
 
 EXAMPLES = (
@@ -46,8 +45,8 @@ class Cases:
     sample: int | None = option(
         "--sample", kind=COUNT, metavar="COUNT", help="Draw so many cases from the ranges instead."
     )
-    seed: int = option(
-        "--seed", kind=SEED, metavar="N", default=0, help="Of --sample; the same seed draws the same cases. Default: 0."
+    seed: int | None = option(
+        "--seed", kind=SEED, metavar="N", help="Of --sample; the same seed draws the same cases. Default: 0."
     )
     instants: int = option(
         "--instants", kind=COUNT, metavar="N", default=201, help="Evaluate each case at so many. Default: 201."
@@ -67,42 +66,41 @@ class Cases:
         ranges = dict(_range(text, self.sample is None) for text in self.vary)
         if len(ranges) < len(self.vary):
             raise InvalidSetting("--vary names something twice")
+        if self.seed is not None and self.sample is None:
+            raise InvalidSetting("--seed belongs to --sample")
+        if max(self.instants, self.sample or 1, *(count for _, _, count in ranges.values())) > MOST_ROWS:
+            raise InvalidSetting(f"more than {MOST_ROWS:g} values or instants fill the memory: take fewer")
         if self.sample is not None:
-            return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, self.sample, self.seed)
+            return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, self.sample, self.seed or 0)
         return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
 
 
-def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
-    """Return the command around `servocore.sweep`, which whoever assembles the commands hands over."""
+def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: Cases) -> None:
+    """Compute peaks, margins and swing of many cases of a scene.
 
-    def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: Cases) -> None:
-        """Compute peaks, margins and swing of many cases of a scene.
+    The results stream into DIR/sweep.zarr, which xarray opens. A run that was interrupted goes on with --resume
+    where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
+    shows the peak of the first input over what varies.
+    """
+    extra("xarray")  # what may be missing is told before the work
+    from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
-        The results stream into DIR/sweep.zarr, which xarray opens. A run that was interrupted goes on with --resume
-        where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
-        shows the peak of the first input over what varies.
-        """
-        extra("xarray")  # what may be missing is told before the work
-        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
-
-        moved = path.along(subject.chosen(), subject.model)
-        bounds, varied = limits.bounds(), cases.varied()
-        require_writable(cases.output, cases.output)
-        store = cases.output / (_TABLES if cases.parquet else _STORE)
-        with _client(cases.scheduler) as client, _SweepProgress() as progress:
-            try:
-                found = sweep(
-                    moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
-                    inputs=cases.inputs, model=subject.model, distributed=client, progress=progress,
-                )  # fmt: skip
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
-        page, figure = sweep_page(found, moved.name, store.name)
-        write_together({cases.output / _PAGE: page, cases.output / _FIGURE: figure})
-        failed = int((found.failure.to_numpy() != "").sum())
-        print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {cases.output / _PAGE}")
-
-    return sweep_scene
+    moved = path.along(subject.chosen(), subject.model)
+    bounds, varied = limits.bounds(), cases.varied()
+    require_writable(cases.output, cases.output)
+    store = cases.output / (_TABLES if cases.parquet else _STORE)
+    with _client(cases.scheduler) as client, PatientProgress("sweeping") as progress:
+        try:
+            found = sweep(
+                moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
+                inputs=cases.inputs, model=subject.model, distributed=client, progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
+    page, figure = sweep_page(found, moved.name, store.name)
+    write_together({cases.output / _PAGE: page, cases.output / _FIGURE: figure})
+    failed = int((found.failure.to_numpy() != "").sum())
+    print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {cases.output / _PAGE}")
 
 
 def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
@@ -116,8 +114,8 @@ def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
         beside = "" if counted else " beside --sample, which says how many"
         example = f"as in load_mass=50..150{':100' * counted}"
         raise InvalidSetting(f"--vary {text} is not {wanted}{beside}, {example}") from None
-    if not (np.isfinite([low, high]).all() and count >= 1):
-        raise InvalidSetting(f"--vary {text}: the range must be finite, and its count at least 1")
+    if not (-np.inf < low <= high < np.inf and count >= 1):
+        raise InvalidSetting(f"--vary {text}: the range must be finite, from LOW to HIGH, and its count at least 1")
     return found[1].strip(), (low, high, count)
 
 
@@ -134,36 +132,3 @@ def _client(address: str | None) -> Iterator[Any]:
         raise InvalidSetting(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
         yield client
-
-
-class _SweepProgress(AbstractContextManager["_SweepProgress"]):
-    """Cases done, rate and time left, on the error stream: a bar on a terminal, else a line each tenth."""
-
-    def __init__(self) -> None:
-        console = Console(stderr=True)
-        columns = (
-            TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )  # fmt: skip
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._progress.add_task("", total=None, rate="")
-        self._console, self._told = console, 0
-
-    def __enter__(self) -> _SweepProgress:
-        self._progress.start()
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show how many cases are done."""
-        stop_if_asked()
-        task = self._progress.tasks[0]
-        rate = done / task.elapsed if task.elapsed else 0.0
-        self._progress.update(self._task, completed=done, total=total, rate=f"{rate:.0f} cases/s")
-        tenth = 10 * done // total
-        if not self._console.is_terminal and tenth > self._told:
-            self._told = tenth
-            left = (total - done) / rate if rate else 0.0
-            self._console.print(f"{done} of {total} cases, {rate:.0f} cases/s, {left:.0f} s left", highlight=False)
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()

@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,51 +31,32 @@ _SENTENCES = 10
 
 def sweep_page(swept: Any, title: str, store: str) -> tuple[str, bytes]:
     """Return a page about the dataset of a sweep, and its figure as PNG."""
-    first = f"peak_{json.loads(swept.attrs['settings'])['quantities'][0]}"
+    settings = json.loads(swept.attrs["settings"])  # in the order of the options, which coordinates lose
+    first = f"peak_{settings['quantities'][0]}"
     figure = Figure(figsize=(7.0, 4.4), layout="constrained", dpi=130)
-    _draw(figure.subplots(), figure, swept, first)
+    axes = figure.subplots()
+    _draw(axes, swept, list(settings["varied"]), first)
+    axes.set_title("")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return _page(swept, title, first, stream.getvalue(), store), stream.getvalue()
 
 
-def _draw(axes: Axes, figure: Figure, swept: Any, name: str) -> None:
+def _draw(axes: Axes, swept: Any, varied: Sequence[str], name: str) -> None:
     """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
-    varied = list(json.loads(swept.attrs["settings"])["varied"])  # in the order of the options, which coordinates lose
-    label = f"peak of {name.removeprefix('peak_')} ({swept[name].attrs['units']})"
+    x, y = (*varied, name)[:2]
     if "case" in swept.sizes:
-        x = swept[varied[0]].to_numpy()
-        if len(varied) == 1:
-            axes.plot(x, swept[name].to_numpy(), ".", markersize=3)
-            axes.set_ylabel(label)
-        else:
-            points = axes.scatter(x, swept[varied[1]].to_numpy(), c=swept[name].to_numpy(), s=5, cmap="viridis")
-            figure.colorbar(points, ax=axes, label=label)
-            axes.set_ylabel(_titled(swept, varied[1]))
-        axes.set_xlabel(_titled(swept, varied[0]))
+        swept.plot.scatter(x=x, y=y, ax=axes, s=5, edgecolors="none", **({} if y == name else {"hue": name}))
         return
-    shown = swept[name].max([dimension for dimension in swept[name].dims if dimension not in varied[:2]])
-    if len(varied) < 2 or min(shown.sizes.values()) < 2:
-        long = max(shown.dims, key=lambda each: shown.sizes[each])
-        line = shown.max([dimension for dimension in shown.dims if dimension != long])
-        axes.plot(swept[long].to_numpy(), line.to_numpy())
-        axes.set_xlabel(_titled(swept, long))
-        axes.set_ylabel(label)
+    wide = [each for each in varied[:2] if swept.sizes[each] > 1] or varied[:1]
+    shown = swept[name].max([each for each in swept[name].dims if each not in wide], keep_attrs=True)
+    if shown.ndim < 2:
+        shown.plot.line(ax=axes)
         return
-    x, y = varied[:2]
-    values = np.ma.masked_invalid(shown.transpose(y, x).to_numpy())
-    mesh = axes.pcolormesh(swept[x].to_numpy(), swept[y].to_numpy(), values, cmap="viridis", shading="nearest")
-    figure.colorbar(mesh, ax=axes, label=label)
-    if values.count() and min(values.shape) > 2 and values.max() > values.min():
-        lines = axes.contour(swept[x].to_numpy(), swept[y].to_numpy(), values, colors="white", linewidths=0.8)
+    shown.plot.pcolormesh(x=x, y=y, ax=axes, cmap="viridis")
+    if min(shown.shape) > 2 and shown.max() > shown.min():
+        lines = shown.plot.contour(x=x, y=y, ax=axes, colors="white", linewidths=0.8)
         axes.clabel(lines, fontsize="small")
-    axes.set_xlabel(_titled(swept, x))
-    axes.set_ylabel(_titled(swept, y))
-
-
-def _titled(swept: Any, name: Any) -> str:
-    unit = swept[name].attrs.get("units", "")
-    return f"{str(name).replace('_', ' ')} ({unit})" if unit else str(name)
 
 
 def _order(name: str) -> tuple[int, str]:
@@ -90,11 +72,8 @@ def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str
         if name == "failure" or "instant" in swept[name].dims:
             continue
         values = swept[name].to_numpy()
-        with np.errstate(all="ignore"):
-            finite = values[np.isfinite(values)]
-        shown = (
-            [f"{value:.4g}" for value in (finite.min(), np.median(finite), finite.max())] if finite.size else ["–"] * 3
-        )
+        finite = values[np.isfinite(values)]
+        shown = [f"{value:.4g}" for value in np.quantile(finite, (0.0, 0.5, 1.0))] if finite.size else ["–"] * 3
         cells = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in (name, swept[name].attrs["units"], *shown))
         rows.append(f"<tr>{cells}</tr>\n")
     sentences = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in told[:_SENTENCES])

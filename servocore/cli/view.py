@@ -30,7 +30,6 @@ def view_scene(subject: Subject, path: GivenPath, limits: GivenLimits, rows: Row
     compute everything again while one drags, and limits light up when exceeded. Scenes with internal dynamics are
     shown as solved.
     """
-    rows.require()
     scene = subject.chosen()
     file = require_page(page.output or f"{scene.name}.html")
     require_places({"--output": file})

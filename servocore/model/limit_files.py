@@ -29,7 +29,7 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
         lower, pair, upper = (side.strip() for side in bounds.partition(".."))
         if name in by_name:
             raise InvalidSetting(f"--limit gives {name} twice, the second time as {text!r}")
-        if not (name and equals and bounds):
+        if not (name and equals and bounds.strip(".")):
             raise InvalidSetting(
                 f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60, M_w=-104..-92, swing=5deg or"
                 f" s.rate=1.2"

@@ -186,7 +186,9 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
             _require_likely_angle(quantity if not rate else None, bound, value, what)
         lower, upper = (-math.inf if lower is None else lower, math.inf if upper is None else upper)
         if not lower < upper or (lower, upper) == (-math.inf, math.inf):
-            raise InvalidSetting(f"{what} must run from a lower to an upper number, not {bounds!r}")
+            raise InvalidSetting(
+                f"{what} must run from a lower to an upper number, not from {bounds[0]} to {bounds[1]}"
+            )
     else:
         largest = _value(bounds, unit, what)
         _require_likely_angle(quantity if not rate else None, bounds, largest, what)
