@@ -67,7 +67,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
     native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
+    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
     (tmp_path / "LoadTrajectory.fmu").write_text("older")
     broken = tmp_path / "slave.py"
     broken.write_text("raise RuntimeError('broken')\n")
@@ -93,7 +93,7 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
                 file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
         return stream.getvalue()
 
-    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
+    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
         build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)

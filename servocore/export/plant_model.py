@@ -171,36 +171,22 @@ def _variables(
     wishes: PlantWishes,
 ) -> tuple[Variable, ...]:
     system = problem.system
-    m = len(system.inputs)
     variables = [
-        Variable(
-            quantity.name,
-            "input",
-            quantity.unit,
-            quantity.description or quantity.name,
-            k,
-            (0.0,),
-            nominal=quantity.nominal,
-        )
-        for k, quantity in enumerate(system.inputs)
+        Variable(each.name, "input", each.unit, each.description or each.name, (0.0,), nominal=each.nominal)
+        for each in system.inputs
     ]
-    servo = len(system.outputs)
-    variables += rows.motion_variables(system.outputs, tracked, m)
-    variables += rows.output_variables(outputs[2 * servo :], m + 2 * servo)
-    place = m + len(outputs)
-    variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
-    place += len(system.parameters)
-    home = np.zeros((_start_orders(problem), servo))
+    variables += rows.path_variables(system.outputs, tracked, 2, None, "")
+    variables += rows.output_variables(outputs[2 * len(system.outputs) :])
+    variables += rows.parameter_variables(system.parameters.declared, problem.p)
+    home = np.zeros((_start_orders(problem), len(system.outputs)))
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
-    added = (rows.offset(name, [units[each] for each in of]) for name, of in offsets.items())
-    settings += rows.playing("OFFSETS", added)
+    settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
     for setting in settings:
         low, high = wishes.ranges.get(setting.name, (setting.low, setting.high))
-        variables.append(replace(setting, place=place, low=low, high=high))
-        place += setting.size or 1
-    return tuple(rows.with_starts(each, wishes.start) for each in variables)
+        variables.append(replace(setting, low=low, high=high))
+    return rows.placed(rows.with_starts(each, wishes.start) for each in variables)
 
 
 def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:
