@@ -18,14 +18,11 @@ from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from pythonfmu.builder import FmuBuilder
-
 import servocore as sc
 from crane_fmu.build.page import documentation_page
 from crane_fmu.catalogue import FmuKind
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
-from crane_fmu.slave import kernel
 from servocore.export.targets import libraries
 from servocore.files import xml_document, zipped
 
@@ -87,7 +84,7 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     }
     of_linux = [path for path in behind if path.startswith("linux64/")]
     if of_linux:
-        library = f"../../resources/{entry}_bundle/{kernel.LIBRARIES}/{of_linux[0]}"
+        library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
         headers = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
         texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
         place, binary = _in_front(kind, headers, texts)
@@ -97,6 +94,8 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
 
 def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str, dict[str, str | bytes]]:
     """Return the name of the entry module, unique to the content, and what PythonFMU packs: it and its bundle."""
+    from crane_fmu.slave import kernel  # noqa: PLC0415 - it needs PythonFMU, which native FMUs are built without
+
     slave = Path(kernel.__file__).read_text(encoding="utf-8")
     digest = hashlib.sha256(f"{kind.name}{_ENTRY}{metadata.version('pythonfmu')}{token}{slave}".encode())
     for path, library in sorted(behind.items()):
@@ -117,6 +116,8 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
     Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
     for those it packs, and find no slave that is its own.
     """
+    from pythonfmu.builder import FmuBuilder  # noqa: PLC0415
+
     for name in [module for module in sys.modules if module.startswith(PREFIX)]:
         del sys.modules[name]
     with nothing_left(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:

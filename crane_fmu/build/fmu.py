@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 import servocore as sc
@@ -62,6 +63,7 @@ def build_fmu(
     ServocoreError
         If the FMU fails its check.
     """
+    import_module("pythonfmu")  # if it is missing it is so now, not after all is compiled
     directory = Path(directory)
     target = directory / kind.file_name
     require_writable(directory, directory)
