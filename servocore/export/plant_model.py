@@ -10,6 +10,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
+from servocore.export.c_functions import renamed
 from servocore.export.directional_derivatives import tangent
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import Bound, NativeModel
@@ -104,7 +105,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, _start_orders(problem))
     functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets)
-    functions["start_margins"] = _renamed(start_margins, f"{identifier}_start_margins")
+    functions["start_margins"] = renamed(start_margins, f"{identifier}_start_margins")
     m = len(problem.system.inputs)
     return NativeModel(
         identifier=identifier,
@@ -201,11 +202,6 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
     bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
     return bounds, ca.Function("margins", [system.gamma[:, :orders], system.p], [ca.densify(margins)])
-
-
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    arguments = function.mx_in()
-    return ca.Function(name, arguments, function.call(arguments))
 
 
 def _functions(
