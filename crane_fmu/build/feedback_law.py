@@ -209,7 +209,7 @@ def _design(
 
     With *start* it chooses v, which inputs would come to from w in a step of length H; w+ = w + (v - w) h / H. The
     input then goes on by v - w in H, whatever h is, and v is what costs effort: an input that is steep would cost
-    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_step`.
+    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_functions`.
 
     Parameters
     ----------

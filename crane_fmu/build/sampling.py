@@ -38,8 +38,7 @@ def advance(system: sc.MechanicalSystem) -> ca.Function:
     fourth = rate(x + h * third, inputs[2], d, p)
     after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
     step = ca.Function("runge_kutta", [x, u, slope, d, p, h], [after], {"cse": True})
-    given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
-    state, u_begin, u_dot, *others, whole = given
+    state, u_begin, u_dot, *others, whole = given = step.mx_in()
     half = step(state, u_begin, u_dot, *others, whole / 2)
     twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
     short, other = (
@@ -54,7 +53,6 @@ def sampled(system: sc.MechanicalSystem) -> ca.Function:
     phi_k are the functions behind the matrix exponential.
     """
     linear, begin, term, driven = _linearized(system), *_series()
-    names = ("K", "D", "B")
 
     def results(terms: int, K: Any, D: Any, B: Any, h: Any) -> list[Any]:
         phi = begin(K, D, h, 1 / math.factorial(terms + 1), 1 / math.factorial(terms + 2))
@@ -64,11 +62,10 @@ def sampled(system: sc.MechanicalSystem) -> ca.Function:
         return [term(phi_1, K, D, h, 1), *driven(phi_1, phi, B, h)]
 
     # One expression where there is little to sum up: half of the first powers are zeros and ones, which it leaves out.
-    few = [*(ca.SX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.SX.sym("h")]
-    many = [*(ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.MX.sym("h")]
+    few, many = [*linear.sx_out(), ca.SX.sym("h")], [*linear.mx_out(), ca.MX.sym("h")]
     short = ca.Function("series_short", few, results(_TERMS[True], *few), {"cse": True})
     other = ca.Function("series_other", many, results(_TERMS[False], *many))
-    given = [ca.MX.sym(f"i{k}", linear.sparsity_in(k)) for k in range(linear.n_in())]
+    given = linear.mx_in()
     is_short, h = ca.MX.sym("short"), ca.MX.sym("h")
     found = ca.Function.if_else("series", short, other)
     return ca.Function("sampled", [is_short, *given, h], found.call([is_short, *linear.call(given), h]))
