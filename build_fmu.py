@@ -2,10 +2,15 @@
 
 import sys
 
+NEEDED = "build_fmu.py: the package {} is needed for this: pip install '.[fmu]'"
+
 try:
     from crane_fmu.build import main
 except ModuleNotFoundError as error:
-    sys.exit(f"build_fmu.py: the package {error.name} is needed for this: pip install '.[fmu]'")
+    sys.exit(NEEDED.format(error.name))
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    try:
+        raise SystemExit(main())
+    except ModuleNotFoundError as error:
+        sys.exit(NEEDED.format(error.name))

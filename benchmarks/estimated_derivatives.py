@@ -11,11 +11,12 @@ import time
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.estimates import SAMPLES, estimate_functions
+from crane_fmu.build.estimates import SAMPLES, estimates_of
 
 CRANE = sc.scenes.rotary_crane()
 PATH = CRANE.reference
-BEGIN, FOLLOW = (estimate_functions(8)[name] for name in ("first_samples", "estimate"))  # interpreted, as nowhere else
+FUNCTIONS = estimates_of(CRANE).functions
+BEGIN, FOLLOW = FUNCTIONS["first_samples"], FUNCTIONS["estimate"]  # interpreted, as nowhere else
 
 
 def times(kind: str) -> np.ndarray:

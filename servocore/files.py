@@ -52,6 +52,35 @@ def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]])
         yield line * len(rows) % tuple(rows.ravel().tolist())  # a fifth faster than the repr of lists
 
 
+Columns = Mapping[str, npt.NDArray[np.float64]]
+"""Signals by name, the time among them."""
+
+
+def cross_check_texts(
+    stem: str, inputs: Columns | None, results: Columns | None, times: tuple[float, float, float]
+) -> dict[str, str]:
+    """Return the files beside an FMU as the FMI project keeps them, ``_in.csv``, ``_ref.csv`` and ``_ref.opt``.
+
+    Parameters
+    ----------
+    stem : str
+        What the names of the files begin with.
+    inputs, results : mapping of str to ndarray, or None
+        What the FMU is given and what a run has to give, by the names of its variables, `time` first; None for nothing.
+    times : tuple of float
+        Start and end of that run, and its communication step, in s.
+    """
+    names = ("StartTime", "StopTime", "StepSize", "RelTol", "OutputIntervalLength")
+    options = zip(names, (*times, 0.0, times[2]), strict=True)
+    tables = {"in": inputs, "ref": results}
+    texts = {
+        f"{stem}_{kind}.csv": csv_text([f'"{name}"' for name in table], list(table.values()))
+        for kind, table in tables.items()
+        if table is not None
+    }
+    return texts | {f"{stem}_ref.opt": "".join(f"{name},{value!r}\n" for name, value in options)}
+
+
 def require_picture(file: Path | None) -> None:
     """Raise `InvalidSetting` if a figure cannot be drawn: an ending that is not in `PICTURES`, or no Matplotlib."""
     if file is None:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.estimates import estimate_functions
+from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
 from servocore.numerics.compiled_calls import Array
 
@@ -36,7 +36,7 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Estimation:
-    """See `estimate_functions`."""
+    """See `sc.SampledEstimates`."""
 
     begin: Call
     follow: Call
@@ -55,5 +55,5 @@ def laws() -> dict[str, Feedback]:
 @cache
 def estimation() -> Estimation:
     """Return what estimates derivatives that are not connected."""
-    found = estimate_functions(8)
+    found = estimates_of(sc.scenes.rotary_crane()).functions
     return Estimation(called(found["first_samples"]), called(found["estimate"]))

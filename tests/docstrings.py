@@ -22,8 +22,8 @@ from numpydoc.docscrape import get_doc_object
 from numpydoc.validate import Validator, validate
 
 ROOT = Path(__file__).resolve().parent.parent
-FACES = ("servocore", "servocore.scenes", "crane_fmu.build", "crane_fmu.catalogue")
-OPEN = ("crane_fmu.demo", "crane_fmu.drive", "crane_fmu.files", "crane_fmu.run")
+FACES = ("servocore", "servocore.scenes", "crane_fmu.build")
+OPEN = ("crane_fmu.catalogue", "crane_fmu.demo", "crane_fmu.drive", "crane_fmu.files", "crane_fmu.run")
 """Modules without a face of their own: what they define without an underscore is public."""
 DESCRIBED_ELSEWHERE = {"PR01", "RT01", "YD01"}
 

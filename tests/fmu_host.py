@@ -176,6 +176,13 @@ def in_a_process(
     )
 
 
+def promised(name: str = "RotaryCrane") -> list[str]:
+    """Return the sentences of the user page's table of refusals, in its order."""
+    page = Path(__file__).parents[1].joinpath("docs", KINDS[name].page).read_text(encoding="utf-8")
+    _, _, table = page.partition("| situation | sentence |\n|---|---|\n")
+    return [line.split(" | ")[1].removesuffix(" |") for line in table.partition("\n\n")[0].splitlines()]
+
+
 def described(name: str = "RotaryCrane", causality: str = "") -> list[Any]:
     """Return the variables in the model description, of one causality where one is asked for."""
     every = read_model_description(str(fmu_file(name)), validate=False).modelVariables

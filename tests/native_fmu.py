@@ -24,7 +24,8 @@ from present import of_kind
 from scipy.interpolate import BPoly
 
 import servocore as sc
-from crane_fmu.build.native import estimates_of, feedback_of
+from crane_fmu.build.estimates import estimates_of
+from crane_fmu.build.native import feedback_of
 from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model

@@ -62,6 +62,17 @@ def test_the_script_that_builds_names_its_extra(tmp_path: Path) -> None:
     assert "Traceback" not in run.stderr
 
 
+def test_nothing_native_imports_pythonfmu(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.modules['pythonfmu'] = None\n"
+        "from crane_fmu.build import Wishes, build_ssp\nfrom crane_fmu.build.native import native_fmu\n"
+        "from crane_fmu.catalogue import KINDS\n"
+        "for kind in KINDS.values(): native_fmu(kind, targets='none')\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert run.returncode == 0, run.stderr
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_the_extra_that_is_named_brings_the_package(package: str) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]

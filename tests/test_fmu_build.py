@@ -19,7 +19,7 @@ from present import present
 import servocore as sc
 from crane_fmu.build import fmu as build
 from crane_fmu.build.archive import packed
-from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel
 from servocore.export.units import base_units
@@ -35,7 +35,7 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def native() -> bytes:
     """Return a native FMU that is soon compiled."""
-    return native_fmu(LOAD_TRAJECTORY, NativeWishes(targets="host", judged_late=True))
+    return native_fmu(LOAD_TRAJECTORY, targets="host", judged_late=True)
 
 
 def test_fmpy_finds_no_problems() -> None:
@@ -67,7 +67,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
     native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
+    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
     (tmp_path / "LoadTrajectory.fmu").write_text("older")
     broken = tmp_path / "slave.py"
     broken.write_text("raise RuntimeError('broken')\n")
@@ -93,7 +93,7 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
                 file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
         return stream.getvalue()
 
-    monkeypatch.setattr(build, "native_fmu", lambda *_: native)
+    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
         build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
@@ -173,7 +173,7 @@ def test_the_identifier_changes_with_the_content(
 
 def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of the slave, and of the library: the crane has a lighter load."""
-    lighter = native_fmu(ROTARY_CRANE, NativeWishes(targets="host", starts={"load_mass": 50.0}, judged_late=True))
+    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", judged_late=True)
     slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
     (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
     monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))

@@ -10,16 +10,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmu_host import Host, fmu_file, follow, in_a_process
+from fmu_host import Host, fmu_file, follow, in_a_process, promised
 
 import servocore as sc
-from crane_fmu.build.page import REFUSALS
 from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 REST = np.zeros((5, 3))
 REST[0] = 5.0, 0.0, -5.0
-SENTENCES = [sentence for _, sentence in REFUSALS["RotaryCrane"]]
+SENTENCES = promised()
 
 
 def moved(**changes: tuple[int, int, float]) -> Array:

@@ -214,14 +214,14 @@ UNDER = (np.array([30.0, 20.0, -40.0]), np.array([3.0, -2.0, 1.0]), list(CRANE.p
 def test_a_short_step_is_computed_with_less_work_and_the_same_result() -> None:
     u, d, p = UNDER
     h = SHORT_TURN / fastest(Case())
-    step, slope = advance(hanging(CRANE.model("points")), 3), [100.0, 50.0, 20.0]
+    step, slope = advance(hanging(CRANE.model("points"))), [100.0, 50.0, 20.0]
     short, other = (np.array(step(each, SWINGING, u, slope, d, p, h)).ravel() for each in (1, 0))
     assert 0.0 < np.abs(short - other).max() < 1e-6
 
 
 def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() -> None:
     u, d, p = UNDER
-    model, turn = sampled(hanging(CRANE.model("points")), 3), fastest(Case())
+    model, turn = sampled(hanging(CRANE.model("points"))), fastest(Case())
     for is_short, h in ((1, SHORT_TURN / turn), (0, 1.0 / turn)):
         A, first, second = (np.array(each) for each in model(is_short, SWINGING, u, d, p, h))
         tiny, begun, _ = (np.array(each) for each in model(0, SWINGING, u, d, p, 1e-3))

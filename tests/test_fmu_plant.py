@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process
+from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process, promised
 
 import servocore as sc
-from crane_fmu.build.page import REFUSALS, user_page
+from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS
 from servocore.numerics.compiled_calls import Array
 
@@ -185,8 +185,7 @@ def mistakes() -> dict[str, tuple[Callable[[Host], object], ...]]:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_refusal_is_the_sentence_that_the_page_promises(name: str) -> None:
-    promised = [sentence for _, sentence in REFUSALS[name]]
-    for mistake, sentence in zip(mistakes()[name], promised, strict=True):
+    for mistake, sentence in zip(mistakes()[name], promised(name), strict=True):
         with Host(fmu_file(name)) as host:
             assert not mistake(host)
             assert host.messages[-1].endswith(sentence)

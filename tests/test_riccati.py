@@ -19,7 +19,7 @@ from crane_fmu.build.feedback_law import (
     hanging,
 )
 from crane_fmu.build.flatness import flat_motion
-from crane_fmu.build.riccati import riccati_step, riccati_steps
+from crane_fmu.build.riccati import riccati_functions, riccati_steps
 from crane_fmu.build.sampling import sampled
 
 LOAD = slice(2, 5)
@@ -35,7 +35,7 @@ def test_a_riccati_step_finds_the_inputs_of_least_cost() -> None:
     A, new, old, efforts, weights = random_model()
     cost = np.random.default_rng(2).normal(size=(10, 10))
     cost = cost @ cost.T
-    shared, step = riccati_step(10, LOAD, 3)
+    shared, step, _ = riccati_functions()
     alone, goes_on, *others = shared(A, new, old, efforts, weights)
     earlier, chosen = map(np.array, step(cost, goes_on, *others))
     gain = np.array(alone) + chosen @ np.array(goes_on)
@@ -52,9 +52,9 @@ def test_a_riccati_step_finds_the_inputs_of_least_cost() -> None:
 
 @pytest.mark.parametrize("doublings", [0, 1, 2, 5, 9])
 def test_doubled_riccati_steps_are_as_many_single_ones(doublings: int) -> None:
-    shared, step = riccati_step(10, LOAD, 3)
+    shared, step, _ = riccati_functions()
     _, *model = shared(*random_model(0.3))
-    at_once = np.array(riccati_steps(10, 3, doublings)(*model))
+    at_once = np.array(riccati_steps(doublings)(*model))
     cost = np.zeros((10, 10))
     for _ in range(2**doublings):
         cost = step(cost, *model)[0]
@@ -68,7 +68,7 @@ def test_doubled_riccati_steps_are_as_many_single_ones(doublings: int) -> None:
 def functions() -> dict[str, ca.Function]:
     """Return the law, a crane over a step, and the motion of its load."""
     system = CRANE.model("points")
-    return {**feedback_functions(system), "sampled": sampled(hanging(system), 3), "flat": flat_motion()}
+    return {**feedback_functions(system), "sampled": sampled(hanging(system)), "flat": flat_motion()}
 
 
 @pytest.mark.parametrize("h", [0.1, 0.01, 0.001, 0.0001])

@@ -13,21 +13,16 @@ import re
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
-
-import fmpy
-from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.build.page import documentation_page
 from crane_fmu.catalogue import FmuKind
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
-from crane_fmu.slave import kernel
 from servocore.export.targets import libraries
 from servocore.files import xml_document, zipped
 
@@ -74,10 +69,10 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
         Which FMU it is.
     """
     with zipfile.ZipFile(io.BytesIO(native)) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    description = members["modelDescription.xml"]
+        given = {name: archive.read(name) for name in archive.namelist()}
+    description = given["modelDescription.xml"]
     token = ET.fromstring(description).get("guid", "")
-    behind = {name.removeprefix("binaries/"): each for name, each in members.items() if name.startswith("binaries/")}
+    behind = {name.removeprefix("binaries/"): each for name, each in given.items() if name.startswith("binaries/")}
     entry, files = _staged(kind, token, behind)
     members = _rearranged(_packed_by_pythonfmu(kind, entry, files), entry)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
@@ -89,12 +84,18 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     }
     of_linux = [path for path in behind if path.startswith("linux64/")]
     if of_linux:
-        members |= _in_front(members, kind, token, f"resources/{entry}_bundle/{kernel.LIBRARIES}/{of_linux[0]}")
+        library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
+        headers = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
+        texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
+        place, binary = _in_front(kind, headers, texts)
+        members |= {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}
     return zipped(members)
 
 
 def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str, dict[str, str | bytes]]:
     """Return the name of the entry module, unique to the content, and what PythonFMU packs: it and its bundle."""
+    from crane_fmu.slave import kernel  # noqa: PLC0415 - it needs PythonFMU, which native FMUs are built without
+
     slave = Path(kernel.__file__).read_text(encoding="utf-8")
     digest = hashlib.sha256(f"{kind.name}{_ENTRY}{metadata.version('pythonfmu')}{token}{slave}".encode())
     for path, library in sorted(behind.items()):
@@ -110,8 +111,16 @@ def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str
 
 
 def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | bytes]) -> dict[str, bytes]:
-    """Let PythonFMU pack an entry module and its bundle, and return the members of its archive."""
-    with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
+    """Let PythonFMU pack an entry module and its bundle, and return the members of its archive.
+
+    Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
+    for those it packs, and find no slave that is its own.
+    """
+    from pythonfmu.builder import FmuBuilder  # noqa: PLC0415
+
+    for name in [module for module in sys.modules if module.startswith(PREFIX)]:
+        del sys.modules[name]
+    with nothing_left(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
         folder = Path(scratch)
         put(folder, files)
         archive = FmuBuilder.build_FMU(
@@ -122,25 +131,7 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
             canSerializeFMUstate=True,
         )
         with zipfile.ZipFile(archive) as members:
-            return {name: members.read(name) for name in members.namelist()}
-
-
-@contextmanager
-def _no_traces() -> Iterator[None]:
-    """Keep what PythonFMU's builder imports and writes out of this process and of the bundle.
-
-    Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
-    for those it packs, and find no slave that is its own.
-    """
-    for name in [module for module in sys.modules if module.startswith(PREFIX)]:
-        del sys.modules[name]
-    write_bytecode = sys.dont_write_bytecode
-    sys.dont_write_bytecode = True
-    try:
-        with nothing_left():
-            yield
-    finally:
-        sys.dont_write_bytecode = write_bytecode
+            return {name: members.read(name) for name in members.namelist() if "__pycache__" not in name}
 
 
 def _rearranged(members: Mapping[str, bytes], entry: str) -> dict[str, bytes]:
@@ -186,20 +177,13 @@ def _licence(package: str) -> bytes:
     return found[0].read_binary()
 
 
-def _in_front(members: Mapping[str, bytes], kind: FmuKind, token: str, library: str) -> dict[str, bytes]:
-    """Return the binary of 64-bit Linux, with which hosts that are not Python run the FMU too, and PythonFMU's.
+def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:
+    """Return path and content of the binary for 64-bit Linux, with which hosts that are not Python run the FMU too.
 
-    There it hands every call to the library in C that the slave uses, at a path in the FMU; see `shim.c`.
+    There it hands every call to the library in C that the slave uses; see `shim.c`, which the texts are defined in.
     """
-    texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": f"../../{library}"}
-    sources = {
-        "shim.c": (_HERE / "shim.c").read_text(encoding="utf-8"),
-        "shim_config.h": "".join(f'#define {name} "{text}"\n' for name, text in texts.items()),
-        **{
-            each.name: each.read_text(encoding="utf-8")
-            for each in (Path(fmpy.__file__).parent / "c-code").glob("fmi2*.h")
-        },
-    }
+    shim = (_HERE / "shim.c").read_text(encoding="utf-8")
+    config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
+    sources = {"shim.c": shim, "shim_config.h": config, **headers}
     (built,) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
-    place, binary = built
-    return {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}
+    return built

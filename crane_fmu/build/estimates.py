@@ -22,7 +22,8 @@ from itertools import accumulate
 import casadi as ca
 import numpy as np
 
-from crane_fmu.catalogue import DIMENSION, ORDERS
+import servocore as sc
+from crane_fmu.catalogue import DIMENSION, NO_STARTS, ORDERS, Starts
 
 SHORTEST_STEP = 1e-6
 """Below this many seconds second differences drown in round-off: a sample is left out."""
@@ -50,15 +51,34 @@ then, x before y before z; how many there are; the time since the newest; the es
 negative before the first estimate."""
 
 
-def estimate_functions(outputs: int) -> dict[str, ca.Function]:
-    """Return the estimation as `sc.SampledEstimates` takes it, for so many outputs of the inverse model.
+def estimates_of(crane: sc.Scene, starts: Starts = NO_STARTS) -> sc.SampledEstimates:
+    """Return the estimation for a crane's inverse model, with a sentence for each order that may be the last connected.
 
-    Returns
-    -------
-    dict of str to casadi.Function
-        ``first_samples``, ``estimate`` and ``worth``.
+    Parameters
+    ----------
+    crane : Scene
+        Of whose load a path is told.
+    starts : mapping of str to float or str
+        Start values: of ``connected``, where there is one.
     """
-    return {each.name(): each for each in (_first(), _estimate(), _worth(outputs))}
+    model = crane.model()
+    functions = _first(), _estimate(), _worth(len(model.inputs) + len(model.observables))
+    above = [f"derivatives above the load's {name}" for name in ORDERS[:-1]]
+    return sc.SampledEstimates(
+        functions={each.name(): each for each in functions},
+        unknown=tuple(
+            f"the load starts in motion: {each} are known after {SAMPLES - order} samples; until then M_b, F and M_w"
+            " are not those of the path"
+            for order, each in enumerate(above)
+        ),
+        rough=tuple(
+            f"{each} are estimated to %.2g m/s4 of snap only, worth %.2g N.m of M_b, whose peak so far is %.2g N.m:"
+            " the samples are too rough, or too far apart; connect further derivatives, or lay a smooth path through"
+            " the samples first"
+            for each in above
+        ),
+        start=ORDERS.index(str(starts.get("connected", ORDERS[-1]))),
+    )
 
 
 def _first() -> ca.Function:
@@ -259,24 +279,3 @@ def amplification(order: int) -> float:
     nodes = np.arange(1.0 - count, 1.0)
     weights = math.factorial(wanted) * np.linalg.inv(np.vander(nodes, increasing=True))[wanted]
     return float(np.abs(weights).sum())
-
-
-def in_motion(order: int) -> str:
-    """Say that a load starts in motion; `order` is the highest derivative that is connected."""
-    return (
-        f"the load starts in motion: {_above(order)} are known after {SAMPLES - order} samples; until then M_b, F and"
-        " M_w are not those of the path"
-    )
-
-
-def too_rough(order: int) -> str:
-    """Say that samples are too rough, as a format of the snap's error, what it is worth, and the peak of M_b."""
-    return (
-        f"{_above(order)} are estimated to %.2g m/s4 of snap only, worth %.2g N.m of M_b, whose peak so far is %.2g"
-        " N.m: the samples are too rough, or too far apart; connect further derivatives, or lay a smooth path through"
-        " the samples first"
-    )
-
-
-def _above(order: int) -> str:
-    return f"derivatives above the load's {ORDERS[order]}"

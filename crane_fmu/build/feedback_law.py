@@ -28,15 +28,27 @@ load tell the whole motion, so the path gets an offset that begins with the meas
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from typing import Any
 
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
-from crane_fmu.build.riccati import riccati_gain, riccati_step, riccati_steps
+from crane_fmu.build.flatness import (
+    DRIVES,
+    LOAD,
+    POINTS,
+    STATES,
+    continued,
+    fastest_pendulum,
+    flat_motion,
+    forgotten,
+    measured_state,
+    offset,
+    offset_at_start,
+)
+from crane_fmu.build.riccati import riccati_functions, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
@@ -72,8 +84,6 @@ SIZES |= {"longest": 1, "known": 1, "offset": 12, "return": 3}
 (logarithm of a share), snap told then, its length (0: none), H, whether the prediction knew how its inputs run, the
 offset y_0 ... y_3 and the rates a at which it ends."""
 
-_N, _M, _HALF = 10, 3, 5
-_LOAD = 2  # where the load's place begins in the coordinates
 _JET = DIMENSION * len(ORDERS)
 
 
@@ -91,7 +101,7 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
         For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
-    parts = _parts(hanging(system))
+    parts = _Parts(hanging(system))
     functions = (each(parts, time) for time in ("start", "end") for each in (_begin, _feedback))
     return {each.name(): each for each in functions}
 
@@ -105,43 +115,14 @@ def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
     return sc.generalise(system, coordinates, ca.vertcat(place / s, place, s, rope, load), observables={})
 
 
-@dataclass(frozen=True)
 class _Parts:
-    """Pieces of the law.
+    """Functions that the law is made of, for both input times; where they come from says what they compute."""
 
-    flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
-    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared,
-    riccati and gain: as of `crane_fmu.build.riccati`.
-    resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
-    which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
-    """
-
-    flat: ca.Function
-    measured: ca.Function
-    advance: ca.Function
-    sampled: ca.Function
-    shared: ca.Function
-    riccati: ca.Function
-    gain: ca.Function
-    resisting: ca.Function
-    resting: ca.Function
-    offset: ca.Function
-
-
-def _parts(system: sc.MechanicalSystem) -> _Parts:
-    shared, riccati = riccati_step(_N, slice(_LOAD, _HALF), _M)
-    return _Parts(
-        flat=flat_motion(),
-        measured=measured_state(),
-        advance=advance(system, _M),
-        sampled=sampled(system, _M),
-        shared=shared,
-        riccati=riccati,
-        gain=riccati_gain(_N, _M),
-        resisting=_resisting(system),
-        resting=resting(_HALF, _LOAD, _M),
-        offset=offset(),
-    )
+    def __init__(self, system: sc.MechanicalSystem) -> None:
+        self.flat, self.measured, self.offset = flat_motion(), measured_state(), offset()
+        self.advance, self.sampled, self.resting = advance(system), sampled(system), resting()
+        self.shared, self.riccati, self.gain = riccati_functions()
+        self.resisting = _resisting(system)
 
 
 def _resisting(system: sc.MechanicalSystem) -> ca.Function:
@@ -153,7 +134,7 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
     """Return the inputs worth 1 m/s2 of bridge (at the trolley), trolley, winch with load, as freely as wanted."""
-    s = ca.norm_2(state[:_LOAD])
+    s = ca.norm_2(state[: LOAD.start])
     bridge, trolley, load, winch, radius = (p[k] for k in range(5))
     worth = bridge / s + trolley * s, trolley, (load + winch / radius**2) * radius
     return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
@@ -181,26 +162,28 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
     p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
-    about = *parts.flat(jet, p), ca.MX.zeros(_M), p, h
+    about = *parts.flat(jet, p), ca.MX.zeros(DRIVES), p, h
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
     _, *shared = parts.shared.call(model)
-    found = riccati_steps(_N, _M, FIRST_DOUBLINGS)(*shared)
+    found = riccati_steps(FIRST_DOUBLINGS)(*shared)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
-    memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
+    memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - STATES**2 - led.numel()), led)
     return ca.Function(f"begin_{time}", [jet, measured, p, h], [ca.densify(memory)])
 
 
 def _feedback(parts: _Parts, time: str) -> ca.Function:
     """Return the law."""
-    sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": _M}
-    sizes |= {"feedforward": _M, "p": 6, "h": 1, "share": 1, "limits": _M}
+    sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": DRIVES}
+    sizes |= {"feedforward": DRIVES, "p": 6, "h": 1, "share": 1, "limits": DRIVES}
     given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
     cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])
-    situation = _inlined("situation", _situation(parts, time), ca.vertcat(*known), jet, before, measured, acting, p, h)
+    heard = ca.vertcat(*known), jet, before, measured, acting, p, h
+    situation = _inlined("situation", partial(_situation, parts, time), *heard)
     short, longest, state, force, here, u_here, there, u_there, beyond, slope, ran, *model, offset = situation
-    cost, share_of, *rule = _design(parts, time, ca.reshape(cost, _N, _N), (short, *model, force, p), h, longest)
+    cost = ca.reshape(cost, STATES, STATES)
+    cost, share_of, *rule = _design(parts, time, cost, (short, *model, force, p), h, longest)
     A, new, old, ahead, alone, goes_on, gain = rule
     after = parts.advance(short, state, acting, ran, force, p, h) if time == "start" else state
     e, origin = (state - here, (here, u_here)) if time == "end" else (after - there, (there, u_there))
@@ -212,7 +195,7 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     more = w_d + share_of * chosen + (1 - share_of) * w
     strain = known[list(SIZES).index("strain") - 1]
     told = u_there, more, feedforward, acting, jet, p, h, longest, share, limits, strain
-    inputs, strain = _inlined("bounded", _bounded(time), *told)
+    inputs, strain = _inlined("bounded", partial(_bounded, time), *told)
     if time == "end":
         after = parts.advance(short, state, acting, (inputs - acting) / h, force, p, h)
     remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, longest, offset)
@@ -226,7 +209,7 @@ def _design(
 
     With *start* it chooses v, which inputs would come to from w in a step of length H; w+ = w + (v - w) h / H. The
     input then goes on by v - w in H, whatever h is, and v is what costs effort: an input that is steep would cost
-    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_step`.
+    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_functions`.
 
     Parameters
     ----------
@@ -275,52 +258,44 @@ def _uneven(parts: _Parts, time: str, cost: ca.MX, *given: ca.MX) -> list[ca.MX]
     return [after, now, begun, ended, alone, goes_on, parts.gain(cost, acting, effort)]
 
 
-def _situation(parts: _Parts, time: str) -> Callable[..., Sequence[ca.SX]]:
-    """Return the rule (memory behind M, jet, jet before, measured, acting, p, h) -> what is known before the design.
+def _situation(
+    parts: _Parts, time: str,
+    memory: ca.SX, jet: ca.SX, before: ca.SX, measured: ca.SX, acting: ca.SX, p: ca.SX, h: ca.SX,
+) -> Sequence[ca.SX]:  # fmt: skip
+    """Return what is known before the design, by the memory behind M, paths, what is measured and acts, p and h.
 
     That is: whether the step is short; H; state; force on the load; where path and inputs are now, a step later, and
     where the path is when what the law decides has acted; slopes of the inputs of the path and of those that act; state
     and inputs of the step to be ruled; efforts and weights; the memory from `known` on.
     """
-
-    def rule(
-        memory: ca.SX, jet: ca.SX, before: ca.SX, measured: ca.SX, acting: ca.SX, p: ca.SX, h: ca.SX
-    ) -> Sequence[ca.SX]:
-        sizes = [size for name, size in SIZES.items() if name != "cost"]
-        known = dict(zip(list(SIZES)[1:], ca.vertsplit(memory, [0, *accumulate(sizes)]), strict=True))
-        goes_on, none = known["step"] > 0, ca.SX.zeros(_M)
-        last = ca.fmax(known["step"], 1e-9)
-        crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
-        led = known["offset"], known["return"]
-        pendulum = ca.fmax(p[5] + before[8], 0) / measured[2] * (1 + p[2] / p[1])
-        longest = ca.fmax(h, known["longest"] - FORGETTING * h)
-        short = ca.sqrt(pendulum) * longest <= SHORT_TURN  # as of `fastest_pendulum`
-        state = parts.measured(measured)
-        force = _learnt(parts, known, state, p, last)
-        places = _places(parts, [before, jet, crackle], led, force, p, (h, longest), time)
-        (_, u_here, _, u_there, _), middle = places[:5], places[5:]
-        slope = (u_there - u_here) / h
-        ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
-        worth = _efforts(p, middle[0]), _weights(longest, known["strain"])
-        knew = ca.SX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
-        then = ca.vertcat(knew, forgotten(parts.offset(*led, h)[0]), led[1])
-        return [short, longest, state, force, *places[:5], slope, ran, *middle, *worth, then]
-
-    return rule
+    sizes = [size for name, size in SIZES.items() if name != "cost"]
+    known = dict(zip(list(SIZES)[1:], ca.vertsplit(memory, [0, *accumulate(sizes)]), strict=True))
+    goes_on, none = known["step"] > 0, ca.SX.zeros(DRIVES)
+    last = ca.fmax(known["step"], 1e-9)
+    crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
+    led = known["offset"], known["return"]
+    longest = ca.fmax(h, known["longest"] - FORGETTING * h)
+    short = fastest_pendulum(before, measured[2], p) * longest <= SHORT_TURN
+    state = parts.measured(measured)
+    force = _learnt(parts, known, state, p, last)
+    places = _places(parts, [before, jet, crackle], led, force, p, (h, longest), time)
+    (_, u_here, _, u_there, _), middle = places[:5], places[5:]
+    slope = (u_there - u_here) / h
+    ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
+    worth = _efforts(p, middle[0]), _weights(longest, known["strain"])
+    knew = ca.SX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
+    then = ca.vertcat(knew, forgotten(parts.offset(*led, h)[0]), led[1])
+    return [short, longest, state, force, *places[:5], slope, ran, *middle, *worth, then]
 
 
-def _bounded(time: str) -> Callable[..., Sequence[ca.SX]]:
-    """Return the rule that adds to inputs of the path within what rope and drives can do; see `_feedback`."""
-
-    def rule(
-        flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX, longest: ca.SX,
-        share: ca.SX, limits: ca.SX, strain: ca.SX,
-    ) -> Sequence[ca.SX]:  # fmt: skip
-        wanted = flat + more
-        wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
-        return _within(limits, feedforward, share * (wanted - feedforward), strain - RECOVERY * h)
-
-    return rule
+def _bounded(
+    time: str, flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX,
+    longest: ca.SX, share: ca.SX, limits: ca.SX, strain: ca.SX,
+) -> Sequence[ca.SX]:  # fmt: skip
+    """Add to inputs of the path within what rope and drives can do; see `_feedback`. Return inputs and strain."""
+    wanted = flat + more
+    wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
+    return _within(limits, feedforward, share * (wanted - feedforward), strain - RECOVERY * h)
 
 
 def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -364,8 +339,8 @@ def _places(
 
 def _learnt(parts: _Parts, known: dict[str, ca.SX], state: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
     """Return the force on the load, corrected by what the prediction of the load's velocity over h missed."""
-    missed = (state - known["predicted"])[_HALF + _LOAD :]
+    missed = (state - known["predicted"])[POINTS + LOAD.start :]
     share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
-    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(_M))
+    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(DRIVES))
     most = LARGEST_FORCE * p[2] * p[5]
     return ca.fmax(-most, ca.fmin(most, known["force"] + more))

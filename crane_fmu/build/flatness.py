@@ -13,6 +13,9 @@ import casadi as ca
 
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
+STATES, DRIVES, POINTS, LOAD = 10, 3, 5, slice(2, 5)
+"""Sizes of state, inputs and coordinates, which are those of trolley and load as points, and which are the load's."""
+
 RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
 """How a load that begins off its path is led back: accelerations in g that this may take, how far a step may go, and
 offsets that are none."""
@@ -58,6 +61,11 @@ def flat_motion() -> ca.Function:
     return ca.Function(
         "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
     )
+
+
+def fastest_pendulum(path: ca.SX, length: ca.SX, p: ca.SX) -> ca.SX:
+    """Return the angular frequency of the fastest pendulum, in rad/s: a load below a trolley that is free to roll."""
+    return ca.sqrt(ca.fmax(p[5] + path[8], 0) / length * (1 + p[2] / p[1]))
 
 
 def measured_state() -> ca.Function:

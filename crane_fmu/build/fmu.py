@@ -7,11 +7,12 @@ import json
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 import servocore as sc
 from crane_fmu.build.archive import Progress, packed
-from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.build.native import native_fmu
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
@@ -62,12 +63,12 @@ def build_fmu(
     ServocoreError
         If the FMU fails its check.
     """
+    import_module("pythonfmu")  # if it is missing it is so now, not after all is compiled
     directory = Path(directory)
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        wishes = NativeWishes(path, starts, targets or USUAL_TARGETS, judged_late=True)
-        native = native_fmu(kind, wishes, progress)
+        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, judged_late=True)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a process of its own")
@@ -77,16 +78,10 @@ def build_fmu(
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
+    wanted = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [
-            sys.executable,
-            "-I",
-            str(_CHECK),
-            kind.file_name,
-            json.dumps(kind.runs_with(starts)),
-            json.dumps(kind.rest(starts)),
-        ]
+        command = [sys.executable, "-I", str(_CHECK), kind.file_name, *wanted]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
@@ -112,19 +107,16 @@ def main(arguments: list[str] | None = None) -> int:
         0, or 2 for bad input.
     """
     parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"
-    )
-    parser.add_argument("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
-    parser.add_argument(
-        "--targets", metavar="LIST", help="platforms to compile for (default: this one and 64-bit Windows)"
-    )
-    parser.add_argument("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
+    add = parser.add_argument
+    add("-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)")
+    add("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
+    add("--targets", metavar="LIST", help="platforms to compile for (default: this one and 64-bit Windows)")
+    add("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
     chosen = parser.parse_args(arguments)
     kind = KINDS[chosen.fmu]
     try:
         if chosen.page:
-            described = native_fmu(kind, NativeWishes(targets="none", judged_late=True))
+            described = native_fmu(kind, targets="none", judged_late=True)
             write_together({chosen.page: user_page(kind, described).encode()})
             return 0
         file = build_fmu(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,93 +15,10 @@ from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 from crane_fmu.build.estimates import amplification
-from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ORDERS, ROTARY_CRANE, FmuKind
+from crane_fmu.catalogue import ORDERS, FmuKind
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
 _TEMPLATES = Path(__file__).parent / "resources"
-
-_BAD_STEP = (
-    "a step that is not positive, NaN, or longer than an hour",
-    "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
-)
-_TIME_BACK = (
-    "time goes back",
-    "the communication point t = 0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
-)
-REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
-    ROTARY_CRANE.name: (
-        ("an input is NaN or infinite", "at t = 0 s the input load.jerk[2] is nan, not a finite number"),
-        (
-            "the load falls as fast as it would without a rope, or faster",
-            "at t = 0 s the rope goes slack: g + z'' is -0.19 m/s2, it must stay above 0 m/s2",
-        ),
-        (
-            "the load is at the girder's height or above",
-            "at t = 0 s the load is not below the girder: the load's depth below the girder is -1 m,"
-            " it must stay above 0 m",
-        ),
-        (
-            "the trolley is on the axis, where `phi` is undefined",
-            "at t = 0 s the trolley reaches the slewing axis: the trolley's distance from the slewing axis is 0 m,"
-            " it must stay above 0.001 m",
-        ),
-        _BAD_STEP,
-        _TIME_BACK,
-        (
-            "time is skipped",
-            "the communication point t = 0.5 s lies ahead of the FMU's time 0 s;"
-            " to repeat a step restore the FMU's state first",
-        ),
-        (
-            "a step before the initialization",
-            "doStep needs a finished initialization, but the FMU is instantiated",
-        ),
-        ("a parameter outside its range", "load_mass = -1 kg is outside its range [0.001, 1e+09] kg"),
-        (
-            "a needlessly small `internal_step`",
-            "an internal_step of 1e-09 s divides the communication step of 0.1 s into more than 100000 steps",
-        ),
-        (
-            "the path moves while connected derivatives stay exactly zero, for a second step",
-            "at t = 0.2 s the load's position changes, but its velocity and acceleration and jerk and snap stay zero:"
-            " connect what is missing, or set connected = position to have it estimated",
-        ),
-        (
-            "a step so large, or a path so far away, that the trolley would come out behind the axis",
-            "rotary crane, points, projected, backward-euler: at t = 20 s s is -5 m, on another branch of the equations"
-            " than the one wanted; a smaller step keeps to its own",
-        ),
-    ),
-    CRANE_PLANT.name: (
-        ("an input is NaN or infinite", "at t = 0 s the input F is nan, not a finite number"),
-        (
-            "the rope would have to push",
-            "at t = 0.1 s the rope goes slack: its tension is -819.9 N, it must stay above 0 N",
-        ),
-        (
-            "inputs beyond reason",
-            "the step from t = 0 s to 0.1 s has no finite result: the inputs are too large, or internal_step is",
-        ),
-        (
-            "a start that no crane can take",
-            "at t = 0 s the load is not below the girder: the load's depth below the girder is -1 m,"
-            " it must stay above 0 m",
-        ),
-        _BAD_STEP,
-        ("a parameter outside its range", "mass_error = -2 is outside its range [-0.9, 10]"),
-    ),
-    LOAD_TRAJECTORY.name: (
-        ("a `ramp` for another profile", "a ramp belongs to the profile three-phase, not to degree9"),
-        (
-            "a `ramp` longer than half of the duration",
-            "a path with a ramp of 11 s takes at least 22 s, but its duration is 20 s",
-        ),
-        ("`file` without a table", "the profile file needs a table, and the FMU was built without one"),
-        ("a parameter that is not finite", "duration = nan s is not a finite number"),
-        _TIME_BACK,
-    ),
-}
-"""What each FMU refuses: situation, and the sentence for one example; the tests provoke them all."""
 
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -126,7 +42,6 @@ def user_page(kind: FmuKind, fmu: bytes) -> str:
     template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
     return template.render(
         table=lambda causality: _table(described.modelVariables, causality),
-        refusals=REFUSALS[kind.name],
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 

@@ -7,78 +7,71 @@ from __future__ import annotations
 
 import casadi as ca
 
+from crane_fmu.build.flatness import DRIVES, LOAD, STATES
+from crane_fmu.catalogue import DIMENSION
 
-def riccati_step(n: int, load: slice, m: int) -> tuple[ca.Function, ca.Function]:
-    """Return what all Riccati steps of a model share, and a step.
+_SQUARE, _TALL, _SMALL = (STATES, STATES), (STATES, DRIVES), (DRIVES, DRIVES)
+
+
+def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Return what all Riccati steps of a model share, a step, and the gain of a step alone.
 
     With w+ = v - F z, where F would be the gain without a cost-to-go, z = A e + B' w goes on as C z + G v, and a step
     costs a form Q of z and a form R of v: (A, B, B', f, W) -> F, C, C^T, Q, G, R. A step is (cost M of z before v is
-    chosen, C, C^T, Q, G, R) -> (M a step earlier, K), v = -K C z. Products of whole matrices are left to loops, which
-    machines take several numbers at once in.
-
-    Parameters
-    ----------
-    n, m : int
-        Numbers of a state and of the inputs.
-    load : slice
-        Coordinates that W weighs.
+    chosen, C, C^T, Q, G, R) -> (M a step earlier, K), v = -K C z, and its gain (M, G, R) -> K. Products of whole
+    matrices are left to loops, which machines take several numbers at once in.
     """
-    A, new, old = ca.SX.sym("A", n, n), ca.SX.sym("B", n, m), ca.SX.sym("B'", n, m)
-    efforts, weights = ca.SX.sym("f", m), ca.SX.sym("W", load.stop - load.start)
-    squares = ca.SX(n, n)
-    squares[load, load] = ca.diag(weights**2)
+    A, new, old = ca.SX.sym("A", *_SQUARE), ca.SX.sym("B", *_TALL), ca.SX.sym("B'", *_TALL)
+    efforts, weights = ca.SX.sym("f", DRIVES), ca.SX.sym("W", DIMENSION)
+    squares = ca.SX(*_SQUARE)
+    squares[LOAD, LOAD] = ca.diag(weights**2)
     crossed, acting = squares @ new, A @ new + old
     effort = ca.diag(1 / efforts**2) + new.T @ crossed
-    alone = ca.SX(m, n)
-    alone[:, load] = ca.ldl_solve(crossed[load, :].T, *ca.ldl(effort))
+    alone = ca.SX(DRIVES, STATES)
+    alone[:, LOAD] = ca.ldl_solve(crossed[LOAD, :].T, *ca.ldl(effort))
     goes_on = A - acting @ alone
     results = [ca.densify(each) for each in (alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort)]
+    shared = ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True})
     cost, *given = (ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate([A, *results[1:]]))
     C, C_T, Q, G, R = given
-    left, K = _choice(n, m)(cost, cost @ G, G, R)
+    choice = _choice()
+    left, K = choice(cost, cost @ G, G, R)
     step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
-    return ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True}), step
+    return shared, step, ca.Function("gain", [cost, G, R], [choice(cost, cost @ G, G, R)[1]])
 
 
-def riccati_gain(n: int, m: int) -> ca.Function:
-    """Return (M, G, R) -> K, where nothing but the gain of a step is asked for."""
-    cost, acting, effort = ca.MX.sym("M", n, n), ca.MX.sym("G", n, m), ca.MX.sym("R", m, m)
-    return ca.Function("gain", [cost, acting, effort], [_choice(n, m)(cost, cost @ acting, acting, effort)[1]])
-
-
-def _choice(n: int, m: int) -> ca.Function:
+def _choice() -> ca.Function:
     """Return (cost M of z, M G, G, R) -> (the cost left when v is the best for z, K), v = -K z."""
-    cost, reach, acting = ca.SX.sym("M", n, n), ca.SX.sym("M G", n, m), ca.SX.sym("G", n, m)
-    effort = ca.SX.sym("R", m, m)
+    cost, reach, acting = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
+    effort = ca.SX.sym("R", *_SMALL)
     K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
     left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
     return ca.Function("choice", [cost, reach, acting, effort], [left, K], {"cse": True})
 
 
-def riccati_steps(n: int, m: int, doublings: int) -> ca.Function:
+def riccati_steps(doublings: int) -> ca.Function:
     """Return (C, C^T, Q, G, R) -> M so many doublings of a step before an end that costs nothing.
 
-    Any number of steps of one model, as `riccati_step` has them, is M -> Q + C^T M (1 + H M)^-1 C, at first with
+    Any number of steps of one model, as `riccati_functions` has them, is M -> Q + C^T M (1 + H M)^-1 C, at first with
     H = G R^-1 G^T, and so are two such numbers one after the other: k doublings are 2^k steps. The last one is asked
     for M alone.
     """
-    square = ca.Sparsity.dense(n, n)
-    C, H, Q = (ca.MX.sym(name, square) for name in ("C", "H", "Q"))
-    reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(n) + H @ Q, ca.horzcat(C, H), "qr"), n)
+    C, H, Q, C_T = (ca.MX.sym(name, *_SQUARE) for name in ("C", "H", "Q", "C_T"))
+    G, R = ca.MX.sym("G", *_TALL), ca.MX.sym("R", *_SMALL)
+    reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(STATES) + H @ Q, ca.horzcat(C, H), "qr"), STATES)
     doubled = [C @ reached, _even(H + C @ spread @ C.T), _even(Q + C.T @ Q @ reached)]
     doubling = ca.Function("doubling", [C, H, Q], doubled)
-    last = ca.Function("last", [C, H, Q], [_even(Q + C.T @ Q @ ca.solve(ca.MX.eye(n) + H @ Q, C, "qr"))])
-    C_T, G, R = ca.MX.sym("C_T", square), ca.MX.sym("G", n, m), ca.MX.sym("R", m, m)
-    several = [C, G @ _spread(n, m)(G, R), Q]
+    last = ca.Function("last", [C, H, Q], [_even(Q + C.T @ Q @ ca.solve(ca.MX.eye(STATES) + H @ Q, C, "qr"))])
+    several = [C, G @ _spread()(G, R), Q]
     for _ in range(doublings - 1):
         several = doubling.call(several)
     found = last(*several) if doublings else Q
     return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [found])
 
 
-def _spread(n: int, m: int) -> ca.Function:
+def _spread() -> ca.Function:
     """Return (G, R) -> R^-1 G^T."""
-    acting, effort = ca.SX.sym("G", n, m), ca.SX.sym("R", m, m)
+    acting, effort = ca.SX.sym("G", *_TALL), ca.SX.sym("R", *_SMALL)
     return ca.Function("spread", [acting, effort], [ca.ldl_solve(acting.T, *ca.ldl(effort))], {"cse": True})
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
+from crane_fmu.build.flatness import DRIVES, LOAD, POINTS, STATES
 
 SHORT_TURN = 0.1
 """Up to this turn of the fastest pendulum, in rad, a step is short."""
@@ -21,10 +22,10 @@ _TERMS = {False: 4, True: 1}
 step, or 1 rad in another, and for the gains alone."""
 
 
-def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+def advance(system: sc.MechanicalSystem) -> ca.Function:
     """Return (whether the step is short, state, u, u_dot, d, p, h) -> state under inputs that run linearly."""
-    n, m = 2 * system.q.numel(), system.u.numel()
-    x, u, slope, d, h = (ca.SX.sym(*each) for each in (("x", n), ("u", m), ("u_dot", m), ("d", forces), ("h",)))
+    x, h = ca.SX.sym("x", STATES), ca.SX.sym("h")
+    u, slope, d = (ca.SX.sym(name, DRIVES) for name in ("u", "u_dot", "d"))
     p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
     v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
     rate = ca.Function(
@@ -37,8 +38,7 @@ def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     fourth = rate(x + h * third, inputs[2], d, p)
     after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
     step = ca.Function("runge_kutta", [x, u, slope, d, p, h], [after], {"cse": True})
-    given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
-    state, u_begin, u_dot, *others, whole = given
+    state, u_begin, u_dot, *others, whole = given = step.mx_in()
     half = step(state, u_begin, u_dot, *others, whole / 2)
     twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
     short, other = (
@@ -47,13 +47,12 @@ def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     return ca.Function.if_else("advance", short, other)
 
 
-def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+def sampled(system: sc.MechanicalSystem) -> ca.Function:
     """Return (whether the step is short, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B of the linearized crane.
 
     phi_k are the functions behind the matrix exponential.
     """
-    linear, begin, term, driven = _linearized(system, forces), *_series(system.q.numel(), system.u.numel())
-    names = ("K", "D", "B")
+    linear, begin, term, driven = _linearized(system), *_series()
 
     def results(terms: int, K: Any, D: Any, B: Any, h: Any) -> list[Any]:
         phi = begin(K, D, h, 1 / math.factorial(terms + 1), 1 / math.factorial(terms + 2))
@@ -63,52 +62,46 @@ def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
         return [term(phi_1, K, D, h, 1), *driven(phi_1, phi, B, h)]
 
     # One expression where there is little to sum up: half of the first powers are zeros and ones, which it leaves out.
-    few = [*(ca.SX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.SX.sym("h")]
-    many = [*(ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.MX.sym("h")]
+    few, many = [*linear.sx_out(), ca.SX.sym("h")], [*linear.mx_out(), ca.MX.sym("h")]
     short = ca.Function("series_short", few, results(_TERMS[True], *few), {"cse": True})
     other = ca.Function("series_other", many, results(_TERMS[False], *many))
-    given = [ca.MX.sym(f"i{k}", linear.sparsity_in(k)) for k in range(linear.n_in())]
+    given = linear.mx_in()
     is_short, h = ca.MX.sym("short"), ca.MX.sym("h")
     found = ca.Function.if_else("series", short, other)
     return ca.Function("sampled", [is_short, *given, h], found.call([is_short, *linear.call(given), h]))
 
 
-def _linearized(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+def _linearized(system: sc.MechanicalSystem) -> ca.Function:
     """Return (state, u, d, p) -> K, D, B of the accelerations K q + D v + B u about a state."""
-    n = system.q.numel()
-    p, a, d = system.p, ca.SX.sym("a", n), ca.SX.sym("d", forces)
+    p, a, d = system.p, ca.SX.sym("a", POINTS), ca.SX.sym("d", DRIVES)
     load = system.bias + system.input_matrix.T @ system.u - system.C.T @ d
     factors = ca.ldl(system.mass)
     balance = ca.horzcat(*(ca.jacobian(system.mass @ a + load, each) for each in (system.q, system.v)))
     balance = ca.substitute(balance, a, ca.ldl_solve(-load, *factors))
     lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
+    columns = ca.horzsplit(lower, [0, POINTS, STATES, STATES + DRIVES])
     given = [ca.vertcat(system.q, system.v), system.u, d, p]
-    return ca.Function(
-        "linearized",
-        given,
-        [ca.densify(column) for column in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])],
-        {"cse": True},
-    )
+    return ca.Function("linearized", given, [ca.densify(each) for each in columns], {"cse": True})
 
 
-def _series(n: int, m: int) -> tuple[ca.Function, ca.Function, ca.Function]:
+def _series() -> tuple[ca.Function, ca.Function, ca.Function]:
     """Return what sums up powers of X = h [0 1; K D], and what applies the sums to inputs.
 
     (K, D, h, c, c') -> c + c' X; (F, K, D, h, c) -> c + X F; (phi_1, phi_2, B, h) -> h phi_1 [0; B], h phi_2 [0; B].
     """
-    F, other = ca.SX.sym("F", 2 * n, 2 * n), ca.SX.sym("F'", 2 * n, 2 * n)
-    K, D, B = ca.SX.sym("K", n, n), ca.SX.sym("D", n, n), ca.SX.sym("B", n, m)
+    F, other = (ca.SX.sym(name, STATES, STATES) for name in ("F", "F'"))
+    K, D, B = (ca.SX.sym(name, POINTS, count) for name, count in (("K", POINTS), ("D", POINTS), ("B", DRIVES)))
     h, c, more = (ca.SX.sym(name) for name in ("h", "c", "c'"))
-    one = ca.SX.eye(2 * n)
+    one = ca.SX.eye(STATES)
 
     def times(of: ca.SX) -> ca.SX:
-        top, bottom = of[:n, :], of[n:, :]
+        top, bottom = ca.vertsplit(of, POINTS)
         return ca.vertcat(h * bottom, h * (K @ top + D @ bottom))
 
     results: dict[str, tuple[list[ca.SX], list[ca.SX]]] = {
         "begun": ([K, D, h, c, more], [c * one + more * times(one)]),
         "term": ([F, K, D, h, c], [c * one + times(F)]),
-        "driven": ([F, other, B, h], [h * each[:, n:] @ B for each in (F, other)]),
+        "driven": ([F, other, B, h], [h * each[:, POINTS:] @ B for each in (F, other)]),
     }
     begin, term, driven = (
         ca.Function(name, given, [ca.densify(each) for each in found], {"cse": True})
@@ -117,26 +110,25 @@ def _series(n: int, m: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     return begin, term, driven
 
 
-def resting(n: int, places: int, m: int) -> ca.Function:
-    """Return (A, B, push) -> state and inputs with which a constant push leaves the last coordinates where they are.
+def resting() -> ca.Function:
+    """Return (A, B, push) -> state and inputs with which a constant push leaves the load where it is.
 
-    The first `places` of n coordinates give way, and all rates. Rates follow from the upper rows, where a step's length
-    is on the diagonal: elimination needs no pivots there.
+    The trolley's coordinates give way, and all rates. Rates follow from the upper rows, where a step's length is on the
+    diagonal: elimination needs no pivots there.
     """
-    A, B, push = ca.SX.sym("A", 2 * n, 2 * n), ca.SX.sym("B", 2 * n, m), ca.SX.sym("push", 2 * n)
-    away = A - ca.SX.eye(2 * n)
-    rates, right = away[:, n:], ca.horzcat(away[:, :places], B, -push)
-    table = ca.horzcat(rates, right)
-    rows = [table[k, :] for k in range(2 * n)]
-    for k in range(n):
-        for j in range(k + 1, 2 * n):
+    A, B, push = ca.SX.sym("A", STATES, STATES), ca.SX.sym("B", STATES, DRIVES), ca.SX.sym("push", STATES)
+    away, free = A - ca.SX.eye(STATES), LOAD.start
+    table = ca.horzcat(away[:, POINTS:], away[:, :free], B, -push)
+    rows = ca.vertsplit(table)
+    for k in range(POINTS):
+        for j in range(k + 1, STATES):
             rows[j] = rows[j] - rows[j][k] / rows[k][k] * rows[k]
-    lower = ca.vertcat(*rows[n:])[:, n:]
-    others = ca.solve(lower[:, : places + m], lower[:, -1])
-    found: list[Any] = [None] * n
-    for k in reversed(range(n)):
+    lower = ca.vertcat(*rows[POINTS:])[:, POINTS:]
+    others = ca.solve(lower[:, :-1], lower[:, -1])
+    found: list[Any] = [None] * POINTS
+    for k in reversed(range(POINTS)):
         row = rows[k]
-        known = ca.mtimes(row[n : n + places + m], others) + sum(row[j] * found[j] for j in range(k + 1, n))
+        known = ca.mtimes(row[POINTS:-1], others) + sum(row[j] * found[j] for j in range(k + 1, POINTS))
         found[k] = (row[-1] - known) / row[k]
-    state = ca.vertcat(others[:places], ca.SX.zeros(n - places), *found)
-    return ca.Function("resting", [A, B, push], [ca.densify(state), others[places:]], {"cse": True})
+    state = ca.vertcat(others[:free], ca.SX.zeros(POINTS - free), *found)
+    return ca.Function("resting", [A, B, push], [ca.densify(state), others[free:]], {"cse": True})

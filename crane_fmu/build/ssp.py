@@ -22,7 +22,7 @@ import servocore as sc
 from crane_fmu.build.archive import Progress
 from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.fmu import build_fmu
-from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import (
     CRANE_PLANT,
     DIMENSION,
@@ -50,14 +50,13 @@ COMPONENTS: Mapping[str, str] = {
 }
 """Names of the components by those of their FMUs."""
 
-_UNITS = ("m", "m/s", "m/s2", "m/s3", "m/s4")
-_A = ("a position", "a velocity", "an acceleration", "a jerk", "a snap")
 _START_ORDERS = 4  # position to jerk say where the crane and its load are at the start, and how fast
 _INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
 
-_SSD, _SSC, _SSV = (
-    f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common", "ParameterValues")
-)
+_SPACES = {
+    f"xmlns:{prefix}": f"http://ssp-standard.org/SSP1/SystemStructure{part}"
+    for prefix, part in (("ssd", "Description"), ("ssc", "Common"), ("ssv", "ParameterValues"))
+}
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def build_ssp(
     ServocoreWarning
         If the path ends in motion.
     """
-    reference = wishes.path
+    reference = played = wishes.path
     starts: dict[str, float | str] = dict(wishes.parameters)
     duration = 20.0
     if wishes.profile is not None:
@@ -141,13 +140,17 @@ def build_ssp(
     if reference is not None:
         starts |= path_starts(reference, inverse)
         _tell_end(reference)
+        played = read_again(sc.csv_of(reference))
     with filled_folder(directory) as draft:
-        played = None if reference is None else read_again(sc.csv_of(reference))
-        own = NativeWishes(played, starts, wishes.targets)
-        if wishes.native:
-            put(draft, {kind.file_name: native_fmu(kind, own, progress) for kind in KINDS.values()})
-        else:
-            _python_fmus(draft, reference, own, progress)
+        for kind in KINDS.values():
+            if wishes.native:
+                put(draft, {kind.file_name: native_fmu(kind, played, starts, wishes.targets, progress)})
+            else:
+                build_fmu(draft, progress, kind, played, starts, wishes.targets)
+        if not wishes.native:
+            progress("writing the cross-check files")
+            for kind in KINDS.values():
+                cross_check(draft / kind.file_name, reference, starts)
         fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
         members = {f"resources/{name}.fmu": fmu for name, fmu in fmus.items()}
         put(draft, {SYSTEM_FILE: zipped({_STRUCTURE: description(fmus, starts, duration), **members}, _STRUCTURE)})
@@ -186,7 +189,10 @@ def _motion(path: sc.Reference, time: float) -> str:
     peaks = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, _INSTANTS), 4), axis=-1).max(axis=0)
     sizes = np.linalg.norm(path.jet(time, 4), axis=-1)
     found = [order for order in range(1, len(ORDERS)) if sizes[order] > _ROUND_OFF * peaks[order]]
-    return f"{_A[found[0]]} of {sizes[found[0]]:.3g} {_UNITS[found[0]]}" if found else ""
+    if not found:
+        return ""
+    name, power = ORDERS[found[0]], found[0] if found[0] > 1 else ""
+    return f"{'an' if name[0] == 'a' else 'a'} {name} of {sizes[found[0]]:.3g} m/s{power}"
 
 
 def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, float | str]:
@@ -224,14 +230,6 @@ def _inverse(reference: sc.Reference | None, parameters: Mapping[str, float]) ->
     return sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
 
 
-def _python_fmus(draft: Path, reference: sc.Reference | None, wishes: NativeWishes, progress: Progress) -> None:
-    own = wishes.reference, wishes.starts, wishes.targets
-    fmus = [build_fmu(draft, progress, kind, *own) for kind in KINDS.values()]
-    progress("writing the cross-check files")
-    for fmu in fmus:
-        cross_check(fmu, reference, wishes.starts)
-
-
 def described(fmus: Mapping[str, bytes]) -> dict[str, list[Any]]:
     """Return the variables of FMUs as their model descriptions have them, by the names of their components."""
     return {
@@ -252,27 +250,25 @@ def description(fmus: Mapping[str, bytes], starts: Starts = NO_STARTS, duration:
     duration : float
         Time to simulate in s.
     """
-    for prefix, space in (("ssd", _SSD), ("ssc", _SSC), ("ssv", _SSV)):
-        ET.register_namespace(prefix, space)
-    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
-    system = _child(root, "System", name="Crane")
-    tables = described(fmus)
-    elements, wires = _child(system, "Elements"), connections(tables)
+    root = ET.Element("ssd:SystemStructureDescription", {**_SPACES, "version": "1.0", "name": "Crane"})
+    system = _add(root, "ssd:System", name="Crane")
+    elements, tables = _add(system, "ssd:Elements"), described(fmus)
+    wires = connections(tables)
     fed = {sink for _, sink in wires}
     for name, component in COMPONENTS.items():
         source = f"resources/{name}.fmu"
-        element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
-        connectors = _child(element, "Connectors")
+        element = _add(elements, "ssd:Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
+        connectors = _add(element, "ssd:Connectors")
         for variable in tables[component]:  # what is connected, and what is worth watching: all outputs
             if variable.causality == "output" or (component, variable.name) in fed:
-                place = _child(connectors, "Connector", name=variable.name, kind=variable.causality)
-                ET.SubElement(place, f"{{{_SSC}}}Real", unit=variable.unit)
+                place = _add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
+                _add(place, "ssc:Real", unit=variable.unit)
         numbers = (each.name for each in tables[component] if each.causality == "parameter" and each.type == "Real")
         _bind(element, {each: starts[each] for each in numbers if each in starts})
-    joints = _child(system, "Connections")
-    for (source, output), (sink, given) in wires:
-        _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
-    _child(root, "DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
+    joints = _add(system, "ssd:Connections")
+    for (begin, output), (end, given) in wires:
+        _add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
+    _add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
     return xml_document(root)
 
 
@@ -280,15 +276,16 @@ def _bind(element: ET.Element, bound: Starts) -> None:
     """Bind numbers to parameters of a component."""
     if not bound:
         return
-    values = _child(_child(_child(element, "ParameterBindings"), "ParameterBinding"), "ParameterValues")
-    table = ET.SubElement(values, f"{{{_SSV}}}ParameterSet", version="1.0", name="own")
-    rows = ET.SubElement(table, f"{{{_SSV}}}Parameters")
+    values = element
+    for tag in ("ParameterBindings", "ParameterBinding", "ParameterValues"):
+        values = _add(values, f"ssd:{tag}")
+    rows = _add(_add(values, "ssv:ParameterSet", version="1.0", name="own"), "ssv:Parameters")
     for name, value in bound.items():
-        ET.SubElement(ET.SubElement(rows, f"{{{_SSV}}}Parameter", name=name), f"{{{_SSV}}}Real", value=repr(value))
+        _add(_add(rows, "ssv:Parameter", name=name), "ssv:Real", value=repr(value))
 
 
-def _child(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, f"{{{_SSD}}}{tag}", attributes)
+def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, tag, attributes)
 
 
 Wire = tuple[tuple[str, str], tuple[str, str]]

@@ -10,9 +10,9 @@ import ctypes
 import platform
 import sys
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
-from functools import wraps
+from functools import lru_cache, partial, wraps
 from pathlib import Path
 from struct import Struct
 from typing import Any, TypeVar, cast
@@ -56,9 +56,10 @@ class _Callbacks(ctypes.Structure):
 
 
 Callback = TypeVar("Callback", bound=Callable[..., Any])
+Value = TypeVar("Value")
 
 
-def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
+def guarded(fallback: Callable[..., Any] = lambda *_: None) -> Callable[[Callback], Callback]:
     """Let a callback log whatever is raised in it and return `fallback` of its arguments instead."""
 
     def decorate(method: Callback) -> Callback:
@@ -74,10 +75,6 @@ def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
         return cast("Callback", call)
 
     return decorate
-
-
-def nothing(*_: Any) -> None:
-    """Return None, whatever the arguments."""
 
 
 def this_platform() -> str:
@@ -119,7 +116,7 @@ def library(folder: Path) -> ctypes.PyDLL:
 class Places:
     """A list of value references with room for their values, as C takes them."""
 
-    def __init__(self, references: Sequence[int], kind: type[c_double | c_int]) -> None:
+    def __init__(self, kind: type[c_double | c_int], references: tuple[int, ...]) -> None:
         self.count = len(references)
         self.references = (c_uint * self.count)(*references)
         self.values: Any = (kind * self.count)()
@@ -141,8 +138,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.guid = self.token
-        self._numbers: dict[tuple[int, ...], Places] = {}
-        self._items: dict[tuple[int, ...], Places] = {}
+        # Of each instance, for a host may step several at a time.
+        self._numbers, self._items = (lru_cache(_MOST_PLACES)(partial(Places, kind)) for kind in (c_double, c_int))
         # Not beside this module's file: another instance may have brought it, from a folder that is gone.
         self._library = library(Path(kwargs["resources"], *__name__.split(".")[:-1], LIBRARIES))
         me = weakref.ref(self)  # the library must not keep the slave alive
@@ -170,23 +167,23 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     # --- phases and steps -----------------------------------------------------------------------------------------
 
-    @guarded(nothing)
+    @guarded()
     def setup_experiment(self, start_time: float, stop_time: float | None = None, *_: float | None) -> None:
         """Tell start and stop time; a tolerance is of no use here."""
         stops = stop_time is not None
         self._library.fmi2SetupExperiment(self._instance, 0, 0.0, start_time, stops, stop_time if stops else 0.0)
 
-    @guarded(nothing)
+    @guarded()
     def enter_initialization_mode(self) -> None:
         """From now on outputs are computed when they are read."""
         self._library.fmi2EnterInitializationMode(self._instance)
 
-    @guarded(nothing)
+    @guarded()
     def exit_initialization_mode(self) -> None:
         """Compute the outputs at the start; a failure is told again by every step."""
         self._library.fmi2ExitInitializationMode(self._instance)
 
-    @guarded(nothing)
+    @guarded()
     def terminate(self) -> None:
         """Refuse further steps."""
         self._library.fmi2Terminate(self._instance)
@@ -198,24 +195,24 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     # --- variables ------------------------------------------------------------------------------------------------
 
-    @guarded(nothing)
+    @guarded()
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set numbers; what they are worth is judged when they are used."""
-        at = _places(self._numbers, vrs, c_double)
+        at = self._numbers(tuple(vrs))
         at.pack(at.values, 0, *values)
         self._library.fmi2SetReal(self._instance, at.references, at.count, at.values)
 
-    @guarded(nothing)
+    @guarded()
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
         """Choose by the numbers of items."""
-        at = _places(self._items, vrs, c_int)
+        at = self._items(tuple(vrs))
         at.values[:] = values
         self._library.fmi2SetInteger(self._instance, at.references, at.count, at.values)
 
     @guarded(lambda vrs: [float("nan")] * len(vrs))
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return numbers, NaN where there is none."""
-        at = _places(self._numbers, vrs, c_double)
+        at = self._numbers(tuple(vrs))
         self._library.fmi2GetReal(self._instance, at.references, at.count, at.values)
         found: list[float] = at.values[:]
         return found
@@ -223,7 +220,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
     @guarded(lambda vrs: [0] * len(vrs))
     def get_integer(self, vrs: list[int]) -> list[int]:
         """Return the numbers of the items that are chosen, 0 where nothing is to be chosen."""
-        at = _places(self._items, vrs, c_int)
+        at = self._items(tuple(vrs))
         at.values[:] = [0] * at.count
         self._library.fmi2GetInteger(self._instance, at.references, at.count, at.values)
         found: list[int] = at.values[:]
@@ -231,28 +228,27 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     # There are no texts and no booleans; PythonFMU's own methods raise, which would end the host.
 
-    @guarded(nothing)
-    def set_string(self, vrs: list[int], _: list[str]) -> None:
+    @guarded()
+    def set_string(self, vrs: list[int], _: list[Any]) -> None:
         """Refuse to set."""
-        self._refuse(vrs)
+        self._refused(vrs, None)
 
     set_boolean = set_string
 
     @guarded(lambda vrs: [""] * len(vrs))
     def get_string(self, vrs: list[int]) -> list[str]:
         """Refuse, with empty texts."""
-        self._refuse(vrs)
-        return [""] * len(vrs)
+        return self._refused(vrs, "")
 
     @guarded(lambda vrs: [False] * len(vrs))
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Refuse, with False."""
-        self._refuse(vrs)
-        return [False] * len(vrs)
+        return self._refused(vrs, False)
 
-    def _refuse(self, vrs: list[int]) -> None:
+    def _refused(self, vrs: list[int], value: Value) -> list[Value]:
         if vrs:
             self.log("the FMU has no String and no Boolean variables; the call is ignored", Fmi2Status.warning)
+        return [value] * len(vrs)
 
     # --- states ---------------------------------------------------------------------------------------------------
 
@@ -269,7 +265,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
         finally:
             self._library.fmi2FreeFMUstate(self._instance, byref(state))
 
-    @guarded(nothing)
+    @guarded()
     def _set_fmu_state(self, state: bytes) -> None:
         """Restore what `_get_fmu_state` has returned; anything else is refused and changes nothing."""
         restored = c_void_p()
@@ -290,13 +286,3 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 def _free(found: ctypes.PyDLL, instance: int, _: _Callbacks) -> None:
     """End an instance; the callbacks live until then."""
     found.fmi2FreeInstance(instance)
-
-
-def _places(known: dict[tuple[int, ...], Places], references: list[int], kind: type[c_double | c_int]) -> Places:
-    key = tuple(references)
-    found = known.get(key)
-    if found is None:
-        if len(known) == _MOST_PLACES:
-            known.clear()
-        found = known[key] = Places(key, kind)
-    return found

@@ -96,7 +96,7 @@ def inverse_model(
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
-    variables = tuple(_variables(problem, compiled, scene.tracked, home, feedback))
+    variables = rows.placed(_variables(problem, compiled, scene.tracked, home, feedback))
     if (feedback or estimates) and compiled.state_size:
         what = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {what}: its inputs are stepped, not found at every instant")
@@ -153,24 +153,18 @@ def _variables(
 ) -> Sequence[Variable]:
     system, array = problem.system, problem.array
     variables = rows.path_variables(system.outputs, tracked, compiled.orders, home)
-    place = len(system.outputs) * compiled.orders
     if feedback is not None:
-        variables += rows.measured_variables(feedback.measured, place)
-        place += feedback.numbers
-    variables += rows.output_variables(compiled.outputs, place)
-    place += len(compiled.outputs)
-    variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
-    place += len(system.parameters)
+        variables += rows.measured_variables(feedback.measured)
+    variables += rows.output_variables(compiled.outputs)
+    variables += rows.parameter_variables(system.parameters.declared, problem.p)
     if feedback is not None:
-        variables += rows.feedback_settings(system.inputs, feedback.distance, place)
+        variables += rows.feedback_settings(system.inputs, feedback.distance)
     if compiled.state_size:
-        variables.append(rows.internal_step(place))
-        place += 1
+        variables.append(rows.internal_step())
     if not problem.flat:
         quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
-        variables += rows.start_variables(array.named_states, units, place)
-        variables += rows.state_variables(array.named_states, units, place + len(units))
+        variables += rows.state_variables(array.named_states, units)
     require_different(problem, variables, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
     return variables
 

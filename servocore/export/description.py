@@ -26,30 +26,46 @@ _CATEGORIES = {
     "logStatusDiscard": "Steps that are refused: a path beyond the limits of the model, inputs that are not finite.",
     "logStatusError": "Calls that make no sense: unknown variables, values outside bounds, times that do not fit.",
 }
+_ABILITIES = {
+    2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
+        "canNotUseMemoryManagementFunctions"),
+    3: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"),
+}  # fmt: skip
+_DERIVATIVES = {
+    2: ("providesDirectionalDerivative",),
+    3: ("providesDirectionalDerivatives", "providesAdjointDerivatives"),
+}
 _FASTEST_STEPS = 1000  # of a default experiment: FMPy doubles the step of longer ones
 
 
-def fmi2_description(model: NativeModel, token: str) -> bytes:
-    """Return modelDescription.xml of FMI 2.0."""
+def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
+    """Return modelDescription.xml of a version of FMI."""
+    naming = {"variableNamingConvention": "structured"} | ({"numberOfEventIndicators": "0"} if fmi == 2 else {})
     root = ET.Element(
-        "fmiModelDescription", fmiVersion="2.0", modelName=model.title, guid=token, description=model.description,
-        generationTool=_TOOL, variableNamingConvention="structured", numberOfEventIndicators="0",
+        "fmiModelDescription",
+        {"fmiVersion": f"{fmi}.0", "modelName": model.title, "guid" if fmi == 2 else "instantiationToken": token,
+         "description": model.description, "generationTool": _TOOL, **naming},
     )  # fmt: skip
-    abilities = ["canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
-                 "canNotUseMemoryManagementFunctions"]  # fmt: skip
-    abilities += ["providesDirectionalDerivative"] if model.differentiable else []
+    abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
     simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
-    files = _add(simulation, "SourceFiles")
-    for name in compiled_files(model, 2):
-        _add(files, "File", name=name)
+    if fmi == 2:
+        files = _add(simulation, "SourceFiles")
+        for name in compiled_files(model, 2):
+            _add(files, "File", name=name)
     _unit_definitions(root, model)
     types = _add(root, "TypeDefinitions")
     for choice in model.choices:
-        kind = _add(types, "SimpleType", name=choice.type_name, description=choice.description)
-        _items(_add(kind, "Enumeration"), choice)
-    _categories(root, "LogCategories")
+        tag = "SimpleType" if fmi == 2 else "EnumerationType"
+        kind = _add(types, tag, name=choice.type_name, description=choice.description)
+        _items(_add(kind, "Enumeration") if fmi == 2 else kind, choice)
+    _categories(root)
     _experiment(root, model)
-    table = _add(root, "ModelVariables")
+    (_fmi2_variables if fmi == 2 else _fmi3_variables)(_add(root, "ModelVariables"), model)
+    (_fmi2_structure if fmi == 2 else _fmi3_structure)(_add(root, "ModelStructure"), model)
+    return xml_document(root)
+
+
+def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
     for variable in model.variables:
         for k, name in enumerate(variable.scalar_names):
             row = _add(
@@ -64,12 +80,9 @@ def fmi2_description(model: NativeModel, token: str) -> bytes:
         row = _add(table, "ScalarVariable", name=choice.name, valueReference=str(count + k),
                    description=choice.description, causality="parameter", variability="fixed")  # fmt: skip
         _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
-    _fmi2_structure(root, model)
-    return xml_document(root)
 
 
-def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
-    structure = _add(root, "ModelStructure")
+def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
@@ -79,22 +92,7 @@ def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
 
-def fmi3_description(model: NativeModel, token: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0."""
-    root = ET.Element(
-        "fmiModelDescription", fmiVersion="3.0", modelName=model.title, instantiationToken=token,
-        description=model.description, generationTool=_TOOL, variableNamingConvention="structured",
-    )  # fmt: skip
-    abilities = ["canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"]
-    abilities += ["providesDirectionalDerivatives", "providesAdjointDerivatives"] if model.differentiable else []
-    _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
-    _unit_definitions(root, model)
-    types = _add(root, "TypeDefinitions")
-    for choice in model.choices:
-        _items(_add(types, "EnumerationType", name=choice.type_name, description=choice.description), choice)
-    _categories(root, "LogCategories")
-    _experiment(root, model)
-    table = _add(root, "ModelVariables")
+def _fmi3_variables(table: ET.Element, model: NativeModel) -> None:
     for reference, variable in enumerate(model.variables):
         row = _add(
             table, "Float64", name=variable.name, valueReference=str(reference), description=variable.description,
@@ -111,16 +109,13 @@ def fmi3_description(model: NativeModel, token: str) -> bytes:
         )  # fmt: skip
     _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
                   variability="continuous", unit="s")  # fmt: skip
-    _fmi3_structure(root, model)
-    return xml_document(root)
 
 
 def _time_reference(model: NativeModel) -> int:
     return len(model.variables) + len(model.choices)
 
 
-def _fmi3_structure(root: ET.Element, model: NativeModel) -> None:
-    structure = _add(root, "ModelStructure")
+def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
     numbers = {id(variable): k for k, variable in enumerate(model.variables)}
     inputs = [numbers[id(variable)] for variable in model.of("input")]
     parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
@@ -181,8 +176,8 @@ def _items(enumeration: ET.Element, choice: Choice) -> None:
         _add(enumeration, "Item", name=name, value=str(value), description=text)
 
 
-def _categories(root: ET.Element, tag: str) -> None:
-    parent = _add(root, tag)
+def _categories(root: ET.Element) -> None:
+    parent = _add(root, "LogCategories")
     for name, text in _CATEGORIES.items():
         _add(parent, "Category", name=name, description=text)
 

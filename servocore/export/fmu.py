@@ -8,7 +8,7 @@ from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
-from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
+from servocore.export.description import build_description, model_description, terminals
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
@@ -231,9 +231,8 @@ def contents(
     model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
-    describe = fmi2_description if fmi == 2 else fmi3_description
     members = {
-        "modelDescription.xml": describe(model, token_of(model, fmi)),
+        "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
         "documentation/index.html": documentation(model, fmi, targets),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **built,

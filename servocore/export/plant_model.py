@@ -10,6 +10,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
+from servocore.export.c_functions import renamed
 from servocore.export.directional_derivatives import tangent
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import Bound, NativeModel
@@ -104,7 +105,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, _start_orders(problem))
     functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets)
-    functions["start_margins"] = _renamed(start_margins, f"{identifier}_start_margins")
+    functions["start_margins"] = renamed(start_margins, f"{identifier}_start_margins")
     m = len(problem.system.inputs)
     return NativeModel(
         identifier=identifier,
@@ -171,36 +172,22 @@ def _variables(
     wishes: PlantWishes,
 ) -> tuple[Variable, ...]:
     system = problem.system
-    m = len(system.inputs)
     variables = [
-        Variable(
-            quantity.name,
-            "input",
-            quantity.unit,
-            quantity.description or quantity.name,
-            k,
-            (0.0,),
-            nominal=quantity.nominal,
-        )
-        for k, quantity in enumerate(system.inputs)
+        Variable(each.name, "input", each.unit, each.description or each.name, (0.0,), nominal=each.nominal)
+        for each in system.inputs
     ]
-    servo = len(system.outputs)
-    variables += rows.motion_variables(system.outputs, tracked, m)
-    variables += rows.output_variables(outputs[2 * servo :], m + 2 * servo)
-    place = m + len(outputs)
-    variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
-    place += len(system.parameters)
-    home = np.zeros((_start_orders(problem), servo))
+    variables += rows.path_variables(system.outputs, tracked, 2, None, "")
+    variables += rows.output_variables(outputs[2 * len(system.outputs) :])
+    variables += rows.parameter_variables(system.parameters.declared, problem.p)
+    home = np.zeros((_start_orders(problem), len(system.outputs)))
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
-    added = (rows.offset(name, [units[each] for each in of]) for name, of in offsets.items())
-    settings += rows.playing("OFFSETS", added)
+    settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
     for setting in settings:
         low, high = wishes.ranges.get(setting.name, (setting.low, setting.high))
-        variables.append(replace(setting, place=place, low=low, high=high))
-        place += setting.size or 1
-    return tuple(rows.with_starts(each, wishes.start) for each in variables)
+        variables.append(replace(setting, low=low, high=high))
+    return rows.placed(rows.with_starts(each, wishes.start) for each in variables)
 
 
 def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:
@@ -215,11 +202,6 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
     bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
     return bounds, ca.Function("margins", [system.gamma[:, :orders], system.p], [ca.densify(margins)])
-
-
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    arguments = function.mx_in()
-    return ca.Function(name, arguments, function.call(arguments))
 
 
 def _functions(

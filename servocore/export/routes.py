@@ -12,7 +12,7 @@ import casadi as ca
 from servocore.errors import InvalidModel
 from servocore.export.c_functions import c_source, renamed
 from servocore.export.inverse_model import InverseModel
-from servocore.export.variables import Choice, internal_step
+from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
@@ -144,10 +144,9 @@ def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> Inve
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
     routes = _compiled(scene, wishes, made)
-    step = internal_step(sum(made.numbers(each) for each in ("input", "output", "parameter")))
     return replace(
         made,
-        variables=(*made.variables, step),
+        variables=placed([*made.variables, internal_step()]),
         choices=(*wishes.choices, *made.choices),
         own={**made.own, "routes": routes.own()},
         functions={**made.functions, "margins": routes.margins},

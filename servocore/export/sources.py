@@ -116,7 +116,10 @@ def c_number(value: float) -> str:
 def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
     """Return what the templates are filled in with."""
     parameters = model.of("parameter")
-    first = min((each.place for each in parameters), default=0)
+    roles: dict[str, list[int]] = {}
+    for each in parameters:
+        places = range(each.place - parameters[0].place, each.place - parameters[0].place + (each.size or 1))
+        roles.setdefault(each.role, []).extend(places)
     return {
         "title": model.title,
         "model": model.model,
@@ -128,7 +131,7 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "outputs": model.outputs,
         "parameters": model.numbers("parameter") - sum(setting.size or 1 for setting in model.settings),
         "settings": sum(setting.size or 1 for setting in model.settings),
-        "places": {each.role: each.place - first for each in parameters if each.role},
+        "roles": {role: places for role, places in roles.items() if role},
         "internal": model.numbers("local"),
         "choices": model.choices,
         "limits": model.limits,

@@ -124,7 +124,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
         functions={
             f"law_{k}": _law(name, f"{identifier}_law_{k}", len(servo), orders) for k, name in enumerate(LAWS, start=1)
         },
-        variables=tuple(variables),
+        variables=variables,
         choices=(choice,),
         outputs=tuple(outputs),
         limits=(),
@@ -167,17 +167,14 @@ def _choice(has_path: bool, profile: str) -> Choice:
 
 def _variables(
     scene: Scene, servo: Sequence[Quantity], orders: int, line: _Line | None, wishes: TrajectoryWishes
-) -> list[Variable]:
+) -> tuple[Variable, ...]:
     path = scene.reference
     ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
-    variables = rows.path_outputs(servo, scene.tracked, orders)
-    place = sum(each.size or 1 for each in variables)
+    variables = rows.path_variables(servo, scene.tracked, orders, None, "")
     begin = line.start_time if line is not None else 0.0
     ramp = line.ramp if line is not None and line.law == wishes.profile else 0.0
-    for setting in rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp)):
-        variables.append(rows.with_starts(rows.placed(setting, place), wishes.start))
-        place += setting.size or 1
-    return variables
+    settings = rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp))
+    return rows.placed([*variables, *(rows.with_starts(each, wishes.start) for each in settings)])
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------

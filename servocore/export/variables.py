@@ -1,11 +1,11 @@
-"""The variables of an exported inverse model: names, units, bounds and start values."""
+"""The variables of what is exported: names, units, bounds and start values; their numbers follow each other."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -29,7 +29,7 @@ _MOST_DISPLAYED = 1e300  # bounds beyond it are none
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable; its numbers lie at `place` and after in the list of all numbers.
+    """One variable; its numbers lie at `place` and after in the list of all numbers, see `placed`.
 
     Attributes
     ----------
@@ -39,8 +39,6 @@ class Variable:
         As in FMI.
     unit, description : str
         The unit as FMI spells it, and one line for tool tips.
-    place : int
-        Of its first number.
     starts : tuple of float
         Start values of its components; empty for what is calculated.
     size : int or None
@@ -54,14 +52,15 @@ class Variable:
     setting : bool
         Whether a parameter is none of the model.
     role : str
-        What the kernel calls the place of a parameter that it looks for, and of those behind it that belong to it.
+        What the kernel calls a parameter that it looks for; those of one role follow each other.
+    place : int
+        Of its first number.
     """
 
     name: str
     causality: Causality
     unit: str
     description: str
-    place: int
     starts: tuple[float, ...] = ()
     size: int | None = None
     low: float = -math.inf
@@ -70,6 +69,7 @@ class Variable:
     fixed: bool = False
     setting: bool = False
     role: str = ""
+    place: int = 0
 
     @property
     def scalar_names(self) -> tuple[str, ...]:
@@ -127,111 +127,13 @@ def order_name(order: int) -> str:
     return ORDERS[order] if order < len(ORDERS) else f"derivative{order}"
 
 
-def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home: Array) -> list[Variable]:
-    """Return the inputs: the path and its derivatives, order by order.
-
-    Where the scene has a word for what follows the path and all components have one unit, they are vectors
-    (``load.position``); otherwise every component has a name of its own (``y.position``).
-    """
-    count, variables = len(outputs), []
-    for order in range(orders):
-        starts = [float(value) if order == 0 else 0.0 for value in home]
-        what = order_name(order)
-        if together(outputs, tracked):
-            text = f"{what} wanted of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
-            unit = per_time(outputs[0].unit, order)
-            variables.append(Variable(f"{tracked}.{what}", "input", unit, text, order * count, tuple(starts), count))
-            continue
-        for k, quantity in enumerate(outputs):
-            meant = f" ({quantity.description})" if quantity.description else ""
-            text, unit = f"{what} wanted of {quantity.name}{meant}", per_time(quantity.unit, order)
-            variables.append(Variable(f"{quantity.name}.{what}", "input", unit, text, order * count + k, (starts[k],)))
-    return variables
-
-
-def output_variables(quantities: Sequence[Quantity], place: int) -> list[Variable]:
-    """Return the outputs: the inputs of the mechanical system, and what its model observes."""
-    return [
-        Variable(
-            quantity.name, "output", quantity.unit, quantity.description or quantity.name, place + k,
-            low=0.0 if quantity.positive else -math.inf, nominal=quantity.nominal,
-        )
-        for k, quantity in enumerate(quantities)
-    ]  # fmt: skip
-
-
-def parameter_variables(declared: Sequence[Parameter], values: Array, place: int) -> list[Variable]:
-    """Return the parameters with the values that the scene has."""
-    return [
-        Variable(
-            each.name, "parameter", each.unit, each.description or each.name, place + k, (float(value),),
-            low=each.lower, high=each.upper, nominal=abs(float(value)) or None, fixed=each.fixed,
-        )
-        for k, (each, value) in enumerate(zip(declared, values, strict=True))
-    ]  # fmt: skip
-
-
-def internal_step(place: int) -> Variable:
-    """Return the parameter that divides communication steps."""
-    text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
-    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), None, 0.0, 3600.0, setting=True, role="STEP")
-
-
-def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:
-    """Return the parameters that move the internal states from where they begin by themselves."""
-    return [
-        Variable(
-            f"start.{name.removeprefix('q.')}.{order_name(order)}", "parameter", per_time(unit, order),
-            "added to the internal state at its start; 0: it begins at rest", place + k, (0.0,),
-            fixed=True, setting=True, role="" if k else "STARTS",
-        )
-        for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
-    ]  # fmt: skip
-
-
-def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:
-    """Return the internal states, each a variable such as ``q.s`` with the order of its derivative."""
-    return [
-        Variable(
-            f"internal.{name.removeprefix('q.')}.{order_name(order)}", "local", per_time(unit, order),
-            "state of the internal dynamics", place + k,
-        )
-        for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
-    ]  # fmt: skip
-
-
-# Of a feedback -------------------------------------------------------------------------------------------------------
-
-
-def measured_variables(measured: Sequence[tuple[Quantity, int | None]], place: int) -> list[Variable]:
-    """Return the inputs of what is measured; all zero, there is no feedback."""
-    variables = []
-    for each, size in measured:
-        text = f"measured {each.description or each.name}; all zero: no feedback"
-        variables.append(
-            Variable(f"measured.{each.name}", "input", each.unit, text, place, (0.0,) * (size or 1), size=size)
-        )
-        place += size or 1
-    return variables
-
-
-def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -> list[Variable]:
-    """Return the parameters of a feedback."""
-    share = "share of the feedback in the outputs, where motion is measured"
-    far = "farther than this from its path there is no feedback"
-    limits = (
-        _setting(f"limit.{e.name}", e.unit, f"largest |{e.name}| that the drive gives", (1e9,), 1e-3, 1e9)
-        for e in drives
-    )
-    variables = [
-        _setting("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
-        _setting("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
-        *playing("LIMITS", limits),
-    ]
-    return [placed(each, place + k) for k, each in enumerate(variables)]
-
-
-# Of a plant ----------------------------------------------------------------------------------------------------------
+def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
+    """Return variables in the order in which the kernel takes them, with places that follow each other."""
+    found, place = [], 0
+    for each in sorted(variables, key=lambda each: (get_args(Causality).index(each.causality), each.setting)):
+        found.append(replace(each, place=place))
+        place += each.size or 1
+    return tuple(found)
 
 
 def together(outputs: Sequence[Quantity], tracked: str) -> bool:
@@ -239,21 +141,125 @@ def together(outputs: Sequence[Quantity], tracked: str) -> bool:
     return bool(tracked) and len(outputs) > 1 and len({quantity.unit for quantity in outputs}) == 1
 
 
-def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> list[Variable]:
-    """Return position and velocity of the servo output as outputs."""
-    variables, count = [], len(outputs)
-    for order in range(2):
-        what, first = order_name(order), place + order * count
-        if together(outputs, tracked):
-            text = f"{what} of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
-            unit = per_time(outputs[0].unit, order)
-            variables.append(Variable(f"{tracked}.{what}", "output", unit, text, first, size=count))
-            continue
-        variables += [
-            Variable(f"{e.name}.{what}", "output", per_time(e.unit, order), f"{what} of {e.name}", first + k)
-            for k, e in enumerate(outputs)
-        ]
+def _along(
+    outputs: Sequence[Quantity], tracked: str, form: Variable, names: tuple[str, str], texts: tuple[str, str],
+    starts: Sequence[float] | Array | None, order: int = 0,
+) -> list[Variable]:  # fmt: skip
+    """Return what there is for each component of the servo output: one vector, or a scalar for each.
+
+    Where the scene has a word for what follows the path and all components have one unit, they are vectors
+    (``load.position``); otherwise every component has a name of its own (``y.position``).
+
+    Parameters
+    ----------
+    outputs : sequence of Quantity
+        The components.
+    tracked : str
+        That word, empty for none.
+    form : Variable
+        All that the variables have in common; without a unit they have that of the output, of a derivative of an order.
+    names, texts : tuple of str
+        Name and description of the vector, and those of a scalar, which hold ``{name}`` and may hold ``{meant}``.
+    starts : sequence of float, or None
+        Start values of the components, if there are any.
+    order : int
+        Of the derivative.
+    """
+    if together(outputs, tracked):
+        unit = form.unit or per_time(outputs[0].unit, order)
+        values = () if starts is None else tuple(map(float, starts))
+        return [replace(form, name=names[0], unit=unit, description=texts[0], starts=values, size=len(outputs))]
+    return [
+        replace(
+            form,
+            name=names[1].format(name=each.name),
+            unit=form.unit or per_time(each.unit, order),
+            description=texts[1].format(name=each.name, meant=f" ({each.description})" if each.description else ""),
+            starts=() if starts is None else (float(starts[k]),),
+        )
+        for k, each in enumerate(outputs)
+    ]
+
+
+def path_variables(
+    outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None, verb: str = " wanted"
+) -> list[Variable]:
+    """Return the path and its derivatives, order by order: as inputs, or without a `home` as outputs."""
+    form, components = Variable("", "output" if home is None else "input", "", ""), ", ".join(e.name for e in outputs)
+    variables = []
+    for order in range(orders):
+        what, starts = order_name(order), home if home is None or order == 0 else np.zeros(len(outputs))
+        texts = f"{what}{verb} of the {tracked}, components {components}", f"{what}{verb} of {{name}}{{meant}}"
+        variables += _along(outputs, tracked, form, (f"{tracked}.{what}", f"{{name}}.{what}"), texts, starts, order)
     return variables
+
+
+def output_variables(quantities: Sequence[Quantity]) -> list[Variable]:
+    """Return the outputs: the inputs of the mechanical system, and what its model observes."""
+    return [
+        Variable(
+            each.name, "output", each.unit, each.description or each.name,
+            low=0.0 if each.positive else -math.inf, nominal=each.nominal,
+        )
+        for each in quantities
+    ]  # fmt: skip
+
+
+def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Variable]:
+    """Return the parameters with the values that the scene has."""
+    return [
+        Variable(
+            each.name, "parameter", each.unit, each.description or each.name, (float(value),),
+            low=each.lower, high=each.upper, nominal=abs(float(value)) or None, fixed=each.fixed,
+        )
+        for each, value in zip(declared, values, strict=True)
+    ]  # fmt: skip
+
+
+def internal_step() -> Variable:
+    """Return the parameter that divides communication steps."""
+    text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
+    return _setting(INTERNAL_STEP, "s", text, (0.0,), 0.0, 3600.0, "STEP")
+
+
+def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> list[Variable]:
+    """Return what moves the internal states from where they begin by themselves, and the states, such as ``q.s``."""
+    called = [(f"{name.removeprefix('q.')}.{order_name(order)}", order) for name, order in names]
+    rows = [(name, per_time(unit, order)) for (name, order), unit in zip(called, units, strict=True)]
+    text = "added to the internal state at its start; 0: it begins at rest"
+    starts = (_setting(f"start.{name}", unit, text, (0.0,), role="STARTS") for name, unit in rows)
+    states = (Variable(f"internal.{name}", "local", unit, "state of the internal dynamics") for name, unit in rows)
+    return [*(replace(each, fixed=True) for each in starts), *states]
+
+
+# Of a feedback -------------------------------------------------------------------------------------------------------
+
+
+def measured_variables(measured: Sequence[tuple[Quantity, int | None]]) -> list[Variable]:
+    """Return the inputs of what is measured; all zero, there is no feedback."""
+    text = "measured {}; all zero: no feedback"
+    return [
+        Variable(
+            f"measured.{each.name}", "input", each.unit, text.format(each.description or each.name),
+            (0.0,) * (size or 1), size=size,
+        )
+        for each, size in measured
+    ]  # fmt: skip
+
+
+def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Variable]:
+    """Return the parameters of a feedback."""
+    share = "share of the feedback in the outputs, where motion is measured"
+    far = "farther than this from its path there is no feedback"
+    largest = "largest |{}| that the drive gives"
+    return [
+        _setting("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
+        _setting("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
+        *(_setting(f"limit.{e.name}", e.unit, largest.format(e.name), (1e9,), 1e-3, 1e9, "LIMITS") for e in drives),
+    ]
+
+
+# Of a plant ----------------------------------------------------------------------------------------------------------
 
 
 def plant_settings(
@@ -261,31 +267,33 @@ def plant_settings(
 ) -> list[Variable]:
     """Return the parameters of a plant that are none of its model.
 
-    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values; they
-    follow each other.
+    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values.
     """
-    starts = [(order_name(order), order, tuple(map(float, values))) for order, values in enumerate(home)]
     wrong = "the plant's {} is larger by this fraction of it"
     solver = "longest step of the solver, Runge-Kutta of order four"
-    return [
-        *playing("ERRORS", (_setting(n, "1", wrong.format(of), (0.0,), -0.9, 10.0) for n, of in errors.items())),
-        *(row for each in ("wind", "gust") for row in playing(each.upper(), _pushing(each, outputs, tracked))),
+    settings = [_setting(n, "1", wrong.format(of), (0.0,), -0.9, 10.0, "ERRORS") for n, of in errors.items()]
+    for name, text in (("wind", "constant force"), ("gust", "force during the gust")):
+        form = _setting("", "N", "", (), role=name.upper())
+        texts = f"{text} on the {tracked}", f"{text} on {{name}}, N.m for an angle"
+        settings += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), texts, np.zeros(len(outputs)))
+    settings += [
         _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9, "GUST_START"),
         _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9, "GUST_DURATION"),
         _setting(INTERNAL_STEP, "s", solver, (longest,), 1e-6, 1.0, "LONGEST"),
-        *(
-            row
-            for what, order, values in starts
-            for row in playing(what.upper(), _starting(f"start.{what}", order, values, outputs, tracked))
-        ),
     ]
+    form = replace(_setting("", "", "", (), role="MOTION"), fixed=True)
+    for order, values in enumerate(home):
+        what = order_name(order)
+        texts = f"{what} at the start of the {tracked}", f"{what} at the start of {{name}}"
+        settings += _along(outputs, tracked, form, (f"start.{what}", f"start.{what}.{{name}}"), texts, values, order)
+    return settings
 
 
 def offset(name: str, units: Sequence[str]) -> Variable:
     """Return what is added to coordinates at the start, a vector if to several."""
     size = len(units) if len(units) > 1 else None
     text = "added at the start, where it rests otherwise"
-    return replace(_setting(name, units[0], text, (0.0,) * len(units)), size=size, fixed=True)
+    return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
 
 
 def with_item(choice: Choice, start_values: Mapping[str, float | str]) -> Choice:
@@ -306,27 +314,6 @@ def with_starts(variable: Variable, start_values: Mapping[str, float | str]) -> 
     return replace(variable, starts=tuple(float(start_values.get(name, value)) for name, value in values))
 
 
-def _pushing(name: str, outputs: Sequence[Quantity], tracked: str) -> list[Variable]:
-    text = "constant force" if name == "wind" else "force during the gust"
-    if together(outputs, tracked):
-        whole = _setting(name, "N", f"{text} on the {tracked}", (0.0,) * len(outputs))
-        return [replace(whole, size=len(outputs))]
-    return [_setting(f"{name}.{e.name}", "N", f"{text} on {e.name}, N.m for an angle", (0.0,)) for e in outputs]
-
-
-def _starting(
-    name: str, order: int, values: tuple[float, ...], outputs: Sequence[Quantity], tracked: str
-) -> list[Variable]:
-    what = f"{order_name(order)} at the start"
-    if together(outputs, tracked):
-        whole = _setting(name, per_time(outputs[0].unit, order), f"{what} of the {tracked}", values)
-        return [replace(whole, size=len(values), fixed=True)]
-    return [
-        replace(_setting(f"{name}.{e.name}", per_time(e.unit, order), f"{what} of {e.name}", (value,)), fixed=True)
-        for e, value in zip(outputs, values, strict=True)
-    ]
-
-
 def _setting(
     name: str,
     unit: str,
@@ -336,25 +323,10 @@ def _setting(
     high: float = math.inf,
     role: str = "",
 ) -> Variable:
-    return Variable(name, "parameter", unit, text, 0, starts, low=low, high=high, setting=True, role=role)
-
-
-def playing(role: str, variables: Iterable[Variable]) -> list[Variable]:
-    """Return variables that follow each other and play a role together, which the first one has."""
-    found = list(variables)
-    return [replace(found[0], role=role), *found[1:]] if found else []
+    return Variable(name, "parameter", unit, text, starts, low=low, high=high, setting=True, role=role)
 
 
 # Of a trajectory -----------------------------------------------------------------------------------------------------
-
-
-def path_outputs(outputs: Sequence[Quantity], tracked: str, orders: int) -> list[Variable]:
-    """Return a path and its derivatives as outputs, named as the inputs of an inverse model."""
-    variables = path_variables(outputs, tracked, orders, np.zeros(len(outputs)))
-    return [
-        replace(each, causality="output", starts=(), description=each.description.replace(" wanted of", " of"))
-        for each in variables
-    ]
 
 
 def line_settings(
@@ -366,16 +338,8 @@ def line_settings(
     """
     variables, (start_time, duration, ramp) = [], times
     for name, values in zip(("start", "end"), ends, strict=True):
-        text = f"{name} of the path"
-        if together(outputs, tracked):
-            whole = _setting(name, outputs[0].unit, text, tuple(map(float, values)), role=name.upper())
-            variables.append(replace(whole, size=len(outputs)))
-            continue
-        points = (
-            _setting(f"{name}.{e.name}", e.unit, f"{text}, {e.name}", (float(value),))
-            for e, value in zip(outputs, values, strict=True)
-        )
-        variables += playing(name.upper(), points)
+        form, text = _setting("", "", "", (), role=name.upper()), f"{name} of the path"
+        variables += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), (text, f"{text}, {{name}}"), values)
     rests, usual = "when the motion starts; the path rests before", "0: a quarter of the duration"
     variables += [
         _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9, "DURATION"),
@@ -383,8 +347,3 @@ def line_settings(
         _setting("ramp", "s", f"time to accelerate, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
     ]
     return [replace(each, fixed=True) for each in variables]
-
-
-def placed(variable: Variable, place: int) -> Variable:
-    """Return a variable with its place."""
-    return replace(variable, place=place)

@@ -9,7 +9,7 @@ static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error}
 
 static void report(const Instance *instance, Outcome outcome, const char *message)
 {
-    const fmi2CallbackLogger logger = *(fmi2CallbackLogger *)instance->logger;
+    const fmi2CallbackLogger logger = (fmi2CallbackLogger)instance->logger;
     /* Hosts that are not written in C show the format as it is. */
     logger(instance->environment, instance->name, STATUS[outcome], CATEGORY[outcome],
            strchr(message, '%') == NULL ? message : "%s", message);
@@ -25,37 +25,15 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
-    Instance *instance;
+    const char *refusal = type == fmi2CoSimulation ? NULL : "%s is for co-simulation only";
     (void)resources;
     (void)visible;
     (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
     if (functions == NULL) return NULL;
-    instance = new_instance(name == NULL ? MODEL_NAME : name);
-    if (instance == NULL) return NULL;
-    instance->logger = malloc(sizeof functions->logger);
-    if (instance->logger == NULL) {
-        free_instance(instance);
-        return NULL;
-    }
-    memcpy(instance->logger, &functions->logger, sizeof functions->logger);
-    instance->environment = functions->componentEnvironment;
-    instance->report = functions->logger == NULL ? NULL : report;
-    if (type != fmi2CoSimulation || guid == NULL || strcmp(guid, INSTANTIATION_TOKEN) != 0) {
-        say(instance, ERROR, type != fmi2CoSimulation ? "%s is for co-simulation only"
-                             : "%s: the model description belongs to another build of the library", MODEL_NAME);
-        free(instance->logger);
-        free_instance(instance);
-        return NULL;
-    }
-    return instance;
+    return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment);
 }
 
-void fmi2FreeInstance(fmi2Component component)
-{
-    if (component == NULL) return;
-    free(((Instance *)component)->logger);
-    free_instance(component);
-}
+void fmi2FreeInstance(fmi2Component component) { free_instance(component); }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
@@ -124,10 +102,13 @@ fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference referen
     Outcome worst = GOOD;
     REQUIRE(ANY, "fmi2GetReal");
     for (size_t k = 0; k < count; k++) {
-        Outcome outcome;
-        values[k] = NAN;
-        outcome = references[k] < N_NUMBERS ? get_numbers(instance, references[k], 1, values + k)
-                                            : unknown_reference(instance, references[k], "Real");
+        Outcome outcome = ERROR;
+        if (references[k] < N_NUMBERS)
+            outcome = get_numbers(instance, references[k], 1, values + k);
+        else {
+            values[k] = NAN;
+            unknown_reference(instance, references[k], "Real");
+        }
         if (outcome > worst) worst = outcome;
     }
     return STATUS[worst];
@@ -298,26 +279,14 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind ki
     return fmi2OK;
 }
 
-fmi2Status fmi2GetStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Status *value)
-{
-    (void)component;
-    (void)kind;
-    (void)value;
-    return fmi2Discard;
-}
-
-fmi2Status fmi2GetIntegerStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Integer *value)
-{
-    (void)component;
-    (void)kind;
-    (void)value;
-    return fmi2Discard;
-}
-
-fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind kind, fmi2String *value)
-{
-    (void)component;
-    (void)kind;
-    (void)value;
-    return fmi2Discard;
-}
+#define NO_SUCH_STATUS(name, type) \
+    fmi2Status fmi2Get##name(fmi2Component component, const fmi2StatusKind kind, type *value) \
+    { \
+        (void)component; \
+        (void)kind; \
+        (void)value; \
+        return fmi2Discard; \
+    }
+NO_SUCH_STATUS(Status, fmi2Status)
+NO_SUCH_STATUS(IntegerStatus, fmi2Integer)
+NO_SUCH_STATUS(StringStatus, fmi2String)

@@ -11,7 +11,7 @@ static const fmi3Status STATUS[] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error}
 
 static void report(const Instance *instance, Outcome outcome, const char *message)
 {
-    const fmi3LogMessageCallback logger = *(fmi3LogMessageCallback *)instance->logger;
+    const fmi3LogMessageCallback logger = (fmi3LogMessageCallback)instance->logger;
     logger(instance->environment, STATUS[outcome], CATEGORY[outcome], message);
 }
 
@@ -27,7 +27,6 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger,
                                          fmi3IntermediateUpdateCallback update)
 {
-    Instance *instance = new_instance(name == NULL ? MODEL_NAME : name);
     (void)resources;
     (void)visible;
     (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
@@ -36,30 +35,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     (void)intermediate;
     (void)intermediateCount;
     (void)update;
-    if (instance == NULL) return NULL;
-    instance->logger = malloc(sizeof logger);
-    if (instance->logger == NULL) {
-        free_instance(instance);
-        return NULL;
-    }
-    memcpy(instance->logger, &logger, sizeof logger);
-    instance->environment = environment;
-    instance->report = logger == NULL ? NULL : report;
-    if (token == NULL || strcmp(token, INSTANTIATION_TOKEN) != 0) {
-        say(instance, ERROR, "%s: the model description belongs to another build of the library", MODEL_NAME);
-        free(instance->logger);
-        free_instance(instance);
-        return NULL;
-    }
-    return instance;
+    return new_instance(name, NULL, token, report, (void (*)(void))logger, environment);
 }
 
-void fmi3FreeInstance(fmi3Instance component)
-{
-    if (component == NULL) return;
-    free(((Instance *)component)->logger);
-    free_instance(component);
-}
+void fmi3FreeInstance(fmi3Instance component) { free_instance(component); }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
 {

@@ -29,6 +29,7 @@
 #define FIRST_PARAMETER (FIRST_OUTPUT + N_OUTPUTS)
 #define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
 #define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
+CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 
 #ifndef N_KEPT
 #define N_KEPT 0                  /* numbers that only some kernels keep beside a moment: too many to be copied with it */
@@ -71,6 +72,8 @@ typedef struct {
     char failure[JUDGED_LATE ? LONGEST_MESSAGE : 8]; /* of the initialization: every step tells it again */
 } State;
 
+#define FAILED(state) (JUDGED_LATE && *(state)->failure)
+
 typedef struct Instance Instance;
 typedef void (*Reporter)(const Instance *instance, Outcome outcome, const char *message);
 
@@ -88,7 +91,7 @@ struct Instance {
     double numbers[AT_LEAST_1(SCRATCH_NUMBERS)];
     Reporter report;
     void *environment;            /* what the host wants back with a message */
-    void *logger;
+    void (*logger)(void);         /* of the host, of a type that its version of FMI knows */
     int told[4];                  /* which outcomes it wants to be told */
     char *name;
 };
@@ -105,6 +108,12 @@ static Outcome remark_step(Instance *instance, double time);
 static size_t awaited(const State *state);
 /* Derivatives of the outputs as they were last computed, by inputs and parameters, along one direction. */
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
+
+/* Call one of the generated functions. */
+static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
+{
+    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
+}
 
 static Outcome say(const Instance *instance, Outcome outcome, const char *format, ...)
 {
@@ -135,13 +144,11 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
 
 static const char *const PHASE[] = {"instantiated", "initializing", "stepping", "terminated"};
 
-/* Whether a call is allowed now; says so if not, without the prefix that all names of calls have. */
-static int refused(const Instance *instance, unsigned phases, const char *call)
+/* Say that a call is not allowed now, without the prefix that all names of calls have. */
+static int refuse_call(const Instance *instance, unsigned phases, const char *call)
 {
     const char *name = call + sizeof "fmi2" - 1;
     int wanted = INSTANTIATED;
-    if (instance == NULL) return 1;
-    if (phases >> instance->state.phase & 1u) return 0;
     while (!(phases >> wanted & 1u)) wanted++;
     if (strcmp(name, "DoStep") == 0)
         say(instance, DISCARD, "doStep needs a finished initialization, but the FMU is %s", PHASE[instance->state.phase]);
@@ -149,6 +156,11 @@ static int refused(const Instance *instance, unsigned phases, const char *call)
         say(instance, ERROR, "%c%s is ignored: the FMU is %s, not %s", tolower(*name), name + 1,
             PHASE[instance->state.phase], PHASE[wanted]);
     return 1;
+}
+
+static int refused(const Instance *instance, unsigned phases, const char *call)
+{
+    return instance == NULL || (!(phases >> instance->state.phase & 1u) && refuse_call(instance, phases, call));
 }
 
 static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
@@ -186,27 +198,35 @@ static void reset(Instance *instance)
         state->parameters[k] = VARIABLES[FIRST_PARAMETER + k].start;
 }
 
-static Instance *new_instance(const char *name)
-{
-    Instance *instance = calloc(1, sizeof *instance);
-    const size_t length = strlen(name) + 1;
-    if (instance == NULL) return NULL;
-    instance->name = malloc(length);
-    if (instance->name == NULL) {
-        free(instance);
-        return NULL;
-    }
-    memcpy(instance->name, name, length);
-    for (int k = 0; k < 4; k++) instance->told[k] = 1;
-    reset(instance);
-    return instance;
-}
-
 static void free_instance(Instance *instance)
 {
     if (instance == NULL) return;
     free(instance->name);
     free(instance);
+}
+
+/* Make an instance, unless there is something to refuse it for, or a description of another build. */
+static Instance *new_instance(const char *name, const char *refusal, const char *token, Reporter report,
+                              void (*logger)(void), void *environment)
+{
+    Instance *instance = calloc(1, sizeof *instance);
+    if (instance == NULL) return NULL;
+    if (name == NULL) name = MODEL_NAME;
+    if (refusal == NULL && (token == NULL || strcmp(token, INSTANTIATION_TOKEN) != 0))
+        refusal = "%s: the model description belongs to another build of the library";
+    instance->name = malloc(strlen(name) + 1);
+    if (instance->name != NULL) {
+        strcpy(instance->name, name);
+        instance->report = logger == NULL ? NULL : report;
+        instance->logger = logger;
+        instance->environment = environment;
+        for (int k = 0; k < 4; k++) instance->told[k] = 1;
+        reset(instance);
+        if (refusal == NULL) return instance;
+        say(instance, ERROR, refusal, MODEL_NAME);
+    }
+    free_instance(instance);
+    return NULL;
 }
 
 static Outcome require_experiment(const Instance *instance, double start, double stop)
@@ -349,7 +369,7 @@ static Outcome refresh(Instance *instance)
     State *state = &instance->state;
     Outcome outcome;
     if (JUDGED_LATE && state->phase == INSTANTIATED) return DISCARD;
-    if (!state->due) return *state->failure ? DISCARD : GOOD;
+    if (!state->due) return FAILED(state) ? DISCARD : GOOD;
     *state->failure = '\0';
     instance->failure = JUDGED_LATE ? state->failure : NULL;
     outcome = begun(instance);
@@ -377,7 +397,7 @@ static Outcome do_step(Instance *instance, double time, double h)
 {
     State *state = &instance->state;
     Outcome outcome, remark;
-    if (*state->failure) return say(instance, DISCARD, "%s", state->failure);
+    if (FAILED(state)) return say(instance, DISCARD, "%s", state->failure);
     outcome = require_step(instance, time, h);
     if (outcome == GOOD) outcome = refresh(instance);
     if (outcome == GOOD) outcome = require_settings(instance);
@@ -408,14 +428,15 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
     const State *state = &instance->state;
     for (size_t k = first; k < first + count; k++) {
         double value;
-        *values = NAN;
         if (k < FIRST_OUTPUT)
             value = state->inputs[k];
         else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
             value = state->parameters[k - FIRST_PARAMETER];
         else {
-            const Outcome outcome = refresh(instance);
-            if (outcome != GOOD) return ERROR;
+            if (refresh(instance) != GOOD) {
+                *values = NAN;
+                return ERROR;
+            }
             value = k < FIRST_PARAMETER ? state->now.outputs[k - FIRST_OUTPUT]
                                         : INTERNAL(state->now, k - FIRST_INTERNAL);
         }

@@ -54,14 +54,15 @@ typedef struct {
 
 /* The mathematics ---------------------------------------------------------------------------------------------------- */
 
-#ifndef PLACE_STARTS
+#if N_INTERNAL == 0
 #define PLACE_STARTS 0            /* no internal states, none is moved */
+#define COUNT_STARTS 0
 #endif
-
-static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
-{
-    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
-}
+CHECKED(INTERNAL, COUNT_STARTS == N_INTERNAL);
+CHECKED(INPUTS, N_INPUTS == N_PATH + N_MEASURED);
+#if HAS_FEEDBACK
+CHECKED(DRIVES, COUNT_LIMITS == N_DRIVES);
+#endif
 
 /* Outputs and state at an instant from the path alone. Returns 0 where the equations are not solved. */
 static int solve_instant(Instance *instance, Moment *moment)

@@ -27,12 +27,16 @@ typedef struct {
 
 #include "instance.h"
 
-#ifndef PLACE_OFFSETS
+#if N_OFFSETS == 0
 #define PLACE_OFFSETS 0           /* nothing is added to coordinates */
+#define COUNT_OFFSETS 0
 #endif
-#ifndef PLACE_ERRORS
+#if N_ERRORS == 0
 #define PLACE_ERRORS 0            /* the plant is its model */
+#define COUNT_ERRORS 0
 #endif
+CHECKED(GROUPS, COUNT_OFFSETS == N_OFFSETS && COUNT_ERRORS == N_ERRORS && COUNT_WIND == N_PUSHED &&
+        COUNT_GUST == N_PUSHED && COUNT_MOTION == N_STARTS * N_PUSHED);
 
 enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
 enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
@@ -69,11 +73,6 @@ static void pushed(const double *parameters, double time, double *force)
 }
 
 /* The mathematics ---------------------------------------------------------------------------------------------------- */
-
-static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
-{
-    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
-}
 
 /* One step of h seconds; the inputs are held where `u` is NULL. Along directions as well where `state_seed` is one. */
 static void one_step(Instance *instance, double *state, const double *u, const double *slope, const double *force,
@@ -171,12 +170,12 @@ static Outcome first_moment(Instance *instance)
     const double *parameters = instance->state.parameters;
     Moment *work = &instance->work;
     prepare(instance);
-    instance->arguments[0] = parameters + PLACE_POSITION;
+    instance->arguments[0] = parameters + PLACE_MOTION;
     instance->arguments[1] = instance->scratch.parameters;
     instance->results[0] = instance->scratch.margins;
     call(instance, MATHEMATICS(start_margins));
     if (within(instance, work->time, START_LIMITS, N_START_LIMITS) != GOOD) return DISCARD;
-    instance->arguments[0] = parameters + PLACE_POSITION;
+    instance->arguments[0] = parameters + PLACE_MOTION;
     instance->arguments[1] = parameters + PLACE_OFFSETS;
     instance->arguments[2] = instance->scratch.parameters;
     instance->results[0] = work->state;
@@ -185,7 +184,7 @@ static Outcome first_moment(Instance *instance)
         return say(instance, DISCARD, "at t = %.6g s no motion goes on with start.position and its derivatives", work->time);
     memcpy(work->acting, instance->state.inputs, sizeof work->acting);
     /* A plant that starts in motion has them open: brakes keep velocities as they are, and would stop nothing. */
-    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, (N_STARTS - 1) * N_PUSHED) ||
+    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_MOTION + N_PUSHED, (N_STARTS - 1) * N_PUSHED) ||
                      instance->state.choices[BRAKES] == NO_BRAKES;
     return checked_moment(instance, work, 0.0);
 }

@@ -1,4 +1,8 @@
-"""The FMUs there are: what each is called, and what it must do when nothing is connected."""
+"""What there is, by name: formulations, methods, time laws, models of the crane, and the FMUs.
+
+The command line, the FMUs, their pages and their checks read the same tables. The first name of each is the default.
+What each FMU has says its model description.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,81 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
+from typing import TypeVar
 
 import servocore as sc
-from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
-from crane_fmu.catalogue.names import ORDERS, components
+from servocore.cli import choices
+
+FORMULATIONS, METHODS = choices.FORMULATIONS, choices.METHODS
+"""Formulations and methods by their names on the command line."""
+
+MODELS = tuple(sc.scenes.rotary_crane().models)
+"""Models of the crane; the first, and smallest, is the default."""
+
+PROFILES = sc.TIME_LAWS
+"""Time laws of a straight line; the first is the default."""
+
+Choice = TypeVar("Choice")
+
+
+def chosen(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
+    """Look a name up; raises `InvalidSetting` with the names there are.
+
+    Parameters
+    ----------
+    table : mapping of str to Choice
+        What there is to choose from.
+    name : str
+        The name that a user gave.
+    kind : str
+        What messages call its kind.
+
+    Returns
+    -------
+    Choice
+        Its entry.
+    """
+    if name not in table:
+        raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
+    return table[name]
+
+
+# Names that the variables of several FMUs have in common --------------------------------------------------------------
+
+ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
+"""Names of the load path's derivatives of order 0, 1, ..."""
+
+DIMENSION = 3
+"""Components of the load path."""
+
+
+def components(*vectors: str) -> tuple[str, ...]:
+    """Return the names of the components of vectors, one vector after the other.
+
+    Parameters
+    ----------
+    *vectors : str
+        Names without an index.
+
+    Returns
+    -------
+    tuple of str
+        With indices from 1 on.
+    """
+    return tuple(f"{name}[{k}]" for name in vectors for k in range(1, DIMENSION + 1))
+
+
+PATH_INPUTS = components(*(f"load.{order}" for order in ORDERS))
+"""What the inverse model has to be told of the load path, order by order."""
+
+FEEDBACK_INPUTS = (
+    *(f"measured.{name}" for name in ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")),
+    *components("measured.position", "measured.velocity"),
+)
+"""What the feedback has to be told of the crane, in the order in which the law takes it."""
+
+
+# The FMUs ------------------------------------------------------------------------------------------------------------
 
 Starts = Mapping[str, float | str]
 """Start values by the names of variables, in place of defaults."""
