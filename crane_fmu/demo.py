@@ -154,7 +154,9 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
             np.column_stack([found[name] for name in components(f"{component}.load.position")])
             for component in ("trajectory", "plant")
         ]
-        runs.append(LoadRun(label, found["time"], *places))
+        begin = parameters.get("plant.gust_start")
+        gust = None if begin is None else (begin, begin + parameters["plant.gust_duration"])
+        runs.append(LoadRun(label, found["time"], *places, gust=gust))
     return runs
 
 

@@ -27,8 +27,7 @@ from crane_fmu.run import input_rows, run_fmu
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
-FIGURES = ("crane", "reference_function", "motion", "inputs", "inputs_paper", "initial_posture", "final_posture",
-           "error_against_step", "tracking", "closed_loop", "cycle_path", "cycle_inputs")  # fmt: skip
+FIGURES = ("crane", "reference_function", "inputs_paper", "error_against_step", "tracking", "closed_loop", "cycle_path")
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +88,7 @@ class TestDemo:
         """With one figure a page it took 17 pages."""
         require_browser()
         with Page(done.folder / "report.html", tmp_path) as page:
-            assert 7 <= len(re.findall(rb"/Type */Page\b", page.pdf())) <= 10
+            assert 5 <= len(re.findall(rb"/Type */Page\b", page.pdf())) <= 10
 
     def test_every_table_says_its_form_and_method(self, done: Demo) -> None:
         for each in done.tables:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import degrees
 
 from crane_fmu.report import figures
 from crane_fmu.report.page import UNITS, Fact, Illustration, Part, Table, number, parameter_table
@@ -37,9 +36,7 @@ def sections(
         "": list(summary(study)),
         "The crane": _introduction(study),
         "The manoeuvre": _reference(study),
-        "The motion of the crane": _motion(study),
         "The inputs": _inputs(study),
-        "The postures": _postures(study),
         "The FMU": _fmu(study, fmu),
         "Does the load go where it should?": _tracking(study),
         "The loop of FMUs": _loop(loop),
@@ -123,43 +120,11 @@ def _reference(study: Study) -> list[Part]:
     ]
 
 
-def _motion(study: Study) -> list[Part]:
-    return [
-        "Bridge angle, trolley position and rope length follow from the path of the load and the equations of"
-        " motion of the load alone. They are exact, up to rounding, by exact inversion and by the scheme of the paper"
-        " alike.",
-        Illustration(
-            "motion",
-            "Bridge angle, trolley position and rope length",
-            f"{DEFAULT}, model {study.models[0]}",
-            f"Rows every {study.steps[0]:g} s, and the closed form.",
-            figures.beside_closed_form(MOTION, study.base, study.scene),
-        ),
-    ]
-
-
 def _inputs(study: Study) -> list[Part]:
     return [
-        "Every row of the inputs is exact by itself: the distance of the rows is no step, and no error comes from it."
-        " These are the inputs that inputs.csv holds.",
-        Illustration(
-            "inputs",
-            "Slewing torque, trolley force and winch torque",
-            f"{DEFAULT}, model {study.models[0]}",
-            f"Rows every {study.steps[0]:g} s, and the closed form.",
-            figures.beside_closed_form(INPUTS, study.base, study.scene),
-        ),
+        "Inputs and motion are shown at the top of this page. Every row of inputs.csv is an exact inversion at its"
+        " instant: the spacing of the rows is no integration step, and no error comes from it.",
         error_table(study),
-    ]
-
-
-def _postures(study: Study) -> list[Part]:
-    slewed = f"The bridge has slewed by {degrees(study.base['phi'][-1]):.0f}°."
-    first, last = figures.posture(study.base, 0), figures.posture(study.base, -1)
-    dotted = f"{slewed} Dotted: the path seen from above."
-    return [
-        Illustration("initial_posture", "Initial posture", DEFAULT, "The load hangs at rest.", first),
-        Illustration("final_posture", "Final posture", DEFAULT, dotted, last),
     ]
 
 
@@ -187,7 +152,8 @@ def _paper(study: Study) -> list[Part]:
             "inputs_paper",
             "The inputs by the scheme of the paper, over those by the default",
             f"{PAPER}, step {step:g} s; and {DEFAULT}",
-            "Redundant coordinates: model bodies, generalized ones: model generalized.",
+            "Redundant coordinates: model bodies, generalized ones: model generalized. The scale of M_w is enlarged:"
+            f" 2 N m about the {study.base['M_w'][0]:.1f} N m that hold the load at rest.",
             figures.inputs_compared(redundant, generalized, study.base),
         ),
         paper_table(study),
@@ -283,9 +249,9 @@ def _tracking(study: Study) -> list[Part]:
             "tracking",
             "The load in forward simulations",
             f"inputs: {DEFAULT}; and {PAPER}",
-            "Above: its position and, in grey, the path. Below: its distance from the path; errors below a"
-            " nanometre are drawn as one.",
-            figures.strayed(study.tracking, study.tracking),
+            "Above: its position under the inputs of the paper's scheme with the largest step and, in grey, the path."
+            " Below: its distance from the path in all runs; distances below 1 µm are drawn as 1 µm.",
+            figures.strayed(study.tracking, study.tracking[2:3]),
         ),
     ]
 
@@ -311,8 +277,8 @@ def _loop(runs: Sequence[LoadRun]) -> list[Part]:
             "closed_loop",
             "The load under trajectory, inverse model and plant",
             _FMUS,
-            f"Above: the position wanted, in grey, and driven ({runs[-1].label}). Below: the distance of the load"
-            " from where it should be; errors below a nanometre are drawn as one.",
+            f"Above: the prescribed position, in grey, and the simulated one ({runs[-1].label}). Below: the tracking"
+            " error of all runs; errors below 1 µm are drawn as 1 µm. Shaded: the gust.",
             figures.strayed(runs, runs[-1:], figures.CONNECTED),
         ),
     ]
@@ -335,13 +301,6 @@ def _cycle(cycle: Cycle) -> list[Part]:
             DEFAULT,
             "The crane half-way; the load is lifted, swung round and lowered.",
             figures.posture(cycle.solution, len(cycle.solution.t) // 2),
-        ),
-        Illustration(
-            "cycle_inputs",
-            "Inputs of the working cycle",
-            DEFAULT,
-            f"Rows every {STEPS[0]:g} s, and the closed form.",
-            figures.beside_closed_form(INPUTS, cycle.solution, cycle.scene),
         ),
     ]
 

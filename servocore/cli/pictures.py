@@ -50,7 +50,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
         factor, unit = (180.0 / np.pi, limit.unit.replace("rad", "deg")) if "rad" in limit.unit else (1.0, limit.unit)
         if other is not None:
             axes.plot(other[1], factor * other[2][k], color=_OTHER, linewidth=1.2, linestyle="--", label=name)
-        axes.plot(t, factor * values[k], color=_PLAN, linewidth=1.6, label="fastest")
+        axes.plot(t, factor * values[k], color=_PLAN, linewidth=1.6, label="near time-optimal")
         _mark(axes, limit, report, t, factor * values[k], factor)
         axes.set_title(f"{limit.quantity} ({unit})", fontsize="medium", loc="left")
         axes.margins(x=0.01)
@@ -76,7 +76,7 @@ def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array,
     for bound in (limit.bound, limit.upper):
         if np.isfinite(bound):
             axes.axhline(factor * bound, color=_BOUND, linewidth=0.8, linestyle=":", label="_limit")
-    label = "held back by this limit"
+    label = "active constraint"
     for active_limit in report.active:
         if active_limit.quantity == limit.quantity:
             during = (t >= active_limit.begin) & (t <= active_limit.end)
