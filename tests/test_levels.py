@@ -166,11 +166,12 @@ def test_the_page_has_a_line_for_every_model_and_says_how_it_came_about() -> Non
 
 
 def test_the_page_is_the_same_from_the_file() -> None:
-    found = [*levels("rotary_crane"), *levels("passive_joint_arm")]
+    refused = Level("massless", "points", True, 3, 5, 0, {"exact": Cost(9), "projected": Cost(refusal="no inertia")})
+    found = [*levels("rotary_crane"), refused]
     again, on = read_levels(csv_text(found, "here"))
     pages = [markdown_page(each, instants=INSTANTS, repeats=2, on=on) for each in (found, again)]
     assert pages[0] == pages[1]
-    assert "passive_joint_arm, points, projected: " in pages[1]
+    assert "massless, points, projected: no inertia." in pages[1]
 
 
 def test_the_page_that_is_committed_belongs_to_the_file_beside_it(tmp_path: Path) -> None:

@@ -19,16 +19,17 @@ Study = Mapping[str, Mapping[str, Sequence[float]]]
 
 _TEXT = """# Effects: estimated and simulated
 
-`servocore effects SCENE` and `sc.effects(scene)` estimate the tracking error caused by neglecting a physical effect
-([model levels](../model-levels.md), [decision 80](../decisions/0080-effects.md)): both models are inverted along the
-same path, and the simpler model is driven by the input deficit. This page compares estimates with simulations of the
-plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if fewer than 95 % of the
-estimates that are shown are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
+`servocore effects SCENE` and `sc.effects(scene)` say what it costs to leave a physical effect out of a model
+([model levels](../model-levels.md), [decision 80](../decisions/0080-effects.md)). They estimate first: both models are
+inverted along the same path, and the small one is run under what the plant will lack. This page compares that with
+simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if of
+the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
 
-Filled marks are rows that `sc.effects` simulates for any tolerance. An estimate is unreliable where the plant's dynamics
-differ from those of the simpler model (a double pendulum below the hook, a shorter rope, sticking drives). Both linear
-responses are computed in advance, at the start and at the end of the path; if they differ by more than 10 %, the plant is
-simulated.
+Filled marks are rows that `sc.effects` simulates by itself, whatever the tolerance is. The estimate uses the model
+without the effect to compute how the plant responds to the missing inputs. If the plant with the effect responds
+differently (a second swing of a body below its hook, a shorter rope, drives that stick), terms of second order
+matter. Both linear responses are computed beforehand at rest, at the start and at the end of the path; if they differ
+by more than 10 %, the plant is simulated.
 
 ## Cranes for which the rule was designed
 
@@ -50,7 +51,7 @@ air's density and the creep of friction) is its value times a factor between 1/{
 straight line of {shortest:g} to {longest:g} m, the duration {quickest:g} to {slowest:g} s; durations and factors
 evenly in their logarithms. Data: [fresh.csv](fresh.csv).
 
-![estimated against simulated errors of random cranes](fresh.png)
+![estimated against simulated errors of cranes by chance](fresh.png)
 
 {fresh}
 
@@ -62,12 +63,13 @@ two milliseconds. *Here / there*, in mm, {durations} s:
 {study}
 
 For effects of index 5 the largest difference with drives is {largest:.1f} % beyond the rounding of the figures there.
-Changes of inputs agree to that rounding, and residual swings within a tenth or the rounding, except in wind: there
-they count from the inclination of the rope at the start, here from that at rest at the end. Rows marked *other* compare
-different models: there all rows ran on degree 9, which omits impulses at both ends for index 7, the rope slid past eight
-nodes, and the rigid load followed the path with its centre of mass, not with its centre of oscillation.
+Changes of inputs agree to that rounding, and residual swings within a tenth or the rounding, but for those in wind:
+there they count from how the rope leans at the start, here from how it leans at rest at the end. Where it says *other*
+the two are not the same thing: there all rows ran on degree 9, which omits impulses at both ends for index 7, the rope
+slid past eight nodes, and the rigid load followed the path with its centre of mass, which leaves an undamped internal
+oscillation; here its centre of oscillation does.
 
-Without drives (*here / there*, mm; *lost* where the plant diverges):
+Without drives, where no loop takes what a force lacks (*here / there*, mm; *lost* where the plant does not survive):
 
 {open}
 
@@ -124,14 +126,14 @@ def page(
 
 
 def _agreement(pairs: Sequence[Pair]) -> str:
-    """Return the agreement of estimates and simulations of a set of pairs, as a list."""
+    """Return what is to be said of a set of pairs."""
     shown = shown_estimates(pairs)
     ratios = np.quantile([each.ratio for each in shown], (0.05, 0.5, 0.95))
     far = [each for each in pairs if abs(each.ratio - 1) > NEAR]
     return "\n".join([
         f"* The {len(shown)} estimates that are shown: {Verdict.of(shown)}.",
         f"* Quantiles of their ratio at 5, 50 and 95 %: {', '.join(f'{each:.3f}' for each in ratios)}.",
-        f"* All {len(pairs)} estimates, also those replaced by a simulation: {Verdict.of(pairs)}.",
+        f"* All {len(pairs)} estimates, also those in whose place a simulation is shown: {Verdict.of(pairs)}.",
         f"* Farther than 10 %, and shown: {_listed(far, ESTIMATED)}.",
         f"* Farther than 10 %, and simulated: {_listed(far, SIMULATED)}.",
     ])  # fmt: skip
