@@ -1,4 +1,4 @@
-"""What the demo's page says: its sections with their tables and illustrations."""
+"""Sections of the demo's page, with their tables and illustrations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def sections(
         "The manoeuvre": _reference(study),
         "The inputs": _inputs(study),
         "The FMU": _fmu(study, fmu),
-        "Does the load go where it should?": _tracking(study),
+        "Forward simulation": _tracking(study),
         "The loop of FMUs": _loop(loop),
         **({} if cycle is None else {"A working cycle": _cycle(cycle)}),
         "The scheme of the paper": _paper(study),
@@ -46,14 +46,17 @@ def sections(
 
 
 def facts(study: Study) -> tuple[Fact, ...]:
-    """Return the numbers that are read first: how exact the default is, then how the scheme of the paper errs."""
+    """Return the headline numbers: residuals of the default route, then errors of the scheme of the paper."""
     step, (inverted, *_, coarse, _) = study.steps[0], study.tracking
     paper = study.paper_errors[study.models[0], step]["M_b"]
     return (
-        Fact(number(exact_error(study), 1), "exact: largest error of the inputs, relative to their peaks"),
-        Fact(f"{number(1e6 * inverted.largest, 1)} µm", "farthest that the load is off its path in a simulation"),
+        Fact(
+            number(exact_error(study), 1),
+            "numerical residual of the inputs by exact inversion, relative to their peaks",
+        ),
+        Fact(f"{number(1e6 * inverted.largest, 1)} µm", "largest tracking error in a simulation (numerical residual)"),
         Fact(f"{number(100 * paper)} %", f"error of M_b by the scheme of the paper, step {step:g} s", True),
-        Fact(f"{number(1e3 * coarse.largest)} mm", "farthest that the load strays under its inputs", True),
+        Fact(f"{number(1e3 * coarse.largest)} mm", "largest tracking error under its inputs", True),
     )
 
 
@@ -63,19 +66,19 @@ def exact_error(study: Study) -> float:
 
 
 def summary(study: Study) -> tuple[str, str]:
-    """Return what the default gives and what the scheme of the paper gives, a sentence or two each."""
+    """Return the results of the default and of the scheme of the paper, a sentence or two each."""
     model, step = study.models[0], study.steps[0]
     paper = study.paper_errors[model, step]
     inverted, *_, first, last = study.tracking
     return (
-        "By default the inputs are computed by exact inversion at every instant (form reduced), and they are exact:"
-        f" they agree with the closed form to {number(exact_error(study), 1)} of their peaks, and in a forward"
-        f" simulation they keep the load within {number(1e6 * inverted.largest, 1)} µm of its path.",
-        "Beside them stands the scheme of the paper (form projected, method backward Euler). With a step of"
+        "By default the inputs are computed by exact inversion at every instant (form reduced): they agree with the"
+        f" closed form to {number(exact_error(study), 1)} of their peaks, and in a forward simulation of the same"
+        f" model the tracking error is {number(1e6 * inverted.largest, 1)} µm. Both are numerical residuals: they contain"
+        " no errors of data, path fitting or unmodelled effects.",
+        "For comparison, the scheme of the paper (form projected, method backward Euler): with a step of"
         f" {step:g} s its M_b is off by {number(100 * paper['M_b'])} % of its peak, F by {number(100 * paper['F'])} %"
-        f" and M_w by {number(100 * paper['M_w'])} %, and the load strays by {number(1e3 * first.largest)} mm. The"
-        f" errors halve with the step; with one of {study.steps[-1]:g} s the load still strays by"
-        f" {number(1e3 * last.largest)} mm.",
+        f" and M_w by {number(100 * paper['M_w'])} %, and the tracking error is {number(1e3 * first.largest)} mm. The"
+        f" errors halve with the step; at {study.steps[-1]:g} s the tracking error is {number(1e3 * last.largest)} mm.",
     )
 
 
@@ -87,9 +90,9 @@ def _introduction(study: Study) -> list[Part]:
         " (Betsch, Uhlar and Quasem 2009).",
         "There are three models of the same crane: points (9 coordinates, the default), bodies (the 42 redundant"
         " coordinates of the paper, RED) and generalized (its 5 coordinates, GEN). The crane is differentially flat in"
-        " the position of its load, so motion and inputs are also known in closed form, and every number on this page"
-        " is judged by it. The tables of the paper were not at hand: the data below are a declared assumption, and no"
-        " figure here claims to reproduce a printed curve.",
+        " the position of its load, so motion and inputs are also known in closed form, the reference of every error on"
+        " this page. The tables of the paper were not available: the data below are a declared assumption, and no figure"
+        " reproduces a printed curve.",
         parameter_table(study.scene),
         Illustration(
             "crane",
@@ -136,7 +139,7 @@ def error_table(study: Study) -> Table:
         DEFAULT,
         ("model", *_PERCENT, *_MOTION),
         tuple(rows),
-        "Inputs: relative to the largest value of each. Motion: absolute. All of it is rounding.",
+        "Inputs: relative to the peak of each. Motion: absolute. All are numerical residuals.",
     )
 
 
@@ -144,10 +147,10 @@ def _paper(study: Study) -> list[Part]:
     step = study.steps[0]
     redundant, generalized = study.paper["bodies", step], study.paper["generalized", step]
     return [
-        "What follows is the scheme of the paper (form projected, method backward Euler). Redundant and generalized"
-        " coordinates give the same inputs up to the error of the step. That error is of the first order and seen here"
-        " as a delay against the default; it halves with the step, in every model, and so does the difference"
-        " between any two models. The motion is exact.",
+        "The scheme of the paper (form projected, method backward Euler): redundant and generalized coordinates give"
+        " the same inputs up to the discretization error. It is of first order and appears as a delay against the"
+        " default; it halves with the step in every model, and so does the difference between any two models. The"
+        " motion is exact.",
         Illustration(
             "inputs_paper",
             "The inputs by the scheme of the paper, over those by the default",
@@ -186,7 +189,7 @@ def paper_table(study: Study, factors: bool = True) -> Table:
         PAPER,
         ("model", "h (s)", *_PERCENT, *_MOTION),
         tuple(rows),
-        f"h is the step. Inputs: relative to the largest value of each.{explained} Motion: absolute.",
+        f"h is the step. Inputs: relative to the peak of each.{explained} Motion: absolute.",
     )
 
 
@@ -207,7 +210,7 @@ def difference_table(study: Study) -> Table:
         PAPER,
         ("models", "h (s)", *_PERCENT),
         tuple((models, f"{step:g}", *_percent(errors)) for (models, step), errors in study.differences.items()),
-        "Relative to the largest value of each input.",
+        "Relative to the peak of each input.",
     )
 
 
@@ -233,17 +236,17 @@ def fmu_table(study: Study, outputs: Mapping[str, Array]) -> Table:
         f"FMU with its defaults: model {study.models[0]}, {DEFAULT.replace('instant', 'communication step')}",
         ("output", "from the closed form", "of its peak"),
         tuple(rows),
-        "A simulation tool hands over the path at the start of a communication step; the FMU continues it to the end of"
-        " the step by its Taylor polynomial. That is all of the difference.",
+        "A co-simulation master sets the path at the start of a communication step; the FMU extrapolates it to the end"
+        " of the step by its Taylor polynomial. The differences are those of this extrapolation.",
     )
 
 
 def _tracking(study: Study) -> list[Part]:
     return [
-        "The equations of motion are integrated forward in time under the computed inputs, without any control."
-        " Under inputs by exact inversion at every instant the load stays on its path; a table of them is joined by"
-        " a cubic spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme"
-        " of the paper the load strays, by an amount of the first order in the step.",
+        "The equations of motion are integrated forward in time under the computed inputs, open loop. Under inputs by"
+        " exact inversion at every instant the load follows its path; a table of them is interpolated by a cubic"
+        " spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme of the paper the"
+        " tracking error is of first order in the step.",
         tracking_table(study.tracking),
         Illustration(
             "tracking",
@@ -257,13 +260,13 @@ def _tracking(study: Study) -> list[Part]:
 
 
 def tracking_table(runs: Sequence[LoadRun]) -> Table:
-    """Return how far the load strays in forward simulations."""
+    """Return the tracking errors in forward simulations."""
     return _strayed("Forward simulation", f"inputs: {DEFAULT}; and {PAPER}", "under inputs by", runs)
 
 
 def _strayed(title: str, by: str, of_runs: str, runs: Sequence[LoadRun]) -> Table:
     rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in runs)
-    return Table(title, by, (of_runs, "load off its path by at most"), rows)
+    return Table(title, by, (of_runs, "largest tracking error"), rows)
 
 
 def _loop(runs: Sequence[LoadRun]) -> list[Part]:
@@ -285,7 +288,7 @@ def _loop(runs: Sequence[LoadRun]) -> list[Part]:
 
 
 def loop_table(runs: Sequence[LoadRun]) -> Table:
-    """Return how far the load strays under the connected FMUs."""
+    """Return the tracking errors of the connected FMUs."""
     return _strayed("The connected FMUs", _FMUS, "run", runs)
 
 
