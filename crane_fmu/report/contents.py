@@ -73,8 +73,8 @@ def summary(study: Study) -> tuple[str, str]:
     return (
         "By default the inputs are computed by exact inversion at every instant (form reduced): they agree with the"
         f" closed form to {number(exact_error(study), 1)} of their peaks, and in a forward simulation of the same"
-        f" model the tracking error is {number(1e6 * inverted.largest, 1)} µm. Both are numerical residuals: they contain"
-        " no errors of data, path fitting or unmodelled effects.",
+        f" model the tracking error is {number(1e6 * inverted.largest, 1)} µm. Both are numerical residuals, and"
+        " contain no errors of data, path fitting or unmodelled effects.",
         "For comparison, the scheme of the paper (form projected, method backward Euler): with a step of"
         f" {step:g} s its M_b is off by {number(100 * paper['M_b'])} % of its peak, F by {number(100 * paper['F'])} %"
         f" and M_w by {number(100 * paper['M_w'])} %, and the tracking error is {number(1e3 * first.largest)} mm. The"
@@ -91,8 +91,8 @@ def _introduction(study: Study) -> list[Part]:
         "There are three models of the same crane: points (9 coordinates, the default), bodies (the 42 redundant"
         " coordinates of the paper, RED) and generalized (its 5 coordinates, GEN). The crane is differentially flat in"
         " the position of its load, so motion and inputs are also known in closed form, the reference of every error on"
-        " this page. The tables of the paper were not available: the data below are a declared assumption, and no figure"
-        " reproduces a printed curve.",
+        " this page. The tables of the paper were not available: the data below are a declared assumption, and no"
+        " figure reproduces a printed curve.",
         parameter_table(study.scene),
         Illustration(
             "crane",
@@ -245,8 +245,8 @@ def _tracking(study: Study) -> list[Part]:
     return [
         "The equations of motion are integrated forward in time under the computed inputs, open loop. Under inputs by"
         " exact inversion at every instant the load follows its path; a table of them is interpolated by a cubic"
-        " spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme of the paper the"
-        " tracking error is of first order in the step.",
+        " spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme of the"
+        " paper the tracking error is of first order in the step.",
         tracking_table(study.tracking),
         Illustration(
             "tracking",
