@@ -118,7 +118,7 @@ class TestDemo:
         _make_light(monkeypatch, done)
         demo(done.folder, steps=STEPS)
         assert (done.folder / "notes.txt").read_text() == "mine"
-        assert (done.folder / "report.html").read_text() == "11 sections"
+        assert (done.folder / "report.html").read_text() == "9 sections"
         (done.folder / "notes.txt").unlink()
 
     def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(
@@ -128,7 +128,7 @@ class TestDemo:
         monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
         result = demo(tmp_path / "out", steps=STEPS)
         assert "working cycle" in result.notes[0]
-        assert (result.folder / "report.html").read_text() == "10 sections"
+        assert (result.folder / "report.html").read_text() == "8 sections"
 
 
 def _make_light(monkeypatch: pytest.MonkeyPatch, done: Demo) -> None:
