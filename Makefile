@@ -115,7 +115,7 @@ docs: $(INSTALLED)  ## write the site with API reference and gallery to build/do
 	@echo "The site is build/docs/index.html."
 
 levels: $(INSTALLED)  ## measure what the models of every scene cost, into docs/model-levels.md (two minutes)
-	$(RUN) benchmarks.levels --page docs/model-levels.md
+	$(RUN) benchmarks.levels --page docs/model-levels.md --csv docs/model-levels.csv
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py

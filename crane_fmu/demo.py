@@ -150,11 +150,13 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
     for label, parameters in LOOPS.items():
         announce(f"running the connected FMUs, {label}")
         found = run_ssp(system, scene.reference.duration, STEP, parameters)
-        places = [
+        wanted, driven = (
             np.column_stack([found[name] for name in components(f"{component}.load.position")])
             for component in ("trajectory", "plant")
-        ]
-        runs.append(LoadRun(label, found["time"], *places))
+        )
+        begin = parameters.get("plant.gust_start")
+        gust = None if begin is None else (begin, begin + parameters["plant.gust_duration"])
+        runs.append(LoadRun(label, found["time"], wanted, driven, gust))
     return runs
 
 

@@ -160,6 +160,10 @@ def stability() -> bool:
     return decays
 
 
+LEAST_SHOWN, LARGEST_SHOWN = 1e-3, 1e6
+"""In mm: a micrometre, below which the distance is a numerical residual, and a kilometre."""
+
+
 def draw(found: Sequence[Run], file: Path) -> None:
     """Draw the share of runs that stay within a distance."""
     style: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
@@ -171,7 +175,8 @@ def draw(found: Sequence[Run], file: Path) -> None:
                 _draw_kind(axis, [each for each in found if (each.kind, each.master) == (kind, master)])
                 axis.set_title(f"{kind}, {master}", loc="left", fontsize=9)
             row[0].set_ylabel("share of manoeuvres")
-        figure.supxlabel("largest distance of the load from its path (mm)", fontsize=9)
+        figure.supxlabel("largest distance of the load from its path (mm), at least 1 µm; bars: bounds of the study",
+                         fontsize=9)  # fmt: skip
         figure.savefig(file, metadata={"Software": None})
         plt.close(figure)
 
@@ -184,12 +189,24 @@ def _draw_kind(axis: Any, found: Sequence[Run]) -> None:
         lines = [(DISTURBED_STEP, "distance", colours[DISTURBED_STEP], f"{DISTURBED_STEP:g} s"),
                  (DISTURBED_STEP, "without", "0.5", "feedforward alone")]  # fmt: skip
         bounds = {DISTURBED_STEP: BOUND_DISTURBED}
-    for h, name, colour, label in lines:
+    for h, name, colour, text in lines:
+        label = text
         sizes = np.sort([getattr(each, name) for each in found if each.step == h])
-        axis.step(sizes, np.arange(1, len(sizes) + 1) / len(sizes), where="post", color=colour, label=label, lw=1.5)
+        label += " (below 1 µm)" if sizes[-1] < LEAST_SHOWN else ""
+        axis.step(
+            np.maximum(sizes, LEAST_SHOWN),
+            np.arange(1, len(sizes) + 1) / len(sizes),
+            where="post",
+            color=colour,
+            label=label,
+            lw=1.5,
+        )
     for h, bound in bounds.items():
         axis.plot([bound, bound], [0.93, 1.05], color=colours[h], lw=2.5, solid_capstyle="butt")
-    axis.set(xscale="log", ylim=(0.0, 1.05))
+    if found[0].kind == DISTURBED:  # without feedback most loads are lost: a distance beyond the scale
+        axis.set(xscale="log", ylim=(0.0, 1.05), xlim=(1.0, LARGEST_SHOWN))
+    else:
+        axis.set(xscale="log", ylim=(0.0, 1.05), xlim=(LEAST_SHOWN, 10.0))
     axis.legend(loc="center" if found[0].kind == DISTURBED else "lower right", fontsize=7, frameon=False)
 
 

@@ -6,6 +6,7 @@ import csv
 import importlib
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from benchmarks.chart.__main__ import main  # noqa: E402
 from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem  # noqa: E402
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form  # noqa: E402
 from benchmarks.chart.orders import fit_order, round_off_constant  # noqa: E402
-from benchmarks.chart.page import PAGE, render  # noqa: E402
+from benchmarks.chart.page import PAGE, render, write_tables  # noqa: E402
 from benchmarks.chart.record import ORDER_SCENE, read_record  # noqa: E402
 from benchmarks.chart.requirements import NO_REASON, REASONS, requirements  # noqa: E402
 from benchmarks.chart.rows import COLUMNS, Row, read_rows  # noqa: E402
@@ -31,8 +32,7 @@ from benchmarks.chart.study import PEERS, Effort, peer_candidates, problems  # n
 from benchmarks.chart.timing import Timed, measure  # noqa: E402
 
 DOCS = ROOT / "docs" / "speed-accuracy"
-SECTIONS = ("Scene", "Models", "Formulations", "Methods", "Peers", "Machine and versions", "Figures", "Table",
-            "Which route to choose")  # fmt: skip
+SECTIONS = ("Definitions", "Comparison", "Figures", "Peers", "Which route to choose")
 SCENES = ["rotary_crane", "overhead_crane", "three_cars", "mass_on_car", "arm"]
 
 
@@ -142,7 +142,9 @@ def test_what_must_hold_is_judged_by_what_was_measured(smoke: Path) -> None:
     verdicts = {each.what: each.met for each in requirements(read_record(smoke))}
     assert verdicts["error of M_b at a step of 0.1 s, reduced"] is True
     assert verdicts["error of M_b at a step of 0.1 s, projected"] is False  # backward Euler and BDF2 alone
-    assert verdicts["error 1e-09: faster than any peer on the projected form"] is True  # there is none
+    assert (
+        verdicts["error 1e-09: reduced form here, faster than any peer on the projected form"] is True
+    )  # there is none
 
 
 # The page that is committed ------------------------------------------------------------------------------------------
@@ -206,6 +208,14 @@ def test_what_takes_longer_than_it_should_beside_c_is_explained() -> None:
     assert "In generalized coordinates the interpreter dominates: it takes about 7 ns" in text
 
 
+@committed
+def test_the_files_beside_the_page_belong_to_the_results(tmp_path: Path) -> None:
+    write_tables(read_record(DOCS), tmp_path)
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (DOCS / path.name).read_bytes(), "python -m benchmarks.chart --draw"
+        assert f"({path.name})" in (DOCS / PAGE).read_text(encoding="utf-8")
+
+
 # Parts ---------------------------------------------------------------------------------------------------------------
 
 
@@ -221,14 +231,24 @@ def test_the_fastest_is_looked_for_among_those_accurate_enough() -> None:
     assert [each.seconds for each in selection.front(rows)] == [0.1, 1.0, 2.0]
 
 
-def test_ratios_are_those_to_the_fastest_peer_of_each_form_and_never_to_the_closed_form() -> None:
+def test_solvers_are_compared_on_the_same_form_and_evaluation_and_never_with_the_closed_form() -> None:
     rows = [row(1e-10, 1.0), row(1e-10, 0.1, "closed-form"), row(1e-10, 7.0, "peer"), row(1e-10, 9.0, "other"),
-            row(1e-4, 20.0, "peer", "projected")]  # fmt: skip
-    first, _, last = selection.compare(rows, "scene")
-    assert first.ratio(first.reduced) == 7.0
-    assert first.ratio(first.projected) == 20.0
-    assert last.projected is None
-    assert last.ratio(last.projected) is None
+            row(1e-4, 20.0, "peer", "projected"), row(1e-4, 5.0, form="projected"),
+            replace(row(1e-10, 0.2), method=f"method{own.COMPILED}")]  # fmt: skip
+    assert [each.ratio for each in selection.compare(rows, "scene", "reduced")] == [7.0, 7.0, 7.0]
+    first, _, last = selection.compare(rows, "scene", "projected")
+    assert first.ratio == 4.0
+    assert (last.own, last.peer, last.ratio) == (None, None, None)
+    compiled = selection.compare(rows, "scene", "reduced", compiled=True)[0]
+    assert (present(compiled.own).seconds, compiled.peer) == (0.2, None)
+
+
+def test_the_gain_is_that_of_the_default_route_over_a_peer_on_the_projected_form() -> None:
+    default = Row("scene", "servocore", "model", "reduced", own.SOLVED, "200 steps", 2.0, 1e-12, 0.0)
+    rows = [default, row(1e-10, 1.0), row(1e-4, 20.0, "peer", "projected"), row(1e-4, 3.0, "peer")]
+    found = selection.gain(rows, "scene", 1e-3)
+    assert (found.own, found.ratio) == (default, 10.0)
+    assert selection.gain(rows, "scene", 1e-6).ratio is None
 
 
 def test_an_order_is_fitted_above_the_round_off_only() -> None:

@@ -19,7 +19,16 @@ import servocore as sc
 from benchmarks.levels.__main__ import main
 from benchmarks.levels.costs import Cost, Level, Spread
 from benchmarks.levels.measurement import compiled_run, measure_levels, timed_in_turn
-from benchmarks.levels.tables import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
+from benchmarks.levels.tables import (
+    COLUMNS,
+    HEADINGS,
+    PAGE_HEADINGS,
+    csv_text,
+    markdown_page,
+    read_levels,
+    remarks,
+    rows,
+)
 
 INSTANTS = 50
 
@@ -98,7 +107,7 @@ def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measure
     assert rows(level)[1][4:] == ("projected", "-", "-", "-", "-", "-")
     assert rows(level)[0][8] == "-"
     assert any(each.startswith("massless, projected: ") for each in remarks([level]))
-    lines = list(csv.DictReader(io.StringIO(csv_text([level]))))
+    lines = list(csv.DictReader(io.StringIO(csv_text([level], "here"))))
     assert lines[1]["microseconds"] == ""
     assert "needs inertia" in lines[1]["refusal"]
 
@@ -134,7 +143,7 @@ def test_nothing_to_measure_is_refused(instants: int, repeats: int, lacking: str
 
 def test_csv_has_one_line_a_model_and_route_in_full_precision() -> None:
     found = levels("rotary_crane")
-    lines = list(csv.DictReader(io.StringIO(csv_text(found))))
+    lines = list(csv.DictReader(io.StringIO(csv_text(found, "here"))))
     assert tuple(lines[0]) == COLUMNS
     assert [(each["model"], each["route"]) for each in lines] == [
         (model, route) for model in ("points", "generalized", "bodies") for route in ("exact", "projected")
@@ -144,17 +153,31 @@ def test_csv_has_one_line_a_model_and_route_in_full_precision() -> None:
     assert [each["needed"] for each in lines] == ["1", "1", "0", "0", "0", "0"]
 
 
-def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about() -> None:
+def test_the_page_has_a_line_for_every_model_and_says_how_it_came_about() -> None:
     found = [*levels("rotary_crane"), *levels("mass_on_car")]
-    text = markdown_page(found, instants=INSTANTS, repeats=2)
-    assert "## `rotary_crane`" in text
-    assert "## `mass_on_car`" in text
+    text = markdown_page(found, instants=INSTANTS, repeats=2, on="here")
     assert "    make levels\n" in text
-    assert "rotary_crane needs no more than the model points" in text
     table = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(table) == 2 * 2 + 2 * len(found)
-    assert {line.count("|") for line in table} == {len(HEADINGS) + 1}
+    assert len(table) == 2 + len(found)
+    assert {line.count("|") for line in table} == {len(PAGE_HEADINGS) + 1}
+    for level in found:
+        assert f"| {level.scene} | {level.model} | {level.coordinates} |" in text
     assert "{" not in text
+
+
+def test_the_page_is_the_same_from_the_file() -> None:
+    refused = Level("massless", "points", True, 3, 5, 0, {"exact": Cost(9), "projected": Cost(refusal="no inertia")})
+    found = [*levels("rotary_crane"), refused]
+    again, on = read_levels(csv_text(found, "here"))
+    pages = [markdown_page(each, instants=INSTANTS, repeats=2, on=on) for each in (found, again)]
+    assert pages[0] == pages[1]
+    assert "massless, points, projected: no inertia." in pages[1]
+
+
+def test_the_page_that_is_committed_belongs_to_the_file_beside_it(tmp_path: Path) -> None:
+    docs = Path(__file__).resolve().parent.parent / "docs"
+    main(["--stored", str(docs / "model-levels.csv"), "--page", str(tmp_path / "page.md")])
+    assert (tmp_path / "page.md").read_bytes() == (docs / "model-levels.md").read_bytes()
 
 
 def test_the_ratio_is_that_of_the_medians() -> None:
@@ -181,7 +204,7 @@ def test_the_command_prints_a_table_and_writes_the_same_figures(
         ("projected", lines[1]["unknowns"]),
     ]
     assert f"{float(lines[0]['microseconds']):.3g}" in printed
-    assert "## `cars`" in page.read_text(encoding="utf-8")
+    assert "| cars | points |" in page.read_text(encoding="utf-8")
 
 
 def test_a_scene_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -190,6 +190,12 @@ class TestRefusals:
             sc.fastest(CRANE, LINE, DEFAULT, progress=4)  # type: ignore[arg-type]  # wrong on purpose
 
 
+@pytest.mark.parametrize("smooth", [False, True, -1, 3, 0.0])
+def test_smooth_is_a_number_of_derivatives_from_zero_to_two(smooth: int) -> None:
+    with pytest.raises(sc.InvalidSetting, match=f"0 to 2, not {smooth!r}"):
+        sc.fastest(CRANE, [(5, 0, -5), (-2, 2, -2)], DEFAULT, smooth=smooth)
+
+
 def test_a_bar_of_index_seven_has_six_smooth_derivatives() -> None:
     bar = sc.scenes.elastic_bar()
     (name,) = [each.name for each in bar.model().inputs]

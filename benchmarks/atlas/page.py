@@ -1,30 +1,27 @@
-"""The page of the atlas: one screen of advice, then fixed sections for every row; numbers come from the results."""
+"""The page of the atlas: a table of advice, then one section a row; numbers come from the results."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Record, Row
+from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row
 
 HEAD = """# Failure atlas
 
-How the integration of servo constraints fails, why, and what does not fail. Every row predicts its failure from theory,
-measures it, and measures beside it a route of this library that survives; where that route ends is said as a number.
-`make atlas` writes this page, its figures and [results.csv](results.csv); the numbers below are those of the last run:
-{survives} observations of routes that survive, {fails} of failures, {refused} of refusals. {gaps}
+How the integration of servo constraints fails, at which rate, and which routes stay accurate. Every row predicts a
+failure from theory, measures it, and measures beside it a route that survives, with its limit. `make atlas` measures
+all rows and writes this page, its figures and the table of all observations, [results.csv](results.csv): scene, route,
+parameter, value, expected and observed result, verdict. `python -m benchmarks.atlas --page` writes the page again from
+the stored results. The last run has {survives} observations of routes that survive, {fails} of failures, {refused} of
+refusals. {gaps}
 
-*survives*: right within the bound. *fails*: wrong, or given up, as predicted. *refused*: an error in advance.
-In the column *expected*, ± stands for what theory predicts; ≤ and ≥ are bounds that a result must keep, some of
-them set after a first run had been seen; where there is neither it says *no prediction*.
+*survives*: accurate within the bound. *fails*: wrong, or ended with an error, as predicted. *refused*: an error in
+advance.
 """
-SUMMARY = """## Who survives
+SUMMARY = """![Observations that survive, are refused or fail, by row and kind of route](summary.png)
 
-![Shares of observations that survive, are refused or fail, by row and kind of route](summary.png)
-
-*Every row below by kinds of routes; the numbers count observations of the table. A failure is one that theory predicts:
-most of them were provoked.* [SVG](summary.svg)
+*Each square is an observation. Most failures are provoked, so their numbers are no rates.* [SVG](summary.svg)
 """
-COLUMNS = ("scene", "route", "parameter", "value", "expected", "observed", "verdict")
 
 
 def page(rows: Sequence[Row], findings: Sequence[Findings]) -> str:
@@ -34,7 +31,7 @@ def page(rows: Sequence[Row], findings: Sequence[Findings]) -> str:
     missed = sum(not each.agrees for each in records)
     reasons = "; ".join(reason for found in findings for reason in found.gaps.values())
     gaps = f"{missed} not as expected{': ' + reasons if reasons else ''}." if missed else "All are as expected."
-    parts = [HEAD.format(**counts, gaps=gaps), SUMMARY, _advice(rows)]
+    parts = [HEAD.format(**counts, gaps=gaps), _advice(rows), SUMMARY]
     parts += [_section(k, row, found) for k, (row, found) in enumerate(zip(rows, findings, strict=True), 1)]
     return "\n".join(parts)
 
@@ -57,20 +54,8 @@ def _section(number: int, row: Row, found: Findings) -> str:
     )
     return "\n".join([
         f"## {number}. {row.title}", "",
-        "### What fails", "", theory, "",
-        "### What was seen", "", f"![{row.title}]({row.name}.png)", "", f"*{caption}* [SVG]({row.name}.svg)", "",
-        table(found.records), "",
-        "### What survives", "", survivor, "",
-        "### Its limit", "", limit, "",
+        theory, "",
+        f"![{row.title}]({row.name}.png)", "", f"*{caption}* [SVG]({row.name}.svg)", "",
+        f"**Survives.** {survivor}", "",
+        f"**Limits.** {limit}", "",
     ])  # fmt: skip
-
-
-def table(records: Iterable[Record]) -> str:
-    """Return records as a Markdown table."""
-    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
-    lines += [f"| {' | '.join(_cell(getattr(each, name)) for name in COLUMNS)} |" for each in records]
-    return "\n".join(lines)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("<=", "≤").replace(">=", "≥").replace("+-", "±")

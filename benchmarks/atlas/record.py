@@ -1,8 +1,9 @@
-"""What the atlas records: predictions, observations and verdicts, one line each, and the table of all of them."""
+"""Records of the atlas: predictions, observations and verdicts, one line each, and the numbers that the page quotes."""
 
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass, field, fields
@@ -12,6 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 SURVIVES, FAILS, REFUSED = "survives", "fails", "refused"
+RECORDS, FACTS = "results.csv", "facts.json"
 NO_PREDICTION = "no prediction"
 """Expected where neither theory nor a requirement says anything: the observation is reported, not judged."""
 
@@ -97,7 +99,7 @@ class Row:
     avoid, do : str
         For the table at the top of the page.
     theory, survivor, limit : str
-        What fails and at which rate; what survives; where that ends. `{name:.2g}` quotes a fact.
+        Cause and rate of the failure; accuracy of the routes that survive; their limits. `{name:.2g}` quotes a fact.
     caption : str
         Under the figure.
     measure : callable
@@ -165,6 +167,33 @@ def write_csv(path: Path, records: Iterable[Record]) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([each.name for each in fields(Record)])
         writer.writerows(astuple(each) for each in records)
+
+
+def write_facts(path: Path, findings: Iterable[Findings]) -> None:
+    """Write the numbers that the page quotes, and the known gaps, as JSON by row."""
+    text = {
+        found.row: {
+            "facts": found.facts,
+            "gaps": [[*astuple(record), reason] for record, reason in found.gaps.items()],
+        }
+        for found in findings
+    }  # fmt: skip
+    path.write_text(json.dumps(text, indent=1, ensure_ascii=False, default=lambda each: each.item()) + "\n", "utf-8")
+
+
+def read_findings(folder: Path, rows: Iterable[Row]) -> list[Findings]:
+    """Read records, facts and gaps of rows as `write_csv` and `write_facts` wrote them; curves are not kept."""
+    records = read_csv(folder / RECORDS)
+    kept = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+    return [
+        Findings(
+            row.name,
+            [each for each in records if each.row == row.name],
+            kept[row.name]["facts"],
+            gaps={Record(*fields_): reason for *fields_, reason in kept[row.name]["gaps"]},
+        )
+        for row in rows
+    ]
 
 
 def read_csv(path: Path) -> list[Record]:

@@ -104,18 +104,17 @@ def draw(found: Findings) -> Figure:
 ROW = Row(
     name=NAME,
     title="Original equations at small steps",
-    avoid="`Original()` (index 5), and smaller steps as the cure",
-    do="`Reduced()`, what `solve` takes by itself; `Projected()` where a step method is wanted",
-    theory="Backward Euler on (1) forms inputs from fourth differences of positions. Round-off ε in positions becomes"
-    " ε/h⁴ in inputs: below some step the error grows like h⁻⁴, while the discretization error falls like h only. The"
-    " projected form divides by h², the reduced form by nothing.",
-    survivor="`Reduced()` has no step in its error: {cars_reduced:.1e} on the cars and {rotary_crane_reduced:.1e} on"
-    " the crane at every h. `Projected()` stays of first order.",
-    limit="The original form never gets below {cars_best:.1e} (cars, at h = {cars_best_h:.1e} s) and"
-    " {rotary_crane_best:.1e} (crane, at h = {rotary_crane_best_h:.1e} s). Projected backward Euler turns near"
-    " h = {cars_projected_h:.0e} s on the cars, at an error of {cars_projected:.1e}. Its round-off floor is"
-    " {projected_floor:.1g} ε/h² of the peak on the cars, that of the original form {cars_floor:.1g} ε/h⁴, with"
-    " ε = 2.2e-16 and h in s; that of the reduced form is the round-off of the path's derivatives.",
+    avoid="`Original()` (index 5), and smaller steps as a remedy",
+    do="`Reduced()`, the default of `solve`; `Projected()` where a step method is wanted",
+    theory="Backward Euler on the original equations forms inputs as fourth differences of positions: round-off ε"
+    " becomes ε/h⁴, while the discretization error falls like h. The projected form divides by h², the reduced form"
+    " by no step.",
+    survivor="`Reduced()`: {cars_reduced:.1e} (cars) and {rotary_crane_reduced:.1e} (crane) at every h. `Projected()`"
+    " stays of first order.",
+    limit="The original form reaches {cars_best:.1e} (cars, h = {cars_best_h:.1e} s) and {rotary_crane_best:.1e}"
+    " (crane, h = {rotary_crane_best_h:.1e} s) at best, with a round-off level of {cars_floor:.1g} ε/h⁴ of the peak"
+    " on the cars; projected {cars_projected:.1e} at h = {cars_projected_h:.0e} s, with {projected_floor:.1g} ε/h²"
+    " (ε = 2.2e-16, h in s).",
     caption="Largest input error relative to the input's peak against the step, backward Euler.",
     measure=measure,
     draw=draw,

@@ -131,16 +131,15 @@ ROW = Row(
     title="Methods without damping",
     avoid="`Trapezoidal()`, `Gauss(s)` and `GeneralizedAlpha(1.0)` on projected or original forms",
     do="`BackwardEuler()`, `BDF(k)`, `RadauIIA(s)`, `GeneralizedAlpha(0.8)`; or `Reduced()`",
-    theory="On a form of index 3 the trapezoidal rule turns a velocity error into one of alternating sign that nothing"
-    " damps; the inputs are its difference quotient. What excites it need not be more than the jump of a fifth"
-    " derivative at the start of a path of degree 9. An error of the first positions grows linearly in the number of"
-    " steps with the trapezoidal rule on index 3, quadratically with Gauss methods and on index 5.",
-    survivor="Damped methods forget: generalized-alpha with ρ < 1 like n ρⁿ (ρ = 0.8: below 1e-6 N after"
-    " {forgotten:d} steps), multistep and Radau methods after a fixed number of steps (row 3). `Reduced()` has"
-    " nothing to damp.",
-    limit="Generalized-alpha with ρ = 0.8 is of first order over the whole run, since its first steps see the kink of"
-    " the path: {generalized_alpha_0_8:.1e} at the finest step.",
-    caption="Left: errors that do not fall with the step, or rise. Right: growth of the input's error after a start"
+    theory="On index 3 the trapezoidal rule turns a velocity error into an undamped error of alternating sign, and"
+    " the inputs are its difference quotient. The jump of the fifth derivative at the start of a path of degree 9"
+    " excites it. An error of the first positions grows linearly with the number of steps (trapezoidal rule, index"
+    " 3), quadratically with Gauss methods and on index 5.",
+    survivor="Generalized-alpha with ρ < 1 damps errors like n ρⁿ (ρ = 0.8: below 1e-6 N after {forgotten:d} steps),"
+    " multistep and Radau methods lose them after a fixed number of steps (row 3).",
+    limit="Generalized-alpha with ρ = 0.8 is of first order over the whole run, because of the kink at the start:"
+    " {generalized_alpha_0_8:.1e} at the finest step.",
+    caption="Left: errors that do not fall with the step, or rise. Right: growth of the input error after a start"
     " that is off by one micrometre.",
     measure=measure,
     draw=draw,

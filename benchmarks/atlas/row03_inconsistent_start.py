@@ -147,18 +147,16 @@ ROW = Row(
     name=NAME,
     title="Inconsistent initial values",
     avoid="initial values put together by hand, or from measurements",
-    do="the start that `solve` and `Stepper.start` compute from the path itself",
-    theory="A position that is off by δ at the start makes a velocity wrong by δ/h in the first step and an input by a"
-    " multiple of m δ/h². Methods that keep only the last k instants forget it after a fixed number of steps;"
-    " generalized-alpha with ρ < 1 like n ρⁿ; the trapezoidal rule never. On the original form an error of the"
-    " prescribed coordinate costs δ/h⁴.",
-    survivor="Every run of this library starts from the exact inversion at the initial time (with history where the"
-    " method needs one): no spike, an input error of {own:.1e} of the peak in the first 12 steps. The reduced form has"
-    " no memory: {reduced:.0e} N after one step.",
-    limit="For a start that is off by δ: {backward_euler:.0f} kg·δ/h² for two steps with backward Euler,"
-    " {bdf2:.1f} with BDF2, {radau3:.0f} with Radau IIA(3). On the original form one micrometre in x₁ at"
-    " h = 2 ms costs {original_peaks:.0f} times the input's peak.",
-    caption="Left: what one micrometre in the first state does to the input, step by step. Right: the largest change"
+    do="the start that `solve` and `Stepper.start` compute from the path",
+    theory="A position that is off by δ at the start makes a velocity wrong by δ/h and an input by a multiple of m"
+    " δ/h². Methods that use the last k instants lose the error after a fixed number of steps, generalized-alpha"
+    " with ρ < 1 like n ρⁿ, the trapezoidal rule never. On the original form it costs δ/h⁴.",
+    survivor="The library starts from the exact inversion at the initial time: no spike, an input error of {own:.1e}"
+    " of the peak in the first 12 steps. The reduced form has no history: {reduced:.0e} N after one step.",
+    limit="With an error δ: {backward_euler:.0f} kg·δ/h² for two steps of backward Euler, {bdf2:.1f} with BDF2,"
+    " {radau3:.0f} with Radau IIA(3). On the original form one micrometre in x₁ at h = 2 ms costs"
+    " {original_peaks:.0f} times the input's peak.",
+    caption="Left: change of the input by one micrometre in the first state, step by step. Right: the largest change"
     " over the step.",
     measure=measure,
     draw=draw,

@@ -160,18 +160,17 @@ ROW = Row(
     name=NAME,
     title="References that are not smooth enough",
     avoid="time laws of degree 3, 5 or 7 for a crane, and corners joined by straight lines",
-    do="`DEGREE9` and above (or `three_phase`, `through`, `sampled`), and heed the warning of `solve`",
-    theory="The inputs of a flat system of index 5 contain the fourth derivative of the path. If only k < 4 derivatives"
-    " are continuous, the inputs jump (k = 3), need an impulse (k = 2) or worse (k = 1) at every junction. Difference"
-    " quotients then show h⁰, h⁻¹, h⁻². The reduced form returns the exact inputs on both sides of a junction and"
-    " cannot return the impulse in it: a crane that hangs at rest misses the path.",
-    survivor="From degree 9 on all routes converge and the load arrives ({tracking_9:.0e} m off on the way). With"
-    " degree 7 the torque jumps by {jump_7:.1%} of its peak, which no motor does, but the load still follows."
-    " `solve` says so in advance: “{sentence}”. `sampled` refuses a corner: “{corner}”",
+    do="`DEGREE9` and above (or `three_phase`, `through`, `sampled`); heed the warning of `solve`",
+    theory="The inputs of a flat system of index 5 contain the fourth derivative of the path. With k < 4 continuous"
+    " derivatives the inputs jump (k = 3) or need an impulse (k ≤ 2) at every junction; difference quotients then"
+    " grow like h⁰, h⁻¹, h⁻². The reduced form gives the exact inputs on both sides, without the impulse: a crane at"
+    " rest misses the path.",
+    survivor="From degree 9 on all routes converge (tracking error {tracking_9:.0e} m). With degree 7 the torque"
+    " jumps by {jump_7:.1%} of its peak. `solve` warns in advance: “{sentence}”. `sampled` refuses a corner.",
     limit="From rest the load misses by {tracking_5:.1e} m with degree 5 and by {tracking_3:.1e} m with degree 3,"
-    " whatever the step. Inputs of a path fitted to exact samples of a smooth one are good to {sampled:.1e}.",
-    caption="Left: torque at the start. Middle: error over step. Right: distance of the load from its path when the"
-    " exact inputs drive a crane that hangs at rest.",
+    " whatever the step. Inputs of a path fitted to exact samples are accurate to {sampled:.1e}.",
+    caption="Left: torque at the start. Middle: input error over the step. Right: tracking error when the exact"
+    " inputs drive a crane at rest.",
     measure=measure,
     draw=draw,
 )

@@ -18,7 +18,7 @@ NAME = "singular-configurations"
 MODELS = ("points", "generalized", "bodies")
 ROUTES = tuple((model, form) for form in (sc.Reduced(), sc.Projected()) for model in MODELS)
 QUICK_ROUTES = (*ROUTES[:2], ROUTES[-1])
-RIGHT, WARNED, FAILED, OUT, WRONG = "right", "warned of", "failed", "refused", "wrong, silently"
+RIGHT, WARNED, FAILED, OUT, WRONG = "right", "warning", "failed", "refused", "wrong without warning"
 STEPS = {"reduced": 200, "projected": 1000}
 JUDGED = 4000  # instants of the exact answer, more than steps: its angle is made continuous there
 MOTION = ("phi", "s", "l")
@@ -78,8 +78,8 @@ def _crane(start: tuple[float, ...], end: tuple[float, ...], duration: float) ->
 
 
 APPROACHES = (
-    Approach("slack rope", "smallest g + z''", "m/s2", (3.0, 1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, -1e-3), near_slack,
-             1e-6),
+    Approach("slack rope", "smallest g + z''", "m/s2", (3.0, 1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, -1e-3),
+             near_slack, 1e-6),
     Approach("slewing axis", "distance of trolley", "m", (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1.1e-3, 9e-4), near_axis,
              1.1e-3),
     Approach("girder height", "depth of load", "m", (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6, -1e-6), near_girder, 1e-6),
@@ -152,7 +152,7 @@ def measure(quick: bool) -> Findings:
     found = Findings(NAME)
     silent, warned = dict.fromkeys(MODELS, 0), dict.fromkeys(MODELS, 0)
     for approach in APPROACHES:
-        distances = approach.distances[::3] + approach.distances[-1:] if quick else approach.distances
+        distances = approach.distances[:4:3] + approach.distances[-2:] if quick else approach.distances
         routes = QUICK_ROUTES if quick else ROUTES
         table = {
             (model, form.name): [outcome(approach.scene(d), model, form) for d in distances] for model, form in routes
@@ -196,19 +196,26 @@ def _judge(found: Findings, approach: Approach, route: str, distances: Array, re
 
 
 def draw(found: Findings) -> Figure:
-    """One panel an approach: routes over distance, with what became of each run."""
+    """One panel an approach: routes over the logarithm of the distance, with the result of each run."""
     figure, axes = panels(2, 2, width=6.8, height=1.85)
     marks = {RIGHT: ("o", GOOD), WARNED: ("^", FOURTH), FAILED: ("x", BAD), OUT: ("s", "white"), WRONG: ("*", "black")}
     for ax, approach in zip(axes.flat, APPROACHES, strict=True):
         _, distances, table = found.curves[approach.name]
+        # Distances at their logarithms; the run beyond the limit at the end, a tenth of the scale further.
+        limited = distances[-1] <= approach.nearest and approach.name != "rope horizontal"
+        places = np.log10(np.abs(distances))
+        if limited:
+            places[-1] = places[-2] - 0.1 * (places[0] - places[-2])
         for row, results in enumerate(table.values()):
             for k, (each, _) in enumerate(results):
                 mark, colour = marks[each]
                 edge = "black" if each == OUT else colour
-                ax.plot(k, row, marker=mark, color=colour, markeredgecolor=edge, ls="", ms=5)
+                ax.plot(places[k], row, marker=mark, color=colour, markeredgecolor=edge, ls="", ms=5)
         ax.set_yticks(range(len(table)), [f"{form}, {model}" for model, form in table])
-        ax.set_xticks(range(len(distances)), [f"{d:g}" if d > 0 else "beyond" for d in distances], rotation=35)
-        ax.set(ylim=(len(table) - 0.5, -0.5))
+        texts = [f"{d:g}" for d in distances]
+        ax.set_xticks(places, [*texts[:-1], "beyond"] if limited else texts, rotation=35)
+        margin = 0.05 * (places[0] - places[-1])
+        ax.set(ylim=(len(table) - 0.5, -0.5), xlim=(places[0] + margin, places[-1] - margin))
         label(ax, f"{approach.quantity} ({approach.unit.replace('m/s2', 'm/s²').replace('deg', '°')})", "",
               approach.name, None)  # fmt: skip
     for text, (mark, colour) in marks.items():
@@ -222,28 +229,21 @@ ROW = Row(
     title="Singular configurations",
     avoid="projected forms near slack ropes and near the slewing axis; `bodies` where the winch turns fast",
     do="the default model `points` with `Reduced()`; heed the warning of inputs that are off by half their peak",
-    theory="With z'' → −g the rope force and with it every direction vanish; on the slewing axis the bridge angle is"
-    " undefined; with the load at girder height the rope lies flat. Beyond, there is no solution. At a swing of 90°"
-    " only the generalized coordinates are singular: their angles lose meaning, the points do not. On the way there"
-    " angles turn ever faster, and a step that turns an angle by half a turn cannot be told from one the other way"
-    " round. Direction cosines stand less: where a director turns by Δ₁ after Δ₀, backward Euler finds"
-    " 2 sin Δ₁ − sin(Δ₁ + Δ₀) in place of Δ₁ − Δ₀, a torque of about J Δ³/h² too much.",
-    survivor="`points` with the reduced form is right to the last distance tried, and so is `bodies`. What lies beyond"
-    " a limit is refused with quantity and time. Wrong answers without an error or a warning from `points`,"
-    " `generalized` and `bodies`: {silent_points:d}, {silent_generalized:d} and {silent_bodies:d}.",
-    limit="Nearest distances solved: slack rope {slack_rope_reduced_points:g} m/s² (error {slack_rope_error:.0e}), axis"
-    " {slewing_axis_reduced_points:g} m, girder {girder_height_reduced_points:g} m (error {girder_height_error:.0e},"
-    " growing like the inverse of the depth), swing {rope_horizontal_reduced_points:g}° short of 90°. In generalized"
-    " coordinates the reduced form is right to {rope_horizontal_reduced_generalized:g}° short of it and to"
-    " {slack_rope_reduced_generalized:g} m/s² from slack. From 1e-5 m below the girder on runs come with the warning"
-    " that the rope's constraint loses rank, right as they are. Steps that turn an angle among the coordinates by"
-    " half a turn or more are errors; {warned:d} projected runs end with the warning that an input is off, and by more"
-    " than half of its peak, which the exact inversion at every instant finds out after the run. Warnings begin at 5 %"
-    " of the peak; errors below that are the step's. In `bodies` a winch that turns by {winch_turn:.2g} rad a step"
-    " makes M_w wrong by {winch_seen:.1f} of its peak ({winch_predicted:.1f} predicted); half a peak would be reached"
-    " at {winch_half:.1g} rad.",
-    caption="What became of runs at ever smaller distances. Projected runs (1000 steps) are judged by φ, s and l, which"
-    " are exact on the right branch, and are wrong too if an input is off by more than its peak.",
+    theory="With z'' → −g the rope force vanishes, and with it its direction; on the slewing axis the bridge angle is"
+    " undefined; with the load at girder height the rope is horizontal. Beyond there is no solution. At a swing of"
+    " 90° only the generalized coordinates are singular. Where a director turns by Δ₁ after Δ₀, backward Euler finds"
+    " 2 sin Δ₁ − sin(Δ₁ + Δ₀) in place of Δ₁ − Δ₀: a torque of about J Δ³/h² too much.",
+    survivor="The reduced form with `points` is right at the smallest distances: slack rope"
+    " {slack_rope_reduced_points:g} m/s² (error {slack_rope_error:.0e}), axis {slewing_axis_reduced_points:g} m,"
+    " girder {girder_height_reduced_points:g} m (error {girder_height_error:.0e}),"
+    " {rope_horizontal_reduced_points:g}° short of 90°. Beyond a limit it refuses with quantity and time. Wrong"
+    " answers without error or warning (`points`, `generalized`, `bodies`): {silent_points:d},"
+    " {silent_generalized:d}, {silent_bodies:d}.",
+    limit="{warned:d} projected runs end with the warning that an input is off by more than half of its peak. In"
+    " `bodies` a winch that turns by {winch_turn:.2g} rad a step makes M_w wrong by {winch_seen:.1f} of its peak"
+    " ({winch_predicted:.1f} predicted); half a peak is reached at {winch_half:.1g} rad.",
+    caption="Result of runs at ever smaller distances, by route. Projected runs (1000 steps) are judged by φ, s and"
+    " l, and count as wrong if an input is off by more than its peak.",
     measure=measure,
     draw=draw,
 )

@@ -162,16 +162,16 @@ ROW = Row(
     title="Very small and very large steps: the stability map",
     avoid="choosing a step by trial on the original form; undamped methods at any step",
     do="`Reduced()` at any step; `Projected()` with `RadauIIA(3)` or `BDF(4)` at hundreds to thousands of steps",
-    theory="Large steps miss the manoeuvre, small steps divide round-off by h² (projected) or h⁴ (original): a"
-    " window of usable steps is left, the narrower the higher the index and the more violent the manoeuvre.",
-    survivor="The reduced form of the default model has no window: all of its {cells:d} runs are right, the worst to"
-    " {reduced_worst:.0e}. Radau IIA(3) on the projected form is within 1 % in {projected_radau3_share:.0%} of them,"
-    " backward Euler in {projected_backward_euler_share:.0%}.",
-    limit="In generalized coordinates the reduced form gives up in {reduced_gen_failed:d} of {cells:d} runs,"
-    " where the rope swings far from the vertical of its first guess, and says so. Beyond slack every route refuses.",
+    theory="Large steps miss the manoeuvre, small steps divide round-off by h² (projected) or h⁴ (original). A window"
+    " of usable steps remains, narrower for a higher index and a more violent manoeuvre.",
+    survivor="The reduced form is right in all of its {cells:d} runs, the worst to {reduced_worst:.0e}. Radau IIA(3)"
+    " on the projected form is within 1 % in {projected_radau3_share:.0%} of them, backward Euler in"
+    " {projected_backward_euler_share:.0%}.",
+    limit="In generalized coordinates the reduced form fails in {reduced_gen_failed:d} of {cells:d} runs. Every route"
+    " refuses a path that needs a slack rope.",
     caption="Overhead crane, 5 m sideways and 3 m down: error by number of steps and by the largest downward"
-    " acceleration; gen.: generalized coordinates. Black with ×: the run failed with an error; r: refused."
-    " Anything darker than mid-scale is useless.",
+    " acceleration; gen.: generalized coordinates. Black with ×: the run failed with an error; r: refused. Darker"
+    " than mid-scale: an error that makes the inputs useless.",
     measure=measure,
     draw=draw,
 )

@@ -176,18 +176,18 @@ _LINES: dict[str, dict[str, Any]] = {
 ROW = Row(
     name=NAME,
     title="Unstable internal dynamics",
-    avoid="forward integration where `analyse` says non-minimum phase, with any method and any step",
-    do="`solve(scene)` as it comes, or `BoundaryValue()`; allow the input to begin before the path",
+    avoid="forward integration where `analyse` reports non-minimum phase, with any method and any step",
+    do="`solve(scene)` with its default route, or `BoundaryValue()`; allow the input to begin before the path",
     theory="If the zero dynamics have an eigenvalue σ > 0, every error of a forward integration grows like exp(σ t),"
-    " whatever the method: it is the problem that is wrong, not the step. The bounded solution is that of a two-sided"
-    " boundary value problem; its input begins before the path does.",
-    survivor="`BoundaryValue`, which `solve` takes by itself, agrees with the independent solution to {arm_error:.0e}"
-    " (arm) and {car_error:.0e} (mass on car). Under its torque the tip keeps its path to {tip:.0e} of the"
-    " path's length. Its input begins {arm_pre:.2f} s before the motion and ends {arm_post:.2f} s after it.",
+    " whatever the method. The bounded solution is that of a two-point boundary value problem (stable inversion);"
+    " its input begins before the path.",
+    survivor="`BoundaryValue`, the default there, agrees with the independent solution to {arm_error:.0e} (arm) and"
+    " {car_error:.0e} (mass on car). The simulated tip follows its path to {tip:.0e} of the path's length. The input"
+    " begins {arm_pre:.2f} s before the motion and ends {arm_post:.2f} s after it.",
     limit="Forward, the arm's joint angle grows at {arm_rate:.2f}/s (eigenvalue {arm_eigenvalue:.2f}/s), that of the"
-    " mass on the car at {car_rate:.3f}/s ({car_eigenvalue:.3f}/s). A plant that is unstable itself, as the mass on the"
-    " car with a negative spring, needs feedback besides: open loop it leaves the exact path at {plant_rate:.2f}/s (its"
-    " own eigenvalue {plant:.2f}/s).",
+    " mass on the car at {car_rate:.3f}/s ({car_eigenvalue:.3f}/s). A plant that is open-loop unstable needs"
+    " feedback besides: the mass on the car with a negative spring leaves the exact path at {plant_rate:.2f}/s"
+    " (eigenvalue {plant:.2f}/s).",
     caption="Left and middle: error of the internal coordinate, integrated forward from rest. Right: the bounded"
     " torque, which begins before the motion.",
     measure=measure,

@@ -154,18 +154,15 @@ ROW = Row(
     title="Noise in the reference",
     avoid="splines through measured positions",
     do="`sampled(t, positions, tolerance=...)` with a tolerance of some standard deviations of the noise",
-    theory="Noise σ in samples that are Δt apart becomes a multiple of σ/Δt⁴ in the fourth derivative of a"
-    " curve through"
-    " them, and so in the inputs: finer sampling makes it worse. No formulation helps, it is the path that is wrong.",
-    survivor="`sampled` refuses noisy samples unless it is given a tolerance, and then looks for the fewest pieces that"
-    " stay within it: torque good to {fitted_best:.0e} of its peak at a noise of 1 µm, and within 5 % up to"
-    " {usable:g} m. Its `fit_error` tells the noise.",
-    limit="Unguarded, noise is amplified by {amplification_reduced_backward_euler:.0e} N m/m (reduced) and by"
-    " {amplification_projected_backward_euler:.0e} N m/m (projected, h = 50 ms): useless far below a micrometre."
-    " With a tolerance the error reaches {fitted_worst:.0%} at a noise of 1 cm: a few pieces"
-    " follow the samples, not the manoeuvre.",
-    caption="Left: error of the torque. Lines end where the noise makes the rope go slack. Right: the fit's own"
-    " estimate"
+    theory="Noise σ in samples at spacing Δt becomes a multiple of σ/Δt⁴ in the fourth derivative of an interpolating"
+    " curve, and so in the inputs: finer sampling makes it worse, whatever the formulation.",
+    survivor="`sampled` refuses noisy samples without a tolerance; with one it fits the fewest pieces: torque"
+    " accurate to {fitted_best:.0e} of its peak at a noise of 1 µm, within 5 % up to {usable:g} m. `fit_error`"
+    " estimates the noise.",
+    limit="Interpolated, noise is amplified by {amplification_reduced_backward_euler:.0e} N m/m (reduced) and"
+    " {amplification_projected_backward_euler:.0e} N m/m (projected, h = 50 ms). With a tolerance the error reaches"
+    " {fitted_worst:.0%} at a noise of 1 cm.",
+    caption="Left: error of the torque; lines end where the noise makes the rope slack. Right: the fit's own estimate"
     " of its distance from the samples.",
     measure=measure,
     draw=draw,

@@ -255,31 +255,34 @@ def _misled() -> sc.MechanicalSystem:
 
 def draw(found: Findings) -> Figure:
     """Above: rank and torque of the Bricard linkage. Below: the parallelogram, before and through stretched."""
-    figure, ((rank, loop), (left, right)) = panels(2, 2, height=2.4)
+    figure, ((rank, loop), (left, right)) = panels(2, 2, width=7.4, height=2.4)
     apart, smallest, first = found.curves["rank"]
     rank.loglog(apart, smallest, color="black", marker="o", label="smallest of 61")
     rank.axhline(first, color="black", ls="--", label="second smallest, closed")
-    label(rank, "distance from a closed loop", "singular value", "Bricard: the rank drops only where it closes",
+    label(rank, "distance from a closed loop", "singular value of $G$", "Bricard: rank drops where the loop closes",
           "lower right")  # fmt: skip
     t, values, exact = found.curves["bricard"]
     loop.plot(t, exact, color="0.75", lw=4, label="closed form")
-    loop.plot(t, values, color=GOOD, ls="--", label="solve, one row left out")
+    loop.plot(t, values, color=GOOD, ls="--", label="solve, one row omitted")
     label(loop, "time (s)", "torque (N m)", "Bricard: driven at one joint", "lower left")
     distance, errors, conditions = found.curves["short"]
-    left.loglog(distance, conditions, color="black", marker="o", label="condition of the system Jacobian")
-    left.loglog(
-        distance, np.maximum(errors, 1e-17), color=GOOD, marker="s", ls="--", label="input error / peak, reduced"
-    )
-    left.set_xlim(distance.max() * 1.3, distance.min() / 1.3)
+    left.loglog(distance, conditions, color="black", marker="o", label="condition number (left)")
+    error = left.twinx()
+    error.loglog(distance, np.maximum(errors, 1e-17), color=GOOD, marker="s", ls="--")
+    left.plot([], [], color=GOOD, marker="s", ls="--", label="input error, reduced (right)")
+    error.set(ylim=(1e-16, 1e-10), ylabel="input error / peak")
+    error.spines["right"].set_visible(True)
+    error.grid(visible=False)
+    left.set(xlim=(distance.max() * 1.3, distance.min() / 1.3), ylim=(1e1, 1e7))
     left.xaxis.set_minor_formatter(NullFormatter())
-    label(left, "distance from the stretched position (rad)", "", "Parallelogram: ends short of being stretched",
-          "center")  # fmt: skip
+    label(left, "distance from the stretched position (rad)", "condition of the system Jacobian",
+          "Parallelogram: ends short of being stretched", "upper left")  # fmt: skip
     t, values, crossed, exact = found.curves["pointwise"]
     right.plot(t, exact, color="0.75", lw=4, label="exact, parallelogram")
     right.plot(*found.curves["followed"], color=GOOD, ls="--", label="solve")
-    right.plot(t, values, color=BAD, label="pointwise, misleading guess")
-    right.plot(t, crossed, color=OTHER, ls="", marker="^", markevery=8, label="exact, crossed assembly")
-    label(right, "time (s)", "torque (N m)", "Parallelogram: through the stretched position", "upper right",
+    right.plot(t, values, color=BAD, label="pointwise, wrong guess")
+    right.plot(t, crossed, color=OTHER, ls="", marker="^", markevery=8, label="exact, crossed")
+    label(right, "time (s)", "torque (N m)", "Parallelogram: through the stretched position", "lower left",
           fontsize=6)  # fmt: skip
     return figure
 
@@ -287,30 +290,25 @@ def draw(found: Findings) -> Figure:
 ROW = Row(
     name=NAME,
     title="Redundant constraints and rank drops",
-    avoid="constraint rows as a raw formulation takes them; motions through positions where two assemblies meet",
-    do="`solve` and `analyse`, which count by rank and leave redundant rows out, and `solve` through a loss of rank,"
-    " since it follows one branch",
-    theory="Redundant rows leave multipliers undetermined: the system Jacobian is singular for good, and counting rows"
-    " denies the mechanism a motion that it has. In a Bricard linkage (six hinges, one degree of freedom) the rows are"
-    " dependent only where the loop is closed: the smallest singular value falls in proportion to the distance from"
-    " there, so a rank taken at a guess is wrong. Where rank drops on the way (a parallelogram stretched out) two"
-    " motions go on from one position, and only the first guess decides which one a pointwise solution takes.",
-    survivor="The rank is taken at configurations that satisfy the constraints, and a row is left out only if the"
-    " others imply it nearby. `analyse` names it, `solve` leaves it out: {doubled:.0e} of the peak on the crane,"
-    " {four:.0e} on a parallelogram of four hinges in space, {bricard:.0e} on the Bricard linkage (61 coordinates, 61"
-    " rows, rank 60) with a constraint violation of {bricard_violation:.0e}. Through the stretched position"
-    " `solve` goes on smoothly whatever the guess: {reduced_followed:.0e}.",
-    limit="As it stands, a system with redundant rows is refused: “{hinges}”. Too many inputs are refused by the true"
-    " count: “{overactuated}”. Multipliers of rows left out are zero, which is one choice among many. A motion may"
-    " come within {nearest:g} rad of the stretched position ({short:.0e} of the peak, no alarm); through it `solve`"
-    " warns and `analyse` reports the instant. Steps that a user takes by hand from such a guess change over,"
-    " {misled:.0%} of the peak off and to round-off the crossed assembly's torque. The loss of rank is looked for at"
-    " 201 instants of a motion, a condition beyond 1e5 counts; one that begins and ends between two of them goes"
-    " unseen. With a guess on the right branch the reduced form errs by {reduced:.0e}, the original form by"
-    " {original:.1%}.",
+    avoid="constraint rows in a raw formulation; motions through positions where two assemblies meet",
+    do="`solve` and `analyse`, which count by rank and omit redundant rows; `solve` through a loss of rank, since it"
+    " follows one branch",
+    theory="Redundant rows leave multipliers undetermined: the system Jacobian is singular. In a Bricard linkage (six"
+    " hinges, one degree of freedom) rows are dependent only where the loop is closed, so the rank at a guess is"
+    " wrong. Where rank drops on the way (a stretched parallelogram) two motions continue from one position, and a"
+    " pointwise solution takes that of its first guess.",
+    survivor="The rank is taken at configurations that satisfy the constraints. `solve` omits redundant rows: error"
+    " {doubled:.0e} of the peak on the crane, {four:.0e} on a parallelogram of four hinges in space, {bricard:.0e}"
+    " on the Bricard linkage (61 rows, rank 60; violation {bricard_violation:.0e}). Through the stretched position"
+    " `solve` continues smoothly whatever the guess: {reduced_followed:.0e}.",
+    limit="A formulation refuses such a system and names the rows; too many inputs are refused by the true count."
+    " Multipliers of omitted rows are zero. Within {nearest:g} rad of the stretched position the error is"
+    " {short:.0e}; through it `solve` warns. Steps by hand from a wrong guess change over, {misled:.0%} of the peak"
+    " off. A loss of rank between two of 201 instants is missed. From a right guess the reduced form errs by"
+    " {reduced:.0e}, the original form by {original:.1%}.",
     caption="Top: the smallest singular value of the Bricard linkage's constraints, and its torque. Bottom left:"
-    " towards the stretched position of the parallelogram. Bottom right: through it; a pointwise solution crosses over"
-    " with its guess, `solve` does not.",
+    " towards the stretched position of the parallelogram. Bottom right: through it; a pointwise solution changes"
+    " over with its guess, `solve` does not.",
     measure=measure,
     draw=draw,
 )

@@ -139,15 +139,14 @@ ROW = Row(
     title="Variable steps on index 3",
     avoid="changing the step of a projected form with backward Euler or BDF (`solve` does not offer it)",
     do="constant steps; or error control (`Adaptive`), which varies steps on the reduced form only",
-    theory="Backward Euler forms an acceleration from velocities that are mean values of two steps of sizes h₀ and h₁:"
-    " it finds (1 + h₀/h₁)/2 times the true one. With steps alternating 1 : 2 inertia forces are half too large in"
-    " every second step, with one change by 1.2 a twelfth too small once. Neither depends on h.",
-    survivor="The reduced form does not know the step: {reduced:.0e}. With internal dynamics (mass on"
-    " car) its error falls with the step as at constant ones, to {mass_on_car_radau3_alternating:.0e}. Radau IIA, which"
-    " keeps no history, converges on the projected form too.",
-    limit="Predicted and seen: an error of {half:.1%} of the peak for alternating steps (seen"
-    " {alternating:.1%}) is half of the differenced inertia force; one change by 1.2 costs {once:.1%}"
-    " (seen {cars_backward_euler_changed_once:.1%}), once.",
+    theory="Backward Euler forms an acceleration from mean velocities of two steps h₀ and h₁: (1 + h₀/h₁)/2 times the"
+    " true one. With steps alternating 1 : 2 inertia forces are half too large in every second step; one change by"
+    " 1.2 makes them a twelfth too small once. Neither depends on h.",
+    survivor="The reduced form is independent of the step: {reduced:.0e}; with internal dynamics (mass on car) its"
+    " error falls with the step, to {mass_on_car_radau3_alternating:.0e}. Radau IIA, which has no history, converges"
+    " on the projected form too.",
+    limit="Alternating steps: {alternating:.1%} of the peak ({half:.1%} predicted). One change by 1.2:"
+    " {cars_backward_euler_changed_once:.1%} ({once:.1%} predicted), once.",
     caption="Largest input error over the mean step for steps that alternate 1 : 2, change once by 1.2, or stay.",
     measure=measure,
     draw=draw,

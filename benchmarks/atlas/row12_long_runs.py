@@ -112,18 +112,17 @@ def draw(found: Findings) -> Figure:
 ROW = Row(
     name=NAME,
     title="Long runs",
-    avoid="undamped methods for long runs: they forget no error",
-    do="`Reduced()`, or damped methods on `Projected()`: the millionth step is as good as the first",
-    theory="A method that forgets nothing carries every error along, that of its start first: with the midpoint"
-    " rule (Gauss with one stage) it grows with the square of the number of steps. A"
-    " damped method forgets; its error is that of one round. The path must not age either: time is"
-    " reduced to one period before sines are taken.",
-    survivor="After {steps:.0e} steps the error of backward Euler is {projected_backward_euler_last:.4e} of the peak,"
-    " in the second round it was {projected_backward_euler_second:.4e}; the reduced form stays at {reduced_last:.0e}."
-    " Constraints hold to {violation:.0e}. Memory grows by {memory:.1f} MB at most.",
-    limit="The midpoint rule goes from {projected_gauss1_second:.0e} to {projected_gauss1_last:.0e}. A step costs up to"
-    " {us:.0f} µs here, closed form and checks included. `solve` keeps every step of a run in memory; `Stepper`"
-    " keeps one.",
+    avoid="undamped methods for long runs",
+    do="`Reduced()`, or damped methods on `Projected()`: the millionth step is as accurate as the first",
+    theory="An undamped method carries every error along; with the midpoint rule (Gauss with one stage) the error"
+    " grows with the square of the number of steps. With a damped method it is that of one round. Time is reduced to"
+    " one period before sines are evaluated.",
+    survivor="After {steps:.0e} steps backward Euler errs by {projected_backward_euler_last:.4e} of the peak, as in"
+    " the second round ({projected_backward_euler_second:.4e}); the reduced form by {reduced_last:.0e}. Constraints"
+    " hold to {violation:.0e}; memory grows by {memory:.1f} MB at most.",
+    limit="The midpoint rule goes from {projected_gauss1_second:.0e} to {projected_gauss1_last:.0e}. A step takes up"
+    " to {us:.0f} µs, closed form and checks included. `solve` keeps every step of a run in memory; `Stepper` keeps"
+    " one.",
     caption="Left: largest input error in every round. Right: largest constraint violation.",
     measure=measure,
     draw=draw,

@@ -110,25 +110,25 @@ def draw(found: Findings) -> Figure:
     t, exact = found.curves["exact"]
     delay = found.facts["delay"]
     left.axvspan(0.0, DURATION, color="0.93", zorder=0)
-    left.plot(t, exact, color="black", lw=2.6, alpha=0.35, label="d'Alembert")
-    left.plot(*found.curves["marched"], color=GOOD, lw=1, label="marched in space")
+    left.plot(t, exact, color="black", lw=2.6, alpha=0.35, label="exact (d'Alembert)")
+    left.plot(*found.curves["marched"], color=GOOD, lw=1, label="bar, marched in space")
     for count, dash in ((2, ":"), (3, "--")):
-        left.plot(*found.curves["chain", count], color=BAD, ls=dash, lw=1, label=f"chain of {count}")
+        left.plot(*found.curves["chain", count], color=BAD, ls=dash, lw=1, label=f"chain of {count} masses, inverted")
     left.set(xlim=(-1.5 * delay, DURATION + 1.5 * delay))
-    label(left, "time (s), path in grey", "force on the driven end (N)", "pre- and post-actuation")
+    label(left, "time (s), path in grey", "force on the driven end (N)", "Force before and after the path")
     counts, errors = found.curves["inside"]
-    middle.loglog(counts - 1, errors, color="#7f7f7f", marker="o", label="chain, inside")
+    middle.loglog(counts - 1, errors, color="#7f7f7f", marker="o", label="chain, farther than L/c from the ends")
     middle.axhline(found.facts["outside"], color=BAD, ls="-.", label="chain, within L/c of the ends")
     middle.axhline(max(found.facts["marched"], 1e-17), color=GOOD)
     middle.set_xticks(counts - 1, [f"{k - 1:d}" if k < 9 else "" for k in counts])
     middle.xaxis.set_minor_formatter(NullFormatter())
-    label(middle, "pieces $N - 1$", "force error / peak", "against d'Alembert")
+    label(middle, "springs $N - 1$", "force error / peak", "Chains of N masses, inverted")
     stepped = [(key[1], values) for key, values in found.curves.items() if key[0] == "stepped"]
     for (count, (h, values)), dash, mark in zip(stepped, DASHES, "ovx", strict=False):
         line = line_style("original", ls=dash, marker=mark)
-        right.loglog(h, values, label=f"original, backward-euler, {count} masses, index {2 * count + 1}", **line)
-    label(right, "step $h$ (s)", "input error / peak", "original form by steps")
-    legend_below(figure, left, middle, right)
+        right.loglog(h, values, label=f"chain of {count} masses, stepped (index {2 * count + 1})", **line)
+    label(right, "step $h$ (s)", "force error / peak", "Backward Euler, original form")
+    legend_below(figure, left, middle, right, fontsize=6.5)
     return figure
 
 
@@ -141,16 +141,15 @@ ROW = Row(
     avoid="chains of masses (or finite elements) stepped in time, for paths that are fast compared with a wave",
     do="`servocore.scenes.bar_marching.march_bar`: solve in space over the whole horizon",
     theory="A chain of N masses tracked at its free end has index 2 N + 1: stepping in time divides round-off by h²ᴺ."
-    " Worse, its input holds derivatives of the path at one instant, so it cannot begin before the path does, while the"
-    " bar needs its force L/c earlier: the time of a wave.",
-    survivor="Marching in space from the tracked end, where displacement and force are known for all times, is exact"
-    " on characteristics: {marched:.0e} of the peak against d'Alembert with 1, 10 and 1000 pieces alike, with the"
-    " pre-actuation of L/c = {delay:.2g} s.",
-    limit="Before the path begins the bar needs up to {needed:.0%} of the peak force, a chain gives none: an error of"
-    " {outside:.0%} near the ends, whatever N. Inside, farther than L/c from both ends, a chain of {inside_count:d}"
-    " is good to {inside:.1e}. `march_bar` is for uniform bars between paths at rest.",
-    caption="Left: force on the driven end. Middle: error of chains inverted exactly. Right: round-off in chains"
-    " stepped in time.",
+    " And its input depends on one instant of the path, so it cannot begin earlier, while the bar needs its force"
+    " L/c before: the time of a wave.",
+    survivor="Marching in space from the tracked end is exact on characteristics: {marched:.0e} of the peak against"
+    " d'Alembert's solution with 1, 10 and 1000 pieces, with a pre-actuation of L/c = {delay:.2g} s.",
+    limit="Before the path the bar needs up to {needed:.0%} of the peak force and a chain gives none: an error of"
+    " {outside:.0%} near the ends, whatever N. Farther than L/c from both ends a chain of {inside_count:d} is"
+    " accurate to {inside:.1e}. `march_bar` is for uniform bars and paths from rest to rest.",
+    caption="Left: force on the driven end. Middle: error of exactly inverted chains. Right: error of chains stepped"
+    " in time by backward Euler.",
     measure=measure,
     draw=draw,
 )

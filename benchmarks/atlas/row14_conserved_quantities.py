@@ -151,21 +151,20 @@ ROW = Row(
     name=NAME,
     title="Energy and momentum that drift",
     avoid="implicit methods without a discrete energy balance on index 3 (trapezoidal, generalized-alpha), and index"
-    " reduction, for mechanisms that nothing damps and that move for long",
-    do="`simulate(..., method=sc.EnergyMomentum(), step=h)`; a smaller step where it says that something turns too far",
-    theory="Forces at the ends or in the middle of a step do other work than the change of their potential; constraint"
-    " forces in the direction of G at the end of a step do work where they should do none. What is lost in a step is a"
-    " power of h, and nothing brings it back. The scheme of Gonzalez takes difference quotients of the energy for the"
-    " forces and G in the middle of the step: the balance holds exactly, at any step.",
-    survivor="Over {steps:d} steps energy changes by {energy:.0e} of the first kinetic energy at most, angular momentum"
-    " by {momentum:.0e} of its size, constraints hold to {gap:.0e}: at every step of the table, and with the"
-    " midpoint's forces too where there is weight only.",
-    limit="That says nothing of the accuracy, which is of second order in h. Where bodies turn too far in a step there"
-    " is an error: “{said}”. `simulate` without a method controls the error of every step; what it adds up to is"
-    " small, but above round-off.",
-    caption="Left and middle: largest change so far, beside the first kinetic energy and the size of the angular"
-    " momentum; a mark is the end of a run, before {steps:d} steps if the method"
-    " stopped there. Right: over equal times, for different steps.",
+    " reduction, for undamped mechanisms that move for long",
+    do="`simulate(..., method=sc.EnergyMomentum(), step=h)`; a smaller step where it refuses a rotation per step",
+    theory="Forces at the ends or in the middle of a step do other work than the change of their potential, and"
+    " constraint forces along G at the end of a step do work. The loss per step is a power of h. Gonzalez's scheme"
+    " takes difference quotients of the energy as forces and G in the middle of the step: the balance is exact at"
+    " any step.",
+    survivor="Over {steps:d} steps energy changes by {energy:.0e} of the first kinetic energy at most, angular"
+    " momentum by {momentum:.0e} of its size; constraints hold to {gap:.0e}. With weight as the only force the"
+    " midpoint rule conserves as well.",
+    limit="Accuracy is of second order in h. Too large a rotation in a step is an error: “{said}”. `simulate` without"
+    " a method drifts by more than round-off.",
+    caption="Left and middle: largest change so far of energy (relative to the first kinetic energy) and angular"
+    " momentum; a mark is the end of a run, before {steps:d} steps if the method stopped. Right: over equal times,"
+    " for different steps.",
     measure=measure,
     draw=draw,
 )

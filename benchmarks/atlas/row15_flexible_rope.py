@@ -139,43 +139,48 @@ def draw(found: Findings) -> Figure:
     figure, (left, middle, right) = panels(3, height=2.9, width=7.6)
     hoisted = [values for key, values in found.curves.items() if key[0] == "hoisted"]
     t, change, off = hoisted[-1]
-    left.semilogy(t, np.maximum(np.abs(change), 1e-12), color="black", lw=2.6, alpha=0.35, label="change of energy")
-    left.semilogy(t, np.maximum(off, 1e-12), color=GOOD, ls="--", label="less work of the inputs")
-    label(left, "time (s)", "energy (J)", "energy-momentum, fast hoisting")
+    left.semilogy(
+        t, np.maximum(np.abs(change), 1e-12), color="black", lw=2.6, alpha=0.35, label="hoisting: change of energy"
+    )
+    left.semilogy(
+        t, np.maximum(off, 1e-12), color=GOOD, ls="--", label="hoisting: the same less the work of the inputs"
+    )
+    label(left, "time (s)", "energy (J)", "Fast hoisting, energy-momentum")
     counts, errors = found.curves["elements"]
-    middle.loglog(counts, 1e3 * errors, color=GOOD, marker="s", label="load")
-    middle.loglog(counts, 1e3 * errors[0] * counts[0] ** 2.0 / counts**2.0, color="0.6", ls=":", label="$N^{-2}$")
+    middle.loglog(counts, 1e3 * errors, color=GOOD, marker="s", label="hoisting: position of the load")
+    middle.loglog(counts, 1e3 * errors[0] * counts[0] ** 2.0 / counts**2.0, color="0.6", ls=":", label="slope $N^{-2}$")
     middle.set_xticks(counts, [str(each) for each in counts], minor=False)
     middle.minorticks_off()
-    label(middle, "elements $N$", f"distance from {found.facts['last']} elements (mm)", "its convergence")
+    label(
+        middle, "rope elements $N$", f"distance from {found.facts['last']} elements (mm)", "Fast hoisting, convergence"
+    )
     drifts = {route: drift for route, drift in found.curves.items() if isinstance(drift, Drift)}
     for route, drift in drifts.items():
         k = np.unique(np.geomspace(1, max(len(drift.energy) - 1, 1), 200).astype(int))
         k = k[k < len(drift.energy)]
         shown = np.clip(drift.energy[k], 1e-17, 1e5)
-        right.loglog(k, shown, label=route, markevery=[-1] if len(k) else None, **line_style(route))
-    label(right, "step", "change of energy, relative", f"swinging, $h$ = {1e3 * STEP:g} ms")
-    legend_below(figure, left, middle, right)
+        right.loglog(k, shown, label=f"free swing: {route}", markevery=[-1] if len(k) else None, **line_style(route))
+    label(right, "step", "change of energy / kinetic energy", f"Free swing, $h$ = {1e3 * STEP:g} ms")
+    legend_below(figure, left, middle, right, fontsize=6.3)
     return figure
 
 
 ROW = Row(
     name=NAME,
-    title="Flexible ropes: fast waves that nobody asked for",
-    avoid="explicit methods, or error control, on ropes and beams that are stiff along themselves: waves set the step",
-    do="`simulate(..., method=sc.EnergyMomentum(), step=h)` with steps for the motion that matters",
-    theory="Waves along a rope of N elements have frequencies up to sqrt(12 EA/ρ) N/L, 2·10⁴ rad/s with eight:"
-    " stability keeps the steps of explicit methods below 3 divided by that, whether there are such waves or not."
-    " Implicit methods need not resolve them, but without a balance of energy the trapezoidal rule lets them grow, and"
-    " damping takes energy from the motion as well.",
-    survivor="Under the exact inputs of a crane on a stiff rope without mass, with any number of elements and at all"
-    " steps, energy changes by the work of the inputs to {balance:.0e}. The load's motion converges with the square of"
-    " the number of elements ({coarse:.1g} m with one, {error:.1g} m with half as many as the finest). While swinging"
-    " freely {kept:.0e} of energy and momentum is lost over {steps:d} steps.",
-    limit="What the steps do not resolve is not damped either: a rope that is started out of balance goes on trembling,"
-    " and multipliers show it. The rope can push; a slack one is not modelled.",
-    caption="Left: energy while hoisting. Middle: where the load goes, against the finest rope. Right: largest change"
-    " so far of a swing that nothing drives; a mark is the end of a run.",
+    title="Flexible ropes: stiff axial modes",
+    avoid="explicit methods, or error control, on ropes and beams with stiff axial modes, which determine the step",
+    do="`simulate(..., method=sc.EnergyMomentum(), step=h)` with steps for the motion of interest",
+    theory="Axial waves in a rope of N elements have frequencies up to sqrt(12 EA/ρ) N/L, 2·10⁴ rad/s with eight:"
+    " explicit methods are stable below 3 divided by that. The trapezoidal rule without an energy balance lets the"
+    " waves grow; damped methods take energy from the motion as well.",
+    survivor="Under the exact inputs of a crane on a stiff massless rope, energy changes by the work of the inputs to"
+    " {balance:.0e} at all numbers of elements and steps. The load's motion converges with the square of the number"
+    " of elements ({coarse:.1g} m with one, {error:.1g} m with half as many as the finest). In free swing {kept:.0e}"
+    " of energy and momentum is lost over {steps:d} steps.",
+    limit="Modes that the steps do not resolve are not damped either: a rope that starts out of balance keeps"
+    " vibrating. The rope can push; a slack one is not modelled.",
+    caption="Left: energy less the work of the inputs while hoisting. Middle: distance of the load from that on the"
+    " finest rope. Right: largest change so far in a free swing; a mark is the end of a run.",
     measure=measure,
     draw=draw,
 )

@@ -1,4 +1,4 @@
-"""One picture of all rows: which kind of route survives what, by shares of the observations."""
+"""One picture of all rows: the observations of each kind of route, by verdict."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _UNDAMPED = ("trapezoidal", "gauss", "generalized-alpha-1", "midpoint")
 _DAMPED = ("projected", "generalized-alpha")
 _EXACT = ("reduced", "exact inversion")
 KINDS = (
-    "original\nequations", "undamped\nmethods", "projected,\ndamped", "reduced,\nexact", "what this\npage advises",
-    "other\nways",
+    "original\nequations", "undamped\nmethods", "projected,\ndamped", "reduced,\nexact", "advised\nhere",
+    "other\nroutes",
 )  # fmt: skip
-_FACES = {SURVIVES: (GOOD, "white"), REFUSED: ("#e4e4e4", "black"), FAILS: (BAD, "white")}
+_FACES = {SURVIVES: GOOD, REFUSED: "#e4e4e4", FAILS: BAD}
 
 
 def kind(route: str) -> int:
@@ -39,33 +39,33 @@ def kind(route: str) -> int:
     return next((k for k, group in enumerate(words) if any(word in route for word in group)), 5)
 
 
+ROW_HEIGHT, HIGH = 0.66, 4
+"""Of a cell: its height, and the number of squares on top of one another."""
+
+
 def draw_summary(rows: Sequence[Row], records: Sequence[Record]) -> Figure:
-    """Draw a bar for every row and kind of route: shares that survive, are refused, fail, with their numbers."""
+    """Draw a square for every observation: by row, kind of route and verdict."""
     counts = Counter((each.row, kind(each.route), each.verdict) for each in records)
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(figsize=(7.4, 0.32 * len(rows) + 1.1), layout="constrained")
         for line, row in enumerate(rows):
             for column in range(len(KINDS)):
-                _bar(axes, column, line, {verdict: counts[row.name, column, verdict] for verdict in _FACES})
+                seen = [verdict for verdict in _FACES for _ in range(counts[row.name, column, verdict])]
+                _squares(axes, column, line, seen)
         axes.set(xlim=(-0.05, len(KINDS)), ylim=(len(rows) - 0.4, -0.6))
         axes.set_yticks(range(len(rows)), [f"{k}  {row.title}" for k, row in enumerate(rows, 1)])
         axes.set_xticks([k + 0.45 for k in range(len(KINDS))], KINDS)
         axes.tick_params(length=0, labeltop=True, labelbottom=False)
         axes.grid(visible=False)
         axes.spines[:].set_visible(False)
-        handles = [Patch(facecolor=face, edgecolor="0.4", lw=0.5, label=word) for word, (face, _) in _FACES.items()]
+        handles = [Patch(facecolor=face, edgecolor="0.4", lw=0.5, label=word) for word, face in _FACES.items()]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
-def _bar(axes: Axes, column: int, line: int, seen: dict[str, int]) -> None:
-    left, whole = float(column), sum(seen.values())
-    for verdict, count in seen.items():
-        if not count:
-            continue
-        face, ink = _FACES[verdict]
-        width = 0.9 * count / whole
-        axes.add_patch(Rectangle((left, line - 0.33), width, 0.66, facecolor=face, edgecolor="0.4", lw=0.5))
-        if width > 0.08:  # a number fits
-            axes.text(left + width / 2, line, str(count), color=ink, ha="center", va="center_baseline", fontsize=6)
-        left += width
+def _squares(axes: Axes, column: int, line: int, seen: Sequence[str]) -> None:
+    """Draw one square an observation, in columns of `HIGH`, as wide in every cell."""
+    high, wide = ROW_HEIGHT / HIGH, 0.1
+    for k, verdict in enumerate(seen):
+        corner = column + wide * (k // HIGH), line - ROW_HEIGHT / 2 + high * (k % HIGH)
+        axes.add_patch(Rectangle(corner, 0.85 * wide, 0.85 * high, facecolor=_FACES[verdict], edgecolor="0.4", lw=0.4))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.chart.facts import gather
 from benchmarks.chart.figures import draw_all
-from benchmarks.chart.page import PAGE, render
+from benchmarks.chart.page import PAGE, render, write_tables
 from benchmarks.chart.record import read_record, write_record
 from benchmarks.chart.scale import FILE, measure_scale, read_points, scale_page, write_points
 from benchmarks.chart.scale import PAGE as SCALE_PAGE
@@ -52,6 +52,7 @@ def main(arguments: list[str]) -> None:
         write_record(chosen.out, timed, {**facts, "minutes": minutes()})
     record = read_record(chosen.out)
     draw_all(record, chosen.out)
+    write_tables(record, chosen.out)
     (chosen.out / PAGE).write_text(render(record), encoding="utf-8")
     if (chosen.out / FILE).exists():
         (chosen.out / SCALE_PAGE).write_text(scale_page(read_points(chosen.out)), encoding="utf-8")

@@ -84,12 +84,13 @@ def _overview(record: Record, scene: str) -> Figure:
               colour_of(solver))  # fmt: skip
     for solver, colour in ((NAME, len(COLOURS) - 1), ("casadi", len(SOLVERS))):
         compiled = front(row for row in rows if row.solver == solver and COMPILED in row.method)
-        _line(axis, compiled, record.spread, "error", f"{solver}{COMPILED}", colour)
+        words = f"{solver}{COMPILED}" + (" (eight instants at a time)" if solver == NAME else "")
+        _line(axis, compiled, record.spread, "error", words, colour)
     _closed_form(axis, rows, "error")
     alone = [each["compiled"] for each in record.facts.get("costs", ()) if each["compiled"]]
     if alone:
         axis.axvline(1e-6 * OUTPUT_INTERVALS * min(alone), color="black", linewidth=1.6,
-                     label="the formulas in C, one thread")  # fmt: skip
+                     label="exact inversion in C, one instant at a time")  # fmt: skip
     default = [row for row in rows if (row.solver, row.method, row.setting) == (NAME, SOLVED, "200 steps")]
     if default and default[0].solved:
         point = default[0].point[0], max(default[0].point[1], OLDEST)
@@ -99,7 +100,7 @@ def _overview(record: Record, scene: str) -> Figure:
     axis.set(xscale="log", yscale="log", xlabel="time of the solve (s)",
              ylabel="largest error of any input / its peak",
              title=f"{scene.replace('_', ' ')}, 200 intervals: every solver at its best")  # fmt: skip
-    figure.legend(loc="outside lower center", ncols=5)
+    figure.legend(loc="outside lower center", ncols=4)
     return figure
 
 
@@ -158,27 +159,37 @@ def _closed_form(axis: Axes, rows: Sequence[Row], what: str) -> None:
                 axis.axvline(row.point[0], color="0.35", linewidth=1.0, linestyle=(0, (1, 2)), label="closed form")
 
 
+SHADES = {"bdf": ("Greens", 2, 6), "radau": ("Purples", 2, 7)}
+"""Colour map of a family of several members, and its lowest and highest member."""
+MEMBER_DASHES: tuple[object, ...] = ("-", (0, (6, 2)), (0, (4, 1, 1, 1)), (0, (2, 1)), (0, (1, 1)), (0, (8, 2, 2, 2)))
+
+
 def _family(method: str) -> dict[str, Any]:
-    """Return colour and dash of a family of methods, and the marker of its member."""
+    """Return the style of a method: colour by family, shade, dash and marker by member, which differ in grey too."""
     adaptive = method.endswith("adaptive")
-    for k, (start, dash) in enumerate(FAMILIES.items()):
+    for k, (start, family_dash) in enumerate(FAMILIES.items()):
         if method.startswith(start):
-            own = line_style(start)["color"]
-            member = "".join(each for each in method.removesuffix(", adaptive") if each.isdigit())
+            dash = family_dash
+            member = int("".join(each for each in method.removesuffix(", adaptive") if each.isdigit()) or 0)
+            own: Any = line_style(start)["color"]
+            if start in SHADES:
+                name, lowest, highest = SHADES[start]
+                own = mpl.colormaps[name](0.45 + 0.5 * (member - lowest) / (highest - lowest))
+                dash = MEMBER_DASHES[(member - lowest) % len(MEMBER_DASHES)]
             return {
                 "color": own,
-                "linestyle": (0, (1, 1)) if adaptive else dash,
-                "marker": MARKERS[int(member or 0) % len(MARKERS)],
+                "linestyle": (0, (1, 2)) if adaptive else dash,
+                "marker": "*" if adaptive else MARKERS[member % len(MARKERS)],
                 "markerfacecolor": "white" if k % 2 or adaptive else own,
-                "markersize": 5,
-                "linewidth": 1.1,
+                "markersize": 8 if adaptive else 5.5,
+                "linewidth": 1.4,
             }
     return {"color": "0.5"}
 
 
 def _methods(rows: Sequence[Row], scene: str) -> Figure:
     """Draw our own methods, one line each, on the smallest model."""
-    figure, axis = plt.subplots(figsize=(9.0, 5.2), layout="constrained")
+    figure, axis = plt.subplots(figsize=(9.0, 6.2), layout="constrained")
     own = [row for row in rows if row.solver == NAME and row.solved]
     model = own[0].model if own else ""
     top = 1e1
@@ -203,7 +214,7 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
 
 def _orders(lines: Sequence[OrderLine], round_off: float) -> Figure:
     """Draw error against step, with the fitted orders and the round-off."""
-    figure, axis = plt.subplots(figsize=(9.0, 5.6), layout="constrained")
+    figure, axis = plt.subplots(figsize=(9.0, 6.6), layout="constrained")
     for line in lines:
         order = "no order" if line.fit.order is None else f"order {line.fit.order:.2f}"
         nominal = str(line.nominal) if line.nominal > 0 else "none"

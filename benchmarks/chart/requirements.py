@@ -1,4 +1,4 @@
-"""What the study must show, each requirement with its limit, what was measured, and whether it is met."""
+"""Requirements of the study: limit, measured value, and verdict of each."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 from benchmarks.chart.own import COMPILED, PREPARED
 from benchmarks.chart.record import Record
-from benchmarks.chart.rows import Row
-from benchmarks.chart.selection import compare, compare_compiled, is_compiled, is_peer
-from benchmarks.chart.tables import markdown, milliseconds
+from benchmarks.chart.selection import Comparison, compare, is_compiled, is_peer
 
 WANTED_RATIO = {"projected": 10.0, "reduced": 5.0}
-"""How many times the fastest peer must take our fastest route's time, by the form that the peer is given."""
+"""Least ratio of the fastest peer's time and that of our fastest route on the reduced form, by the peer's form."""
 MOST_REDUCED, MOST_PROJECTED = 1e-10, 5e-3
 """Largest errors of M_b, relative to its peak, at the paper's step."""
 PAPER_INPUT = "M_b"
@@ -27,22 +25,22 @@ MOST_OF_C, MOST_MINUTES = 10.0, 20.0
 _BESIDE = "time per instant of `ExactInversion`, divided by that of the bare C function, "
 _MINUTES = "the whole study"
 _COMPILED = "faster than any peer on the reduced form, machine code on both"
-_FEW = (
-    "a call of ours is mostly the call itself, whatever its steps or instants, and at this error a peer takes few steps"
-)
-_CALL = "both sides are interpreted here, and a call for so few instants is to a good part the call itself"
-_MORE = "the interpreter, and the derivatives of the path, take what C and its arguments that are ready do not"
+_ALIKE = "faster than any peer, both on the reduced form"
+_ACROSS = "reduced form here, faster than any peer on the projected form"
+_FEW = "the overhead of a call dominates here, and at this error a peer takes few steps"
+_CALL = "both sides are interpreted, and for so few instants the overhead of a call dominates"
+_MORE = "the interpreter and the derivatives of the path take additional time"
 REASONS = {
-    **{f"error {each:g}: faster than any peer on the reduced form": _CALL for each in (1e-3, 1e-6)},
+    **{f"error {each:g}: {_ALIKE}": _CALL for each in (1e-3, 1e-6)},
     **{f"{scene}, error {each:g}: {_COMPILED}": _FEW for scene in WANTED_BESIDE_IDAS for each in (1e-3, 1e-6)},
-    f"{_BESIDE}generalized": "its functions are some thousands of operations, which CasADi interprets in about 7 ns"
-    " each, and C takes a fraction of one; unless it is told not to, `ExactInversion` becomes machine code by itself",
+    f"{_BESIDE}generalized": "In generalized coordinates the interpreter dominates: it takes about 7 ns for each of"
+    " some thousands of operations, C a fraction of one; `ExactInversion` is compiled unless that is switched off",
     f"{_BESIDE}points": _MORE,
     f"{_BESIDE}bodies": _MORE,
-    _MINUTES: "every setting of every peer is run, those that fail too, and the machine decides the rest",
+    _MINUTES: "every setting of every peer is run, and the time depends on the machine",
 }
 """Why a requirement may be missed; the page lists those that are."""
-NO_REASON = "measured in one run, and not explained: another may say otherwise"
+NO_REASON = "not explained; another run may differ"
 
 
 @dataclass(frozen=True)
@@ -70,13 +68,17 @@ def requirements(record: Record) -> list[Requirement]:
 
 
 def _ratios(record: Record) -> Iterator[Requirement]:
-    for each in compare(record.rows, record.scenes[0]):
-        for form, peer in (("projected", each.projected), ("reduced", each.reduced)):
-            ratio, wanted = each.ratio(peer), WANTED_RATIO[form]
-            measured = "no peer gets there" if peer is None else "we do not" if ratio is None else f"{ratio:.1f} times"
-            met = each.own is not None if peer is None else ratio is not None and ratio >= wanted
-            yield Requirement(f"error {each.accuracy:g}: faster than any peer on the {form} form",
-                              f"{wanted:g} times", measured, met)  # fmt: skip
+    """Judge the first scene: both on the reduced form, and our reduced form against the paper's, all interpreted."""
+    scene = record.scenes[0]
+    reduced, projected = (compare(record.rows, scene, form) for form in ("reduced", "projected"))
+    for each, other in zip(reduced, projected, strict=True):
+        across = Comparison("projected", False, each.accuracy, each.own, other.peer)
+        for pair, words in ((across, _ACROSS), (each, _ALIKE)):
+            wanted = WANTED_RATIO[pair.form]
+            measured = "no peer gets there" if pair.peer is None else "we do not" if pair.own is None else ""
+            met = pair.own is not None if pair.peer is None else pair.ratio is not None and pair.ratio >= wanted
+            yield Requirement(f"error {each.accuracy:g}: {words}", f"{wanted:g} times",
+                              measured or f"{pair.ratio:.1f} times", met)  # fmt: skip
 
 
 def _beside_idas(record: Record) -> Iterator[Requirement]:
@@ -87,16 +89,15 @@ def _beside_idas(record: Record) -> Iterator[Requirement]:
     for scene, wanted in WANTED_BESIDE_IDAS.items():
         if scene not in record.scenes:
             continue
-        for each in compare_compiled(record.rows, scene):
+        for each in compare(record.rows, scene, "reduced", compiled=True):
             if wanted > 2.0 and each.accuracy < 1e-3:
                 continue
-            ratio = each.ratio(each.reduced)
             measured = "no peer gets there" if each.own else "we do not get there"
             met: bool | None = each.own is not None
             if not compiled:
                 measured, met = "its machine code failed", None
-            elif ratio is not None:
-                measured, met = f"{ratio:.1f} times", ratio >= wanted
+            elif each.ratio is not None:
+                measured, met = f"{each.ratio:.1f} times", each.ratio >= wanted
             yield Requirement(f"{scene}, error {each.accuracy:g}: {_COMPILED}", f"{wanted:g} times", measured, met)
 
 
@@ -134,30 +135,17 @@ def _beside_c(cost: dict[str, Any]) -> Requirement:
     return Requirement(what, f"at most {MOST_OF_C:g} times", f"{ratio:.1f} times", ratio <= MOST_OF_C)
 
 
-def requirements_table(record: Record) -> str:
-    """List what must hold."""
-    verdicts = {True: "yes", False: "**no**", None: "not judged"}
-    rows = [(each.what, each.wanted, each.measured, verdicts[each.met]) for each in requirements(record)]
-    missed = [each.what for each in requirements(record) if each.met is False]
-    why = "\n".join(f"* {what}: {REASONS.get(what, NO_REASON)}." for what in missed)
-    table = markdown(("what must hold", "wanted", "measured", "met"), rows, 9)
-    return f"{table}\nWhat is missed, and why:\n\n{why}\n" if missed else table
+def missed(record: Record) -> str:
+    """List the requirements that are missed, each with its reason; one sentence if there are none."""
+    found = requirements(record)
+    lines = [f"* {each.what}: {REASONS.get(each.what, NO_REASON)}." for each in found if each.met is False]
+    head = f"{sum(each.met is True for each in found)} of {len(found)} requirements are met."
+    return "\n".join([f"{head} Missed:", "", *lines] if lines else [head])
 
 
-def ratios_table(record: Record, scene: str) -> str:
-    """Show our fastest route beside the fastest peers on both forms."""
-    lines = []
-    for each in compare(record.rows, scene):
-        for form, peer in (("projected", each.projected), ("reduced", each.reduced)):
-            ratio = each.ratio(peer)
-            lines.append((f"{each.accuracy:g}", _route(each.own), milliseconds(each.own), form, _route(peer),
-                          milliseconds(peer), "-" if ratio is None else f"{ratio:.1f}"))  # fmt: skip
-    head = ("error", "our fastest route", "ms", "peer's form", "fastest peer", "ms", "ratio")
-    return markdown(head, lines, 9)
-
-
-def _route(row: Row | None) -> str:
-    if row is None:
-        return "none gets there"
-    solver = "" if row.solver == "servocore" else f"{row.solver}: "
-    return f"{solver}{row.method}, {row.model}, {row.setting}"
+def requirement_rows(record: Record) -> Iterator[tuple[str, ...]]:
+    """Yield the requirements as lines of a file, the head first."""
+    yield "requirement", "wanted", "measured", "met"
+    verdicts = {True: "yes", False: "no", None: "not judged"}
+    for each in requirements(record):
+        yield each.what, each.wanted, each.measured, verdicts[each.met]

@@ -1,18 +1,13 @@
-"""What size costs: cranes side by side, a closed chain, an elastic bar, and a cold start; `scale.csv` and its page.
+"""Cost against size: cranes side by side, a closed chain, an elastic bar, and a cold start; `scale.csv` and its page.
 
-Gantry cranes of 6 coordinates each stand in one system, independent of one another: what they cost together should be
-what they cost one by one, an exponent of one. Beside them stand SUNDIALS' idas on the same reduced form, with all
-derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy. A closed chain of bars, each a body of
-three coordinates with hinges as constraints, does not fall apart. Times are processor times, the smallest of several;
-solves are interpreted. A cold start is that of a process of its own which finds Python's bytecode written, as after an
-installation, and counts from when Python has started; it is measured with and without a C compiler on the machine.
+Gantry cranes of 6 coordinates each stand in one system, independent of one another: ideally the cost is proportional to
+their number (exponent one). SUNDIALS' idas solves the same reduced form with all derivatives as unknowns, by CasADi;
+the closed form is evaluated in NumPy, crane by crane. A closed chain of bars, each a body of three coordinates, has no
+independent parts. Times are processor times, the smallest of several; solves are interpreted.
 
-Machine code is made of what is one expression of at most 30,000 operations, for beyond compilers take minutes: 160
-cranes and closed chains of many bars are interpreted. Models whose instants take Newton's method, and Radau's method on
-internal dynamics, are compiled by `native=True`, function by function and not eight instants at a time.
-
-A chain of 64 bars takes some 10 s to be analysed and twice as long to be prepared: ranks and conditions of what does
-not fall apart are those of dense matrices, and grow with the cube of its size. That is the limit in practice.
+Expressions of more than 30,000 operations are not compiled (160 cranes, long closed chains), since compilation takes
+minutes. The practical limit is a chain of 64 bars: some 10 s of analysis, since ranks and conditions of a part are
+those of dense matrices.
 """
 
 from __future__ import annotations
@@ -45,7 +40,6 @@ from servocore.numerics.machine_code import BACKGROUND
 from servocore.scenes.bar_marching import march_bar
 from servocore.structure.inversion import inversion
 
-_THIS = sys.modules[__name__]
 FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
 CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32)
@@ -322,20 +316,18 @@ def _row(points: Sequence[Point], what: str, quantity: str) -> list[Point]:
     return [each for each in points if (each.what, each.quantity) == (what, quantity)]
 
 
-_TOGETHER = "some checks between instants look at all cranes together"
+_TOGETHER = "some checks between instants treat all cranes together"
 REASONS = {
-    f"{CRANE}, 1: ExactInversion": "the call itself takes a tenth of a millisecond, whatever it evaluates",
+    f"{CRANE}, 1: ExactInversion": "the overhead of a call is a tenth of a millisecond",
     f"{CRANE}: solve": _TOGETHER,
     f"{CRANE}: projected": _TOGETHER,
     f"{MANY}: solve": "inputs, motion and violations take a third, what belongs to the result (angles, noise, one"
-    " branch) a third, and the checks that `checks=False` leaves out (limits, ranks, peaks between instants) a third",
-    f"{STEPPED}: {WITHOUT_CHECKS}": "NumPy evaluates the path, CasADi goes from step to step, each state is observed"
-    " (inputs, coordinates, violations of all constraints), and all are looked at for noise and turns of angles:"
-    " together more than the steps themselves",
+    " branch) a third, and the checks that `checks=False` omits (limits, ranks, peaks between instants) a third",
+    f"{STEPPED}: {WITHOUT_CHECKS}": "evaluating the path, the outputs of each state (inputs, coordinates, violations),"
+    " noise and angles takes longer than the steps themselves",
     f"{STEPPED}: {CHECKED}": "the checks compare all inputs with the exact inversion, at the instants and between them,"
-    " keep the limits of the motion at all times, and look for poles and lost ranks: more than the steps themselves",
-    f"{COLD}: import": "NumPy and CasADi take what the table below says, and some hundred modules with as many"
-    " dataclasses the rest",
+    " examine limits, poles and lost ranks: more than the steps themselves",
+    f"{COLD}: import": "NumPy and CasADi take the time that scale.csv has, some hundred modules the rest",
 }
 """Why a row may miss what is wanted, by how it begins; the page lists those of rows that do."""
 
@@ -349,21 +341,25 @@ def missed(points: Sequence[Point]) -> list[tuple[str, str]]:
 
 
 def scale_page(points: Sequence[Point]) -> str:
-    """Write the page of sizes."""
-    parts = ["# Cost against size", *((each.__doc__ or "").partition("\n\n")[2].strip() for each in (_THIS, calls))]
-    parts += ["## What must hold", markdown(("what", "wanted", "measured", "met"), wanted(points), 9)]
+    """Write the page of sizes: the requirements that are missed, and a table of the cranes."""
+    parts = ["# Cost against size", (__doc__ or "").partition("\n\n")[2].strip()]
+    parts.append(
+        "[scale.csv](scale.csv) has all measurements: cranes, chains, `march_bar`, 10,000 instants at once, calls of"
+        " `DynamicInversion`, backward Euler beside its step in C, and a cold start with and without a compiler."
+    )
+    verdicts = [met for *_, met in wanted(points)]
+    head = f"{verdicts.count('yes')} of {len(verdicts)} requirements are met."
+    parts.append(f"{head} Missed:" if missed(points) else head)
     if missed(points):
-        parts += ["What is missed, and why:", "\n".join(f"* {name}: {reason}." for name, reason in missed(points))]
-    for what in dict.fromkeys(each.what for each in points):
-        own = [each for each in points if each.what == what]
-        sizes = list(dict.fromkeys(each.size for each in own))
-        lines = []
-        for quantity in dict.fromkeys(each.quantity for each in own):
-            row = [each for each in own if each.quantity == quantity]
-            known = {each.size: f"{each.value:.3g}" for each in row}
-            slope = exponent(row)
-            lines.append((f"{quantity}, {row[0].unit}", *(known.get(size, "-") for size in sizes),
-                          "-" if slope is None else f"{slope:.2f}"))  # fmt: skip
-        parts += [f"## {what[0].upper()}{what[1:]}", markdown(("", *map(str, sizes), "exponent"), lines, 9)]
-    parts.append("The file of these numbers is [scale.csv](scale.csv).")
+        parts.append("\n".join(f"* {name}: {reason}." for name, reason in missed(points)))
+    own = [each for each in points if each.what == CRANE]
+    sizes = list(dict.fromkeys(each.size for each in own))
+    lines = []
+    for quantity in dict.fromkeys(each.quantity for each in own):
+        row = [each for each in own if each.quantity == quantity]
+        known = {each.size: f"{each.value:.3g}" for each in row}
+        slope = exponent(row)
+        lines.append((f"{quantity}, {row[0].unit}", *(known.get(size, "-") for size in sizes),
+                      "-" if slope is None else f"{slope:.2f}"))  # fmt: skip
+    parts.append(markdown((CRANE, *map(str, sizes), "exponent"), lines, 9))
     return "\n\n".join(each.rstrip("\n") for each in parts) + "\n"

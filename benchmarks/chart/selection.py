@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.chart.own import CLOSED_FORM, COMPILED, NAME
+from benchmarks.chart.own import CLOSED_FORM, COMPILED, NAME, SOLVED
 from benchmarks.chart.rows import Row
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
 """Errors of all inputs, relative to their peaks, at which solvers are compared."""
+DEFAULT_METHOD = "radau3"
+"""Of `solve` where there are stable internal dynamics."""
 
 
 def is_own(row: Row) -> bool:
     """Whether the row is the library's."""
     return row.solver == NAME
-
-
-def is_interpreted(row: Row) -> bool:
-    """Whether the row is the library's, evaluated by the interpreter that the peers' functions are evaluated by."""
-    return is_own(row) and not is_compiled(row)
 
 
 def is_compiled(row: Row) -> bool:
@@ -49,51 +46,56 @@ def front(rows: Iterable[Row]) -> list[Row]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The fastest at one accuracy.
+    """The fastest routes of one form, evaluated alike, at one accuracy.
 
     Attributes
     ----------
-    own : Row or None
-        Our fastest route, whatever its form, but for machine code.
-    projected, reduced : Row or None
-        The fastest peers on the two forms.
+    form : str
+        Formulation that both solve.
+    compiled : bool
+        Whether machine code evaluates both, or CasADi's interpreter.
+    accuracy : float
+        Largest error of any input that both keep.
+    own, peer : Row or None
+        The library's fastest route and the fastest peer; None where none is so accurate.
     """
 
+    form: str
+    compiled: bool
     accuracy: float
     own: Row | None
-    projected: Row | None
-    reduced: Row | None
+    peer: Row | None
 
-    def ratio(self, peer: Row | None) -> float | None:
-        """How many times our time a peer takes; None if one of the two does not get there."""
-        return None if self.own is None or peer is None else peer.point[0] / self.own.point[0]
+    @property
+    def ratio(self) -> float | None:
+        """Time of the peer divided by that of the library; None where one of them is missing."""
+        return None if self.own is None or self.peer is None else self.peer.point[0] / self.own.point[0]
 
 
-def compare(rows: Sequence[Row], scene: str) -> list[Comparison]:
-    """Compare on one scene, at all `ACCURACIES`."""
-    here = [row for row in rows if row.scene == scene]
+ALIKE = (("reduced", False), ("projected", False), ("reduced", True))
+"""Forms on which solvers are compared, and whether machine code evaluates both sides."""
+
+
+def compare(rows: Sequence[Row], scene: str, form: str, compiled: bool = False) -> list[Comparison]:
+    """Compare the library with its peers on one scene and form, at all `ACCURACIES`."""
+    here = [row for row in rows if (row.scene, row.formulation, is_compiled(row)) == (scene, form, compiled)]
     return [
-        Comparison(
-            accuracy,
-            fastest(here, accuracy, is_interpreted),
-            fastest(
-                here, accuracy, lambda row: is_peer(row) and not is_compiled(row) and row.formulation == "projected"
-            ),
-            fastest(here, accuracy, lambda row: is_peer(row) and not is_compiled(row) and row.formulation == "reduced"),
-        )
-        for accuracy in ACCURACIES
+        Comparison(form, compiled, each, fastest(here, each, is_own), fastest(here, each, is_peer))
+        for each in ACCURACIES
     ]
 
 
-def compare_compiled(rows: Sequence[Row], scene: str) -> list[Comparison]:
-    """Compare our fastest route with the fastest peers on one scene, machine code or not, at all `ACCURACIES`."""
-    here = [row for row in rows if row.scene == scene]
-    return [
-        Comparison(
-            accuracy,
-            fastest(here, accuracy, is_own),
-            fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "projected"),
-            fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "reduced"),
-        )
-        for accuracy in ACCURACIES
-    ]
+def default_route(rows: Sequence[Row], scene: str) -> Row | None:
+    """Return the row of `solve(scene)`: first model, reduced form, an output step of a 200th of the duration."""
+    names = (SOLVED, DEFAULT_METHOD)
+    here = [row for row in rows if row.scene == scene and is_own(row) and row.formulation == "reduced"]
+    found = [row for row in here if row.setting == "200 steps" and row.method in names and row.model == here[0].model]
+    return next((row for row in found if row.method == SOLVED), found[0] if found else None)
+
+
+def gain(rows: Sequence[Row], scene: str, accuracy: float) -> Comparison:
+    """Compare the default route, on the reduced form, with the fastest peer on the projected form of the paper."""
+    default, here = default_route(rows, scene), [row for row in rows if row.scene == scene and not is_compiled(row)]
+    own = None if default is None else fastest([default], accuracy)
+    peer = fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "projected")
+    return Comparison("default", False, accuracy, own, peer)

@@ -1,16 +1,14 @@
-"""The tables of the page, as Markdown."""
+"""The table of the page as Markdown, and the lines of the files beside it."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.chart.record import Record
+from benchmarks.chart.record import Record, key
 from benchmarks.chart.rows import Row
-from benchmarks.chart.selection import ACCURACIES, fastest, is_own
+from benchmarks.chart.selection import ACCURACIES, ALIKE, Comparison, compare, fastest, gain
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], right: int = 1) -> str:
@@ -25,99 +23,68 @@ def milliseconds(row: Row | None) -> str:
     return "-" if row is None or row.seconds is None else f"{1e3 * row.seconds:.3g}"
 
 
-def by_solver(record: Record, scene: str) -> str:
-    """Show the fastest time of every solver on every form, at every accuracy."""
-    here = record.of(scene)
-    keys = dict.fromkeys((row.solver, row.formulation) for row in here)
+def comparison(record: Record) -> str:
+    """Show times of the library and of the fastest peer, form by form, and the gain by the default route."""
     lines = []
-    for solver, form in keys:
-        mine = [row for row in here if (row.solver, row.formulation) == (solver, form)]
-        best = min((row.error for row in mine if row.solved and row.error is not None), default=None)
-        cells = [milliseconds(fastest(mine, accuracy)) for accuracy in ACCURACIES]
-        lines.append((solver, form or "-", *cells, "no answer" if best is None else f"{best:.1e}"))
-    return markdown(("solver", "form", *(f"{a:g}, ms" for a in ACCURACIES), "smallest error"), lines, 2)
+    for scene in record.scenes:
+        alike = [compare(record.rows, scene, form, compiled) for form, compiled in ALIKE]
+        for k, accuracy in enumerate(ACCURACIES):
+            pairs = [*(each[k] for each in alike), gain(record.rows, scene, accuracy)]
+            lines.append((scene, f"{accuracy:g}", *(_pair(each) for each in pairs)))
+    head = ("scene", "error", "reduced, interpreted", "projected, interpreted", "reduced, machine code",
+            "default `solve` : peer, projected")  # fmt: skip
+    return markdown(head, lines, 2)
 
 
-def paper_step(found: Sequence[dict[str, Any]]) -> str:
-    """Show errors of every input at the paper's own step, of our routes."""
-    lines = [
-        (f"{each['formulation']}, {each['method']}", *(f"{error:.1e}" for error in each["errors"].values()),
-         f"{each['late']:.1e}")
-        for each in found
-    ]  # fmt: skip
-    head = ("route", *(f"error of `{name}`" for name in found[0]["errors"]), "largest after six steps")
-    return markdown(head, lines)
+def _pair(pair: Comparison) -> str:
+    shown = f"{milliseconds(pair.own)} : {milliseconds(pair.peer)}"
+    return shown if pair.ratio is None else f"{shown} ({times(pair.ratio)})"
 
 
-def orders(record: Record) -> str:
-    """Show nominal and fitted orders."""
-    lines = []
+def times(ratio: float | None) -> str:
+    """Return a ratio with two digits at least; nothing for None."""
+    return "" if ratio is None else f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
+
+
+def comparison_rows(record: Record) -> Iterator[tuple[str, ...]]:
+    """Yield every comparison with the routes that were compared, as lines of a file, the head first."""
+    yield "scene", "form", "evaluation", "error", "own route", "own ms", "peer", "peer ms", "ratio"
+    for scene in record.scenes:
+        pairs = [each for form, compiled in ALIKE for each in compare(record.rows, scene, form, compiled)]
+        for each in [*pairs, *(gain(record.rows, scene, accuracy) for accuracy in ACCURACIES)]:
+            form = "default route, peer on projected" if each.form == "default" else each.form
+            evaluation = "machine code" if each.compiled else "interpreted"
+            sides = (cell for row in (each.own, each.peer) for cell in (route(row), milliseconds(row)))
+            yield scene, form, evaluation, f"{each.accuracy:g}", *sides, times(each.ratio) or "-"
+
+
+def route(row: Row | None) -> str:
+    """Return solver, method, model and setting of a row in words."""
+    return "none" if row is None else f"{row.solver}: {row.method}, {row.model}, {row.setting}"
+
+
+def solver_rows(record: Record) -> Iterator[tuple[str, ...]]:
+    """Yield the fastest time of every solver on every form at every accuracy, and its preparation, the head first."""
+    yield "scene", "solver", "form", *(f"{a:g}, ms" for a in ACCURACIES), "smallest error", "median preparation, s"
+    for scene in record.scenes:
+        here = record.of(scene)
+        for solver, form in dict.fromkeys((row.solver, row.formulation) for row in here):
+            mine = [row for row in here if (row.solver, row.formulation) == (solver, form)]
+            best = min((row.error for row in mine if row.solved and row.error is not None), default=None)
+            spent = [record.spent[key(row)].preparation for row in mine if row.solved]
+            yield (scene, solver, form or "-", *(milliseconds(fastest(mine, accuracy)) for accuracy in ACCURACIES),
+                   "no answer" if best is None else f"{best:.1e}",
+                   f"{np.median(spent):.3f}" if spent else "-")  # fmt: skip
+
+
+def order_rows(record: Record) -> Iterator[tuple[str, ...]]:
+    """Yield nominal and fitted orders as lines of a file, the head first."""
+    yield "method", "nominal order of the inputs", "fitted", "steps used, s", "smallest error", "at step, s"
     for line in record.order_study[0]:
         best = int(np.argmin(line.errors))
         fitted = "-" if line.fit.order is None else f"{line.fit.order:.2f}"
         span = "-"
         if line.fit.used:
             span = f"{line.steps[line.fit.used[0]]:g} to {line.steps[line.fit.used[-1]]:g}"
-        lines.append((line.method, str(line.nominal) if line.nominal > 0 else "none", fitted, span,
-                      f"{line.errors[best]:.1e}", f"{line.steps[best]:g}"))  # fmt: skip
-    head = ("method", "nominal order of the inputs", "fitted", "steps used, s", "smallest error", "at step, s")
-    return markdown(head, lines)
-
-
-def failures(record: Record) -> str:
-    """List what gave no answer, with the message, settings of the same message together."""
-    found: dict[tuple[str, str, str, str], list[Row]] = defaultdict(list)
-    for row in record.rows:
-        if row.error is None:
-            found[row.solver, row.formulation or "-", row.method or "-", row.message].append(row)
-    lines = []
-    for (solver, form, method, message), rows in found.items():
-        scenes = ", ".join(dict.fromkeys(row.scene for row in rows))
-        lines.append((solver, form, method, str(len(rows)), scenes, message.replace("|", "/")))
-    return markdown(("solver", "form", "method", "settings", "scenes", "message"), sorted(lines), 9)
-
-
-def preparation(record: Record) -> str:
-    """List seconds that are spent once, by solver."""
-    found: dict[str, list[float]] = defaultdict(list)
-    for (_, solver, *_), spent in record.spent.items():
-        if spent.repeats:
-            found[solver].append(spent.preparation)
-    lines = [(solver, f"{np.median(each):.3f}", f"{max(each):.3f}") for solver, each in found.items()]
-    return markdown(("solver", "median, s", "longest, s"), lines)
-
-
-def costs(found: Sequence[dict[str, Any]]) -> str:
-    """Show what an instant of the exact inversion costs beside C."""
-    rows = []
-    for each in found:
-        cells = ("no gcc", "-", "-", "-") if each["compiled"] is None else (
-            f"{each['compiled']:.2f}", f"{each['inversion'] / each['compiled']:.1f}",
-            f"{each['solve'] / each['compiled']:.1f}", f"{each['seconds_to_compile']:.1f}")  # fmt: skip
-        rows.append((each["model"], f"{each['solve']:.1f}", f"{each['inversion']:.2f}", *cells))
-    head = ("model", "`solve`, µs", "`ExactInversion`, µs", "bare C function, µs", "`ExactInversion` / C",
-            "`solve` / C", "C compiles in, s")  # fmt: skip
-    return markdown(head, rows)
-
-
-def scenes(found: Sequence[dict[str, Any]]) -> str:
-    """Show what kind of problems the scenes are."""
-    rows = [
-        (each["name"], ", ".join(f"{name} (n = {n})" for name, n in each["models"].items()), str(each["index"]),
-         str(each["internal_states"]), f"{each['duration']:g} s", f"degree {2 * each['smoothness'] + 1}")
-        for each in found
-    ]  # fmt: skip
-    return markdown(("scene", "models", "index", "internal states", "duration", "path"), rows, 2)
-
-
-def picks(record: Record) -> str:
-    """Say what the fastest own route is, by scene and error."""
-    lines = []
-    for scene in record.scenes:
-        mine = [row for row in record.of(scene) if is_own(row)]
-        for accuracy in ACCURACIES:
-            row = fastest(mine, accuracy)
-            route = ("none",) * 4 if row is None else (row.formulation, row.method, row.model, row.setting)
-            lines.append((scene, f"{accuracy:g}", *route, milliseconds(row)))
-    head = ("scene", "error", "form", "method", "model", "setting", "ms")
-    return markdown(head, lines, 9)
+        yield (line.method, str(line.nominal) if line.nominal > 0 else "none", fitted, span,
+               f"{line.errors[best]:.1e}", f"{line.steps[best]:g}")  # fmt: skip

@@ -29,7 +29,7 @@ def draw_levels(pairs: Sequence[Pair], target: Path) -> None:
         for axis, crane in zip(axes, _SHOWN, strict=True):
             _levels_of(axis, [each for each in shown if each.crane == crane], effects)
             axis.set_title(crane)
-            axis.set_xlabel("load off its path if left out (mm)")
+            axis.set_xlabel("tracking error if neglected (mm)")
         axes[1].legend(title="duration", loc="lower right")
         figure.savefig(target)
         plt.close(figure)

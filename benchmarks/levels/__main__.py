@@ -1,6 +1,7 @@
 """Measure what the models of scenes cost and how exact they are; print tables, write the page docs/model-levels.md.
 
-``python -m benchmarks.levels rotary_crane`` looks at one scene; without a name it takes all of them.
+``python -m benchmarks.levels rotary_crane`` measures one scene; without a name it takes all of them.
+With ``--stored`` the page is written again from a file that ``--csv`` wrote.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import rich.table
 
 from benchmarks.levels.costs import Level
 from benchmarks.levels.measurement import measure_levels
-from benchmarks.levels.tables import HEADINGS, csv_text, markdown_page, remarks, rows
+from benchmarks.levels.tables import HEADINGS, csv_text, machine, markdown_page, read_levels, remarks, rows
 from servocore.cli.console import table_console
 from servocore.files import write_together
 from servocore.scenes import REGISTRY
@@ -28,20 +29,24 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--instants", type=int, default=1000, help="steps of a run; the projected error depends on it")
     parser.add_argument("--csv", type=Path, metavar="FILE.csv", help="write the figures for machines")
     parser.add_argument("--page", type=Path, metavar="FILE.md", help="write the page of the documentation")
+    parser.add_argument("--stored", type=Path, metavar="FILE.csv", help="measure nothing: read what --csv wrote")
     asked = parser.parse_args(arguments)
     names = asked.scenes or list(REGISTRY)
     if unknown := [name for name in names if name not in REGISTRY]:
         parser.error(f"no scene is called {unknown[0]}; there are {', '.join(REGISTRY)}")
     levels: list[Level] = []
-    for name in names:
+    on = machine()
+    if asked.stored is not None:
+        levels, on = read_levels(asked.stored.read_text(encoding="utf-8"))
+    for name in names if asked.stored is None else ():
         found = measure_levels(REGISTRY[name](), instants=asked.instants, repeats=_REPEATS)
         _show(name, found)
         levels += found
     texts = {}
     if asked.csv is not None:
-        texts[asked.csv] = csv_text(levels)
+        texts[asked.csv] = csv_text(levels, on)
     if asked.page is not None:
-        texts[asked.page] = markdown_page(levels, instants=asked.instants, repeats=_REPEATS)
+        texts[asked.page] = markdown_page(levels, instants=asked.instants, repeats=_REPEATS, on=on)
     write_together(texts)
 
 

@@ -8,35 +8,33 @@ import platform
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from itertools import groupby
 from pathlib import Path
 
 import casadi as ca
 
-from benchmarks.levels.costs import Level
+from benchmarks.levels.costs import Cost, Level, Spread
 
 COLUMNS = (
     "scene", "model", "needed", "coordinates", "index", "internal_degrees_of_freedom", "route", "unknowns",
-    "microseconds", "microseconds_lower_quartile", "microseconds_upper_quartile", "error", "refusal",
+    "microseconds", "microseconds_lower_quartile", "microseconds_upper_quartile", "error", "refusal", "machine",
 )  # fmt: skip
 
 _EFFECTS = """# Which model is enough, and what it costs
 
 ## Which physical effects a model needs
 
-![error of the load's path for every effect that is left out](pictures/effects.png)
+![tracking error of the load for every neglected effect](pictures/effects.png)
 
-*The figure shows the error of each effect by itself: the plant has the effect, and the model that computes the inputs
-has not. Drives have position loops of 6 rad/s and damping 1. Left: the scene with a load of 100 kg; right: a crane with
-a load of 2 t. For a tolerance of 1, 10 or 100 mm (dashed) a model needs every effect to the right of that line.*
+*The error of each effect alone: the plant has it, the model that computes the inputs has not. Position loops of 6
+rad/s, damping 1. Left: the scene with a load of 100 kg; right: a crane with a load of 2 t. For a tolerance of 1, 10
+or 100 mm (dashed) a model needs every effect to the right of that line.*
 
-* A faster motion needs more effects: the errors of hook and rigid load are below 2 mm at 20 s, but not at 5 s.
-* Drives compensate for effects that act like a force (friction, winch inertia, the rope's weight); stiffer drives do
-  it better. They cannot compensate for effects that act like a motion (rope exit, wind, flexible bridge, drag, hook):
-  only a better model helps.
-* A model with the rope's exit beside the trolley's centre costs no more: it has the same index and as many unknowns.
+* A faster motion needs more effects: the errors of hook and load inertia are below 2 mm at 20 s, but not at 5 s.
+* Position loops compensate for effects that act like a force (friction, winch inertia, the rope's weight), not for
+  those that act like a motion (sheave offset, wind, flexible bridge, drag, hook).
+* A model with the sheave offset costs no more: it has the same index and as many unknowns.
 
-For a scene of your own, its path and your drives:
+For a scene, path and drives of your own:
 
     servocore effects rotary_crane --deviation 5mm --bandwidth 6
 
@@ -49,53 +47,40 @@ print(report)  # a table, worst first, and the verdict
 better = crane.with_effects("friction").with_parameters(trolley_friction=20.0)
 ```
 
-`report.smallest()` is the scene with all effects that are needed, for `solve`, `ExactInversion` and `export_fmu`;
-`crane.effects.declared` lists every assumption with its source and its parameters. Errors are estimated, and simulated
-where an estimate is not reliable: [effects/](effects/index.md) compares the two,
-[decision 80](decisions/0080-effects.md) explains the method.
+`report.smallest()` is the scene with all effects that are needed; `crane.effects.declared` lists every assumption
+with its source and parameters. Errors are estimated, and simulated where an estimate is unreliable
+([comparison](effects/index.md), [decision 80](decisions/0080-effects.md)).
 
 """
 """Opens the page; its picture is from `make effects`."""
 
 _PAGE = """## What the models of a scene cost
 
-A scene offers models of different size of the same system. All give the same inputs, so a user needs only the first,
-which is the default of every command. The others serve for comparison, and for quantities that only they have.
+The models of a scene describe the same system and give the same inputs: the first one, the default, is enough. Others
+serve for comparison, and for quantities that only they have.
 
-For every model these tables compare two routes:
-
-* *exact*: the derivative array, solved instant by instant ([theory, section 5](theory.md),
-  [decision 6](decisions/0006-exact-inversion.md)). A scene with internal dynamics has no such inversion; there the row
-  is one step of `RadauIIA(3)` on the `Reduced` form, which integrates them.
+* *exact*: the derivative array, solved instant by instant ([decision 6](decisions/0006-exact-inversion.md)). With
+  internal dynamics: one step of `RadauIIA(3)` on the `Reduced` form.
 * *projected*: one step of backward Euler on the projected equations, the method of the paper.
 
-*Unknowns* are those of one instant. Times are processor times, the median and the quartiles of {repeats} warm runs
-over {instants} instants; *of projected* is the ratio to the projected step of the same model. *Error* is the largest
-error of any input over the whole path, as a fraction of that input's largest value.
-
-This page is written by
+Times are processor times, the median of {repeats} warm runs over {instants} instants; *error* is the largest error of
+any input, relative to its peak. Written by
 
     make levels
 
-and comes from one run on {machine}.
-Other processes may have used the machine at the same time: the ratios are more reliable than the times.
+from one run on {machine}; ratios are more reliable than times. [model-levels.csv](model-levels.csv) has unknowns,
+quartiles and refusals as well.
 
-{tables}
-## Reading it
+{table}
 
-* The error of exact inversion is round-off, whatever the model and the number of instants. That of the projected step
-  is of first order in the step, and the figures hold for {instants} instants.
-* With internal dynamics the exact row has the error of its integration, and of the independent solution that it is
-  compared with.
-* Fewer coordinates do not mean less work: generalized coordinates fill the mass matrix with sines, and their equations
-  do not fall apart into blocks ([decision 3](decisions/0003-block-triangular-newton.md)).
-* A route that a model does not offer says why below its table.
-* `python -m benchmarks.levels SCENE --csv FILE.csv` writes the figures for machines.
+{refusals}The error of exact inversion is round-off for every model; that of the projected step is of first order in
+the step. Fewer coordinates do not mean less work: equations in generalized coordinates do not decompose into blocks
+([decision 3](decisions/0003-block-triangular-newton.md)).
 """
 
 
-def csv_text(levels: Sequence[Level]) -> str:
-    """Return one line a model and route, times in microseconds an instant; what is unknown is empty."""
+def csv_text(levels: Sequence[Level], on: str) -> str:
+    """Return one line a model and route, times in microseconds an instant; unknown values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -105,8 +90,26 @@ def csv_text(levels: Sequence[Level]) -> str:
         for route, cost in level.costs.items():
             spread = cost.microseconds
             times = (spread.median, spread.lower, spread.upper) if spread else (None,) * 3
-            writer.writerow((*size, states, route, cost.unknowns, *times, cost.error, cost.refusal))
+            writer.writerow((*size, states, route, cost.unknowns, *times, cost.error, cost.refusal, on))
     return text.getvalue()
+
+
+def read_levels(text: str) -> tuple[list[Level], str]:
+    """Undo `csv_text`; returns the levels, without the names of their methods, and the machine."""
+    found: dict[tuple[str, str], Level] = {}
+    lines = list(csv.DictReader(io.StringIO(text)))
+    for line in lines:
+        values = [float(line[name]) for name in COLUMNS[8:11] if line[name]]
+        cost = Cost(
+            int(line["unknowns"]) if line["unknowns"] else None,
+            Spread(*values) if values else None,
+            float(line["error"]) if line["error"] else None,
+            refusal=line["refusal"],
+        )
+        coordinates, index, states = (int(line[name]) for name in COLUMNS[3:6])
+        level = Level(line["scene"], line["model"], line["needed"] == "1", coordinates, index, states, {})
+        found.setdefault((level.scene, level.model), level).costs[line["route"]] = cost
+    return list(found.values()), lines[0]["machine"]
 
 
 HEADINGS = (
@@ -153,20 +156,42 @@ def remarks(levels: Sequence[Level]) -> list[str]:
     return found
 
 
-def markdown_page(levels: Sequence[Level], *, instants: int, repeats: int) -> str:
-    """Return the page docs/model-levels.md for the models of any number of scenes."""
-    tables = []
-    for name, group in groupby(levels, key=lambda level: level.scene):
-        listed = list(group)
-        table = [HEADINGS, ("---",) * len(HEADINGS), *(row for level in listed for row in rows(level))]
-        lines = [f"## `{name}`", "", *("| " + " | ".join(row) + " |" for row in table), "", *remarks(listed), ""]
-        tables.append("\n".join(lines))
-    figures = _PAGE.format(repeats=repeats, instants=instants, machine=machine(), tables="\n".join(tables))
-    return _EFFECTS + figures
+PAGE_HEADINGS = (
+    "scene", "model", "coordinates", "index", "internal states",
+    "exact, µs", "error", "projected, µs", "error", "exact : projected",
+)  # fmt: skip
+
+
+def markdown_page(levels: Sequence[Level], *, instants: int, repeats: int, on: str) -> str:
+    """Return the page docs/model-levels.md for the models of any number of scenes, measured on a machine."""
+    lines = [PAGE_HEADINGS, ("---",) * len(PAGE_HEADINGS), *map(_page_row, levels)]
+    table = "\n".join("| " + " | ".join(row) + " |" for row in lines)
+    refused = [
+        f"{level.scene}, {level.model}, {route}: {cost.refusal}.\n\n"
+        for level in levels
+        for route, cost in level.costs.items()
+        if cost.refusal
+    ]
+    return _EFFECTS + _PAGE.format(
+        repeats=repeats, instants=instants, machine=on, table=table, refusals="".join(refused)
+    )
+
+
+def _page_row(level: Level) -> tuple[str, ...]:
+    sizes = map(str, (level.coordinates, level.index, level.internal_degrees_of_freedom))
+    exact, projected = (level.costs[route] for route in ("exact", "projected"))
+    cells = []
+    for cost in (exact, projected):
+        cells.append("-" if cost.microseconds is None else f"{cost.microseconds.median:.3g}")
+        cells.append("-" if cost.error is None else f"{cost.error:.1e}")
+    ratio = "-"
+    if exact.microseconds is not None and projected.microseconds is not None:
+        ratio = f"{exact.microseconds.median / projected.microseconds.median:.2g}"
+    return level.scene, level.model, *sizes, *cells, ratio
 
 
 def machine() -> str:
-    """Processor, Python and CasADi, for whoever reads measured figures."""
+    """Return processor, Python and CasADi as text."""
     return f"{_processor()}, Python {platform.python_version()}, CasADi {ca.__version__}"
 
 

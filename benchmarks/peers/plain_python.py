@@ -1,4 +1,4 @@
-"""No solver at all: backward Euler and pointwise Newton as a careful user writes them with NumPy and SciPy.
+"""Backward Euler and pointwise Newton written by hand with NumPy and SciPy, without a solver package.
 
 Residual and analytic Jacobian are straight-line Python with common subexpressions, as `sympy.lambdify(..., cse=True)`
 gives; unknowns and equations are scaled; Newton starts from the extrapolated solution and stops on its last step; the

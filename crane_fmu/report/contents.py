@@ -1,9 +1,8 @@
-"""What the demo's page says: its sections with their tables and illustrations."""
+"""Sections of the demo's page, with their tables and illustrations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import degrees
 
 from crane_fmu.report import figures
 from crane_fmu.report.page import UNITS, Fact, Illustration, Part, Table, number, parameter_table
@@ -37,11 +36,9 @@ def sections(
         "": list(summary(study)),
         "The crane": _introduction(study),
         "The manoeuvre": _reference(study),
-        "The motion of the crane": _motion(study),
         "The inputs": _inputs(study),
-        "The postures": _postures(study),
         "The FMU": _fmu(study, fmu),
-        "Does the load go where it should?": _tracking(study),
+        "Forward simulation": _tracking(study),
         "The loop of FMUs": _loop(loop),
         **({} if cycle is None else {"A working cycle": _cycle(cycle)}),
         "The scheme of the paper": _paper(study),
@@ -49,14 +46,17 @@ def sections(
 
 
 def facts(study: Study) -> tuple[Fact, ...]:
-    """Return the numbers that are read first: how exact the default is, then how the scheme of the paper errs."""
+    """Return the headline numbers: residuals of the default route, then errors of the scheme of the paper."""
     step, (inverted, *_, coarse, _) = study.steps[0], study.tracking
     paper = study.paper_errors[study.models[0], step]["M_b"]
     return (
-        Fact(number(exact_error(study), 1), "exact: largest error of the inputs, relative to their peaks"),
-        Fact(f"{number(1e6 * inverted.largest, 1)} µm", "farthest that the load is off its path in a simulation"),
+        Fact(
+            number(exact_error(study), 1),
+            "numerical residual of the inputs by exact inversion, relative to their peaks",
+        ),
+        Fact(f"{number(1e6 * inverted.largest, 1)} µm", "largest tracking error in a simulation (numerical residual)"),
         Fact(f"{number(100 * paper)} %", f"error of M_b by the scheme of the paper, step {step:g} s", True),
-        Fact(f"{number(1e3 * coarse.largest)} mm", "farthest that the load strays under its inputs", True),
+        Fact(f"{number(1e3 * coarse.largest)} mm", "largest tracking error under its inputs", True),
     )
 
 
@@ -66,19 +66,19 @@ def exact_error(study: Study) -> float:
 
 
 def summary(study: Study) -> tuple[str, str]:
-    """Return what the default gives and what the scheme of the paper gives, a sentence or two each."""
+    """Return the results of the default and of the scheme of the paper, a sentence or two each."""
     model, step = study.models[0], study.steps[0]
     paper = study.paper_errors[model, step]
     inverted, *_, first, last = study.tracking
     return (
-        "By default the inputs are computed by exact inversion at every instant (form reduced), and they are exact:"
-        f" they agree with the closed form to {number(exact_error(study), 1)} of their peaks, and in a forward"
-        f" simulation they keep the load within {number(1e6 * inverted.largest, 1)} µm of its path.",
-        "Beside them stands the scheme of the paper (form projected, method backward Euler). With a step of"
+        "By default the inputs are computed by exact inversion at every instant (form reduced): they agree with the"
+        f" closed form to {number(exact_error(study), 1)} of their peaks, and in a forward simulation of the same"
+        f" model the tracking error is {number(1e6 * inverted.largest, 1)} µm. Both are numerical residuals, and"
+        " contain no errors of data, path fitting or unmodelled effects.",
+        "For comparison, the scheme of the paper (form projected, method backward Euler): with a step of"
         f" {step:g} s its M_b is off by {number(100 * paper['M_b'])} % of its peak, F by {number(100 * paper['F'])} %"
-        f" and M_w by {number(100 * paper['M_w'])} %, and the load strays by {number(1e3 * first.largest)} mm. The"
-        f" errors halve with the step; with one of {study.steps[-1]:g} s the load still strays by"
-        f" {number(1e3 * last.largest)} mm.",
+        f" and M_w by {number(100 * paper['M_w'])} %, and the tracking error is {number(1e3 * first.largest)} mm. The"
+        f" errors halve with the step; at {study.steps[-1]:g} s the tracking error is {number(1e3 * last.largest)} mm.",
     )
 
 
@@ -90,9 +90,9 @@ def _introduction(study: Study) -> list[Part]:
         " (Betsch, Uhlar and Quasem 2009).",
         "There are three models of the same crane: points (9 coordinates, the default), bodies (the 42 redundant"
         " coordinates of the paper, RED) and generalized (its 5 coordinates, GEN). The crane is differentially flat in"
-        " the position of its load, so motion and inputs are also known in closed form, and every number on this page"
-        " is judged by it. The tables of the paper were not at hand: the data below are a declared assumption, and no"
-        " figure here claims to reproduce a printed curve.",
+        " the position of its load, so motion and inputs are also known in closed form, the reference of every error on"
+        " this page. The tables of the paper were not available: the data below are a declared assumption, and no"
+        " figure reproduces a printed curve.",
         parameter_table(study.scene),
         Illustration(
             "crane",
@@ -123,43 +123,11 @@ def _reference(study: Study) -> list[Part]:
     ]
 
 
-def _motion(study: Study) -> list[Part]:
-    return [
-        "Bridge angle, trolley position and rope length follow from the path of the load and the equations of"
-        " motion of the load alone. They are exact, up to rounding, by exact inversion and by the scheme of the paper"
-        " alike.",
-        Illustration(
-            "motion",
-            "Bridge angle, trolley position and rope length",
-            f"{DEFAULT}, model {study.models[0]}",
-            f"Rows every {study.steps[0]:g} s, and the closed form.",
-            figures.beside_closed_form(MOTION, study.base, study.scene),
-        ),
-    ]
-
-
 def _inputs(study: Study) -> list[Part]:
     return [
-        "Every row of the inputs is exact by itself: the distance of the rows is no step, and no error comes from it."
-        " These are the inputs that inputs.csv holds.",
-        Illustration(
-            "inputs",
-            "Slewing torque, trolley force and winch torque",
-            f"{DEFAULT}, model {study.models[0]}",
-            f"Rows every {study.steps[0]:g} s, and the closed form.",
-            figures.beside_closed_form(INPUTS, study.base, study.scene),
-        ),
+        "Inputs and motion are shown at the top of this page. Every row of inputs.csv is an exact inversion at its"
+        " instant: the spacing of the rows is no integration step, and no error comes from it.",
         error_table(study),
-    ]
-
-
-def _postures(study: Study) -> list[Part]:
-    slewed = f"The bridge has slewed by {degrees(study.base['phi'][-1]):.0f}°."
-    first, last = figures.posture(study.base, 0), figures.posture(study.base, -1)
-    dotted = f"{slewed} Dotted: the path seen from above."
-    return [
-        Illustration("initial_posture", "Initial posture", DEFAULT, "The load hangs at rest.", first),
-        Illustration("final_posture", "Final posture", DEFAULT, dotted, last),
     ]
 
 
@@ -171,7 +139,7 @@ def error_table(study: Study) -> Table:
         DEFAULT,
         ("model", *_PERCENT, *_MOTION),
         tuple(rows),
-        "Inputs: relative to the largest value of each. Motion: absolute. All of it is rounding.",
+        "Inputs: relative to the peak of each. Motion: absolute. All are numerical residuals.",
     )
 
 
@@ -179,15 +147,16 @@ def _paper(study: Study) -> list[Part]:
     step = study.steps[0]
     redundant, generalized = study.paper["bodies", step], study.paper["generalized", step]
     return [
-        "What follows is the scheme of the paper (form projected, method backward Euler). Redundant and generalized"
-        " coordinates give the same inputs up to the error of the step. That error is of the first order and seen here"
-        " as a delay against the default; it halves with the step, in every model, and so does the difference"
-        " between any two models. The motion is exact.",
+        "The scheme of the paper (form projected, method backward Euler): redundant and generalized coordinates give"
+        " the same inputs up to the discretization error. It is of first order and appears as a delay against the"
+        " default; it halves with the step in every model, and so does the difference between any two models. The"
+        " motion is exact.",
         Illustration(
             "inputs_paper",
             "The inputs by the scheme of the paper, over those by the default",
             f"{PAPER}, step {step:g} s; and {DEFAULT}",
-            "Redundant coordinates: model bodies, generalized ones: model generalized.",
+            "Redundant coordinates: model bodies, generalized ones: model generalized. The scale of M_w is enlarged:"
+            f" 2 N m about the {study.base['M_w'][0]:.1f} N m that hold the load at rest.",
             figures.inputs_compared(redundant, generalized, study.base),
         ),
         paper_table(study),
@@ -220,7 +189,7 @@ def paper_table(study: Study, factors: bool = True) -> Table:
         PAPER,
         ("model", "h (s)", *_PERCENT, *_MOTION),
         tuple(rows),
-        f"h is the step. Inputs: relative to the largest value of each.{explained} Motion: absolute.",
+        f"h is the step. Inputs: relative to the peak of each.{explained} Motion: absolute.",
     )
 
 
@@ -241,7 +210,7 @@ def difference_table(study: Study) -> Table:
         PAPER,
         ("models", "h (s)", *_PERCENT),
         tuple((models, f"{step:g}", *_percent(errors)) for (models, step), errors in study.differences.items()),
-        "Relative to the largest value of each input.",
+        "Relative to the peak of each input.",
     )
 
 
@@ -267,37 +236,37 @@ def fmu_table(study: Study, outputs: Mapping[str, Array]) -> Table:
         f"FMU with its defaults: model {study.models[0]}, {DEFAULT.replace('instant', 'communication step')}",
         ("output", "from the closed form", "of its peak"),
         tuple(rows),
-        "A simulation tool hands over the path at the start of a communication step; the FMU continues it to the end of"
-        " the step by its Taylor polynomial. That is all of the difference.",
+        "A co-simulation master sets the path at the start of a communication step; the FMU extrapolates it to the end"
+        " of the step by its Taylor polynomial. The differences are those of this extrapolation.",
     )
 
 
 def _tracking(study: Study) -> list[Part]:
     return [
-        "The equations of motion are integrated forward in time under the computed inputs, without any control."
-        " Under inputs by exact inversion at every instant the load stays on its path; a table of them is joined by"
-        " a cubic spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme"
-        " of the paper the load strays, by an amount of the first order in the step.",
+        "The equations of motion are integrated forward in time under the computed inputs, open loop. Under inputs by"
+        " exact inversion at every instant the load follows its path; a table of them is interpolated by a cubic"
+        " spline, whose error remains. An error of the inputs is integrated twice: under those of the scheme of the"
+        " paper the tracking error is of first order in the step.",
         tracking_table(study.tracking),
         Illustration(
             "tracking",
             "The load in forward simulations",
             f"inputs: {DEFAULT}; and {PAPER}",
-            "Above: its position and, in grey, the path. Below: its distance from the path; errors below a"
-            " nanometre are drawn as one.",
-            figures.strayed(study.tracking, study.tracking),
+            "Above: its position under the inputs of the paper's scheme with the largest step and, in grey, the path."
+            " Below: its distance from the path in all runs; distances below 1 µm are drawn as 1 µm.",
+            figures.strayed(study.tracking, study.tracking[2:3]),
         ),
     ]
 
 
 def tracking_table(runs: Sequence[LoadRun]) -> Table:
-    """Return how far the load strays in forward simulations."""
+    """Return the tracking errors in forward simulations."""
     return _strayed("Forward simulation", f"inputs: {DEFAULT}; and {PAPER}", "under inputs by", runs)
 
 
 def _strayed(title: str, by: str, of_runs: str, runs: Sequence[LoadRun]) -> Table:
     rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in runs)
-    return Table(title, by, (of_runs, "load off its path by at most"), rows)
+    return Table(title, by, (of_runs, "largest tracking error"), rows)
 
 
 def _loop(runs: Sequence[LoadRun]) -> list[Part]:
@@ -311,15 +280,15 @@ def _loop(runs: Sequence[LoadRun]) -> list[Part]:
             "closed_loop",
             "The load under trajectory, inverse model and plant",
             _FMUS,
-            f"Above: the position wanted, in grey, and driven ({runs[-1].label}). Below: the distance of the load"
-            " from where it should be; errors below a nanometre are drawn as one.",
+            f"Above: the prescribed position, in grey, and the simulated one ({runs[-1].label}). Below: the tracking"
+            " error of all runs; errors below 1 µm are drawn as 1 µm. Shaded: the gust.",
             figures.strayed(runs, runs[-1:], figures.CONNECTED),
         ),
     ]
 
 
 def loop_table(runs: Sequence[LoadRun]) -> Table:
-    """Return how far the load strays under the connected FMUs."""
+    """Return the tracking errors of the connected FMUs."""
     return _strayed("The connected FMUs", _FMUS, "run", runs)
 
 
@@ -335,13 +304,6 @@ def _cycle(cycle: Cycle) -> list[Part]:
             DEFAULT,
             "The crane half-way; the load is lifted, swung round and lowered.",
             figures.posture(cycle.solution, len(cycle.solution.t) // 2),
-        ),
-        Illustration(
-            "cycle_inputs",
-            "Inputs of the working cycle",
-            DEFAULT,
-            f"Rows every {STEPS[0]:g} s, and the closed form.",
-            figures.beside_closed_form(INPUTS, cycle.solution, cycle.scene),
         ),
     ]
 

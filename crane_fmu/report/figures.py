@@ -32,7 +32,6 @@ from crane_fmu.report.style import (
 Look = Mapping[str, Any]
 """How `Axes.plot` draws a curve; curves on top of each other differ in more than colour."""
 
-EXACT: Look = {"color": BLACK, "linewidth": 0.9}
 REDUNDANT: Look = {
     "color": VERMILLION,
     "linestyle": "none",
@@ -42,7 +41,6 @@ REDUNDANT: Look = {
     "markeredgewidth": 1.1,
 }
 PAPER_LINE: Look = {"color": VERMILLION, "linestyle": "--", "linewidth": 1.6}
-COMPUTED: Look = {"color": BLUE, "linestyle": "--", "linewidth": 2.2}
 DEFAULT_LINE: Look = {"color": BLUE, "linewidth": 2.6, "alpha": 0.45}
 SIMULATED: tuple[Look, ...] = (
     {"color": BLUE, "linestyle": "--", "linewidth": 1.6},
@@ -58,8 +56,8 @@ CONNECTED: tuple[Look, ...] = (
 )
 """Connected FMUs: one route in all runs, so other colours."""
 
-LEAST_ERROR = 1e-6
-"""In mm; a smaller distance is drawn as this one, since a logarithm needs something."""
+LEAST_ERROR = 1e-3
+"""In mm; a smaller distance is a numerical residual, and is drawn as this one."""
 
 
 @dataclass(frozen=True)
@@ -125,20 +123,9 @@ def inputs_compared(redundant: sc.Solution, generalized: sc.Solution, default: s
     return stack(INPUTS, curves, height=2.1)
 
 
-def closed_form(scene: sc.Scene) -> Curve:
-    """Return the closed form of a scene on a fine grid."""
-    t = np.linspace(scene.reference.start_time, scene.reference.end_time, 1601)
-    return Curve("closed form", t, scene.exact(t), EXACT)
-
-
-def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return some quantities of a run by the default, computed and in closed form."""
-    return stack(names, (Curve("exact inversion", solution.t, solution, COMPUTED), closed_form(scene)))
-
-
 @styled
 def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[Look] = SIMULATED) -> Figure:
-    """Return where the load should be and where it goes in some runs, and its distance from its path in all runs.
+    """Return the prescribed and the simulated position of the load in some runs, and the tracking error of all runs.
 
     Parameters
     ----------
@@ -150,6 +137,9 @@ def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[L
         How each run is drawn.
     """
     figure, (above, below) = panels(["position of the load (m)", "distance from the path (mm)"], height=2.5)
+    for gust in (run.gust for run in shown if run.gust is not None):
+        above.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0)
+        below.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0, label="gust")
     t = runs[0].t
     for name, values in zip("xyz", runs[0].wanted.T, strict=True):
         above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)

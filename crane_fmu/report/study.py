@@ -40,13 +40,16 @@ class LoadRun:
     t : ndarray, shape (n,)
         Times in s.
     wanted, driven : ndarray, shape (n, 3)
-        Where the load should be and where it is, in m.
+        Prescribed and simulated position of the load, in m.
+    gust : (begin, end) or None
+        Times in s of a gust.
     """
 
     label: str
     t: Array
     wanted: Array
     driven: Array
+    gust: tuple[float, float] | None = None
 
     @property
     def error(self) -> Array:

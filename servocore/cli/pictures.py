@@ -23,9 +23,9 @@ from servocore.references.timed_path import TimedPath
 from servocore.solvers.branch_continuation import exact_states, prepared_table
 
 _INSTANTS = 1001
-_PLAN = {"color": "#0072b2", "label": "fastest"}
+_PLAN = {"color": "#0072b2", "label": "near time-optimal"}
 _OTHER = {"color": "#999999", "linewidth": 1.2, "linestyle": "--"}
-_ACTIVE = {"color": "#d55e00", "linewidth": 3.5, "label": "held back by this limit"}
+_ACTIVE = {"color": "#d55e00", "linewidth": 3.5, "label": "active constraint"}
 _BOUND = {"color": "#000000", "linewidth": 0.8, "linestyle": ":"}
 
 
@@ -57,7 +57,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
         for active in (active for active in report.active if active.quantity == each.quantity):
             held = np.where((t >= active.begin) & (t <= active.end), values[each.quantity], np.nan)
             curves.append(Curve(each.quantity, each.unit, "", held, _ACTIVE))
-    return figure_of(t, curves, f"{scene.name}: limited quantities of the fastest motion")
+    return figure_of(t, curves, f"{scene.name}: limited quantities of the near time-optimal motion")
 
 
 def _limited(problem: Problem, t: Array) -> Array:

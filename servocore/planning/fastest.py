@@ -1,4 +1,4 @@
-"""`fastest`: the shortest manoeuvre within the limits, with a certificate that it keeps them."""
+"""`fastest`: near time-optimal trajectories within limits, with a certificate that they keep them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def fastest(
     intervals: int = 80,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Reference, PlanReport]:
-    """Return the fastest law along a way that keeps all limits of a scene, and what is known about it.
+    """Return a near time-optimal trajectory along a path that keeps all limits of a scene, and a report.
+
+    The default of 80 intervals is 1 to 2 % above the infimum, which inputs with jumps at the ends would reach.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def fastest(
     --------
     >>> import servocore as sc
     >>> crane, limits = sc.scenes.rotary_crane(), {"M_b": 1000, "F": 60, "swing": "5 deg"}
-    >>> path, report = sc.fastest(crane, [(5, 0, -5), (-2, 2, -2)], limits, smooth=False)
+    >>> path, report = sc.fastest(crane, [(5, 0, -5), (-2, 2, -2)], limits)
     >>> report.duration < 20.0
     True
     >>> solution = sc.solve(crane.with_reference(path).with_limits(**limits))
@@ -107,7 +109,7 @@ def fastest(
     require_scene(scene, "fastest")
     if not (isinstance(intervals, int) and intervals >= 4 and intervals % 2 == 0):
         raise InvalidSetting(f"a plan needs an even number of intervals, 4 or more, not {intervals!r}")
-    if not (isinstance(smooth, int) and 0 <= smooth <= 2):
+    if isinstance(smooth, bool) or not (isinstance(smooth, int) and 0 <= smooth <= 2):
         raise InvalidSetting(
             f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
         )
