@@ -105,6 +105,17 @@ def joined(name: str, steps: int) -> sc.Scene:
     return scene.with_reference(Joined.of(scene.reference, exported(name).mathematics.orders, steps))
 
 
+def inputs_along_path(name: str, steps: int) -> Array:
+    """Return the inputs (steps + 1, m) that the library computes along the scene's own path, as an FMU joins it."""
+    scene = scene_called(name)
+    if not exported(name).method:
+        path = scene.reference
+        return sc.ExactInversion(scene)(np.linspace(path.start_time, path.end_time, steps + 1))
+    step = scene.reference.duration / steps
+    solution = sc.solve(joined(name, steps), sc.Reduced(), sc.RadauIIA(3), step=step)
+    return np.column_stack([solution[each.name] for each in scene.model().inputs])
+
+
 @cache
 def exported(name: str) -> Any:
     """Return what is exported of a scene: ``cars`` its inverse model, ``cars plant``, ``cars trajectory``, and of the

@@ -121,7 +121,9 @@ class Offset:
         across = min((reach * p[5] / measured[2] / size) ** (1 / (4 - k)) for k, size in enumerate(sizes))
         down = min(sqrt(reach / max(abs(off[0, 2]), 1e-12)), reach / max(abs(off[1, 2]), 1e-12))
         a = np.minimum(0.3 / h, [across, across, down])
-        return cls(np.array([sum(comb(k, j) * a ** (k - j) * off[j] for j in range(k + 1)) for k in range(4)]), a).kept()
+        return cls(
+            np.array([sum(comb(k, j) * a ** (k - j) * off[j] for j in range(k + 1)) for k in range(4)]), a
+        ).kept()
 
     def later(self, tau: float) -> Offset:
         terms = [[self.y[j] * tau ** (j - k) / factorial(j - k) for j in range(k, 4)] for k in range(4)]
@@ -204,7 +206,7 @@ class Law:
         after = x if end else advance(short, x, acting, ran, self.force, p, h)
         e, origin = (x - here[0], here) if end else (after - there[0], there)
         delta = advance(short, *origin, slope, self.force, p, h if end else H) - beyond
-        e_d, w_d, more = self.chosen(short, middle, e, acting - here[1], delta, p, h)
+        more = self.chosen(short, middle, e, acting - here[1], delta, p, h)
         wanted = there[1] + more
         further = 0.0 if end else H / h
         slack = feedforward[2] + 0.5 * (p[5] + jet[2, 2]) * (p[2] + p[3] / p[4] ** 2) * p[4]
@@ -224,7 +226,7 @@ class Law:
         self.force = np.clip(self.force + share / last * missed, -most, most)
 
     def places(self, jet: Array, before: Array, crackle: Array, p: Array, h: float) -> tuple[tuple[Array, Array], ...]:
-        """Return state and inputs on the path now, a step later and in the step to be ruled, and the state behind it."""
+        """Return state and inputs on the path now, a step later and in the step that is ruled, and where it ends."""
         leaning, none, H = np.zeros((5, 3)), np.zeros(3), self.longest
         leaning[2] = -self.force / p[2]
         if self.at == "end":
@@ -238,8 +240,8 @@ class Law:
 
     def chosen(
         self, short: bool, about: tuple[Array, Array], e: Array, w: Array, delta: Array, p: Array, h: float
-    ) -> tuple[Array, Array, Array]:
-        """Return e_d, w_d, and the deviation of the inputs, with the cost-to-go brought up to date."""
+    ) -> Array:
+        """Return the deviation of the inputs, and bring the cost-to-go up to date."""
         R, S = worth(about[0], p, self.longest, self.strain)
         A, new, old = model = linear(self.at, sampled(short, *about, self.force, p, self.longest))
         for _ in range(2):
@@ -258,7 +260,7 @@ class Law:
         pull = begun.T @ S @ z + reach.T @ self.M @ (A @ z + (1 - share) * old @ w)
         v = -np.linalg.solve(R + begun.T @ S @ begun + reach.T @ self.M @ reach, pull)
         self.M = riccati(self.M, *model, R, S)
-        return e_d, w_d, w_d + share * v + (1 - share) * w
+        return w_d + share * v + (1 - share) * w
 
     def within(self, limits: Array, feedforward: Array, more: Array, h: float) -> Array:
         """Return inputs within limits, which keep the direction of what is added."""

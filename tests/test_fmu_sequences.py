@@ -7,7 +7,7 @@ calls between them: what an FMU computes must be what the witness does, which is
 from __future__ import annotations
 
 from copy import deepcopy
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from servocore.numerics.compiled_calls import Array
 CRANE = sc.scenes.rotary_crane()
 TUNED = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia")
 STEPS = 30
-SEEDS = thinned(range(50), lambda seed: seed < 5)
+SEEDS = thinned(range(50), lambda seed: seed < 4)
 
 
 class Witness:
@@ -192,9 +192,9 @@ class Stepped(Witness):
 
     name = "RotaryCrane"
 
-    def __init__(self, random: np.random.Generator) -> None:
+    def __init__(self, random: np.random.Generator, route: tuple[str, str]) -> None:
         super().__init__(random)
-        self.model, self.formulation = ROUTES[random.integers(len(ROUTES))]
+        self.model, self.formulation = route
         self.path = random_case(random).reference
         self.h, parts, self.k = float(random.choice([0.1, 0.2])), int(random.choice([1, 2])), 0
         nodes = self.h * np.arange(STEPS + 1)
@@ -223,10 +223,10 @@ class Stepped(Witness):
             self.compare(host)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", thinned(range(50), lambda seed: seed < len(ROUTES)))
 def test_every_form_and_model_is_stepped_as_solve_steps_it(seed: int) -> None:
     random = np.random.default_rng([seed, 2])
-    run(Stepped(random), random)
+    run(Stepped(random, ROUTES[seed % len(ROUTES)]), random)
 
 
 # The plant ----------------------------------------------------------------------------------------------------------
@@ -255,7 +255,9 @@ class Moved(Witness):
         return np.array([100.0, 10.0, 3.0]) * self.random.uniform(-1.0, 1.0, 3) - [0.0, 0.0, 98.1]
 
     def start(self, host: Host) -> None:
-        forces = {f"{what}[{k + 1}]": each[k] for what, each in (("wind", self.wind), ("gust", self.gust)) for k in range(3)}
+        forces = {
+            f"{what}[{k + 1}]": each[k] for what, each in (("wind", self.wind), ("gust", self.gust)) for k in range(3)
+        }
         duration = self.blows[1] - self.blows[0]
         host.set(**self.begin, **forces, gust_start=self.blows[0], gust_duration=duration, mass_error=self.error)
         host.set(internal_step=0.002, input_time=self.at, hold=self.hold)
@@ -274,7 +276,7 @@ class Moved(Witness):
             slope = (u - earlier) / self.last
         self.taken(host.set(**dict(zip(DRIVES, u.tolist(), strict=True))), h)
         edges = [t, *(each for each in self.blows if t < each < t + h), t + h]
-        for first, then in zip(edges[:-1], edges[1:], strict=True):
+        for first, then in pairwise(edges):
             d = self.force(first)
 
             def rate(time: float, x: Array, d: Array = d) -> Array:
@@ -290,7 +292,7 @@ class Moved(Witness):
         found = np.array([host[name] for name in names])
         np.testing.assert_allclose(found, measured_of(self.x), atol=1e-8)
         d, (_, _, m, *_, g) = self.force(self.time), self.p
-        pull = m * (accelerations(self.x, acting, d, self.p)[2:] + [0.0, 0.0, g]) - d
+        pull = m * (accelerations(self.x, acting, d, self.p)[2:] + np.array([0.0, 0.0, g])) - d
         assert host["tension"] == pytest.approx(np.linalg.norm(pull), rel=1e-7)
 
     def wrong(self, host: Host) -> None:
@@ -325,18 +327,20 @@ def test_the_crane_in_numpy_moves_as_simulate_has_it() -> None:
 # The trajectory -----------------------------------------------------------------------------------------------------
 
 
+LAWS = {"degree9": sc.DEGREE9, "degree13": sc.DEGREE13, "three-phase": sc.three_phase(3.0)}
+
+
 class Played(Witness):
     """The library's path."""
 
     name = "LoadTrajectory"
-    LAWS = {"degree9": sc.DEGREE9, "degree13": sc.DEGREE13, "three-phase": sc.three_phase(3.0)}
 
     def __init__(self, random: np.random.Generator) -> None:
         super().__init__(random)
-        self.profile = str(random.choice(list(self.LAWS)))
+        self.profile = str(random.choice(list(LAWS)))
         case, begin = random_case(random).reference, float(random.uniform(-1.0, 1.0))
         start, end = (case.jet(each, 0)[0] for each in (case.start_time, case.end_time))
-        self.path = sc.rest_to_rest(start, end, case.duration, self.LAWS[self.profile], begin)
+        self.path = sc.rest_to_rest(start, end, case.duration, LAWS[self.profile], begin)
         self.settings = {f"{what}[{k + 1}]": float(each[k])
                          for what, each in (("start", start), ("end", end)) for k in range(3)}  # fmt: skip
         self.settings |= {"duration": case.duration, "start_time": begin, "ramp": 3.0 * (self.profile == "three-phase")}
