@@ -12,7 +12,6 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from fmpy import read_model_description
-from fmpy.validation import validate_fmu
 from fmu_host import Host, described, fmu_file, in_a_process, scratch
 from present import present
 
@@ -38,13 +37,6 @@ def native() -> bytes:
     return native_fmu(LOAD_TRAJECTORY, NativeWishes(targets="host", judged_late=True))
 
 
-def test_fmpy_finds_no_problems() -> None:
-    assert validate_fmu(str(fmu_file())) == []
-    command = [sys.executable, "-m", "fmpy", "validate", str(fmu_file())]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
-
-
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
     folder = tmp_path / "a b" / "c"
     command = [sys.executable, str(ROOT / "build_fmu.py"), "--targets", "host", "-o", str(folder)]
@@ -54,14 +46,6 @@ def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
     assert [each.name for each in folder.iterdir()] == ["RotaryCrane.fmu"]
     # another process, another folder, the same bytes
     assert (folder / "RotaryCrane.fmu").read_bytes() == fmu_file().read_bytes()
-
-
-def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert build.main(["-o", str(tmp_path / "file" / "x")]) == 2
-    assert capsys.readouterr().err.startswith("build_fmu.py: cannot write")
 
 
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
@@ -219,9 +203,3 @@ def test_a_clean_process_runs_it_without_casadi_or_the_project(tmp_path: Path) -
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
-
-
-def test_it_runs_from_a_path_with_a_space(tmp_path: Path) -> None:
-    (tmp_path / "with space").mkdir()
-    done = in_a_process(CLEAN, fmu_file(), TMPDIR=str(tmp_path / "with space"))
-    assert done.returncode == 0, done.stderr
