@@ -5,12 +5,14 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import numpy.typing as npt
 from budgets import shared_by_all_files
@@ -31,6 +33,8 @@ from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
 
+NATIVE = Path(__file__).parent / "native"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
 OK, WARNING, DISCARD, ERROR = range(4)
 START, END = 1, 2
 """Values of input_time."""
@@ -62,6 +66,15 @@ OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "waves": timed.mass_in_waves,
     "wind": lambda: timed.pendulum_in_the_wind().scene,
 }
+
+
+@cache
+def c_host(fmi: int) -> Path:
+    """Return a host in C: see native/host.c."""
+    program = scratch() / f"host {fmi}"
+    options = ["-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}"]
+    subprocess.run([*sc.c_compiler(), *options, NATIVE / "host.c", "-o", program, "-ldl"], check=True)
+    return program
 
 
 @cache

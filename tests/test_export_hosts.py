@@ -19,14 +19,12 @@ import numpy as np
 import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmu_host import extracted
-from native_fmu import Native, along_path, exported, jets_of, native_file, scene_called
+from native_fmu import HEADERS, NATIVE, Native, along_path, c_host, exported, jets_of, native_file, scene_called
 
 import servocore as sc
 from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.targets import zig
 
-HERE = Path(__file__).parent / "native"
-HEADERS = Path(fmpy.__file__).parent / "c-code"
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 PLATFORMS = os.environ.get("SERVOCORE_PLATFORMS") == "all"
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -55,26 +53,13 @@ def numbers_of(text: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int, compiler: list[str], tmp_path: Path) -> None:
+def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int) -> None:
     name, steps = "rotary_crane", 100
-    host = tmp_path / "host"
-    build: list[str | Path] = [
-        *compiler,
-        "-O1",
-        "-w",
-        f"-DFMI={fmi}",
-        f"-I{HEADERS}",
-        HERE / "host.c",
-        "-o",
-        host,
-        "-ldl",
-    ]
-    subprocess.run(build, check=True)
     folder = Path(extracted(native_file(name, fmi)))
     (library,) = folder.glob("binaries/*/*.so")
     words, path = host_words(name, fmi, steps)
     token = read_model_description(str(folder)).guid
-    done = subprocess.run([host, library, token, *words], input=path, capture_output=True, text=True, check=True)
+    done = subprocess.run([c_host(fmi), library, token, *words], input=path, capture_output=True, text=True, check=True)
     with Native(name, fmi) as instance:
         expected = along_path(instance, steps)
     assert (numbers_of(done.stdout) == expected).all()
@@ -101,7 +86,7 @@ def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], fold
     build: list[str | Path] = [
         *compiler,
         *options,
-        HERE / f"{driver}.c",
+        NATIVE / f"{driver}.c",
         *compiled_files(model, fmi),
         "-o",
         driver,
@@ -165,7 +150,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path
     windows = target.endswith("windows")
     host = tmp_path / ("host.exe" if windows else "host")
     options = ["-target", f"{target}-gnu", "-O1", "-w", "-DFMI=3", f"-I{HEADERS}", *(() if windows else ("-ldl",))]
-    subprocess.run([*compiler, "cc", *options, HERE / "host.c", "-o", host], check=True, timeout=900)
+    subprocess.run([*compiler, "cc", *options, NATIVE / "host.c", "-o", host], check=True, timeout=900)
     words, path = host_words(name, 3, steps)
     done = subprocess.run(
         [*runner, host, library, read_model_description(str(folder)).guid, *words],
