@@ -18,6 +18,7 @@ from servocore.numerics.compiled_calls import Array
 CRANE = sc.scenes.rotary_crane()
 DRIVES = ("M_b", "F", "M_w")
 LOAD = slice(2, 5)
+Flat = tuple[Array, Array]
 
 
 def accelerations(x: Array, u: Array, d: Array, p: Array) -> Array:
@@ -72,7 +73,7 @@ def continued(jet: Array, crackle: Array, tau: float) -> Array:
     return np.array([sum(rows[j] * tau ** (j - k) / factorial(j - k) for j in range(k, 6)) for k in range(5)])
 
 
-def flat(jet: Array, p: Array) -> tuple[Array, Array]:
+def flat(jet: Array, p: Array) -> Flat:
     """Return state and inputs with which the load moves as a jet says."""
     fall = p[5] + jet[2, 2]
     lean = jet[2, :2] / fall
@@ -225,22 +226,20 @@ class Law:
         share, most = min(1 - exp(-50.0 * last), 0.28), 0.5 * p[2] * p[5]
         self.force = np.clip(self.force + share / last * missed, -most, most)
 
-    def places(self, jet: Array, before: Array, crackle: Array, p: Array, h: float) -> tuple[tuple[Array, Array], ...]:
+    def places(self, jet: Array, before: Array, crackle: Array, p: Array, h: float) -> tuple[Flat, Flat, Array, Flat]:
         """Return state and inputs on the path now, a step later and in the step that is ruled, and where it ends."""
         leaning, none, H = np.zeros((5, 3)), np.zeros(3), self.longest
         leaning[2] = -self.force / p[2]
         if self.at == "end":
             first, then = before + self.offset.jet(0.0) + leaning, jet + self.offset.jet(h) + leaning
             there = flat(then, p)
-            middle = (continued(first, none, h / 2) + continued(then, none, -h / 2)) / 2
-            return flat(first, p), there, there[0], flat(middle, p)  # type: ignore[return-value]
+            half = (continued(first, none, h / 2) + continued(then, none, -h / 2)) / 2
+            return flat(first, p), there, there[0], flat(half, p)
         later = [continued(jet, crackle, tau) + self.offset.jet(tau) + leaning for tau in (0.0, h, h + H, h + H / 2)]
         here, there, beyond, middle = (flat(each, p) for each in (jet + self.offset.jet(0.0) + leaning, *later[1:]))
-        return here, there, beyond[0], middle  # type: ignore[return-value]
+        return here, there, beyond[0], middle
 
-    def chosen(
-        self, short: bool, about: tuple[Array, Array], e: Array, w: Array, delta: Array, p: Array, h: float
-    ) -> Array:
+    def chosen(self, short: bool, about: Flat, e: Array, w: Array, delta: Array, p: Array, h: float) -> Array:
         """Return the deviation of the inputs, and bring the cost-to-go up to date."""
         R, S = worth(about[0], p, self.longest, self.strain)
         A, new, old = model = linear(self.at, sampled(short, *about, self.force, p, self.longest))
@@ -268,7 +267,7 @@ class Law:
         room = np.where(more > 0, limits - base, limits + base) / np.maximum(np.abs(more), 1e-9)
         share = min(1.0, room.min())
         self.strain = min(max(self.strain - 0.5 * h, 0.0) - log(max(share, 0.5)), 3.0)
-        return base + share * more
+        return np.asarray(base + share * more)
 
 
 def linear(at: str, of: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

@@ -107,7 +107,7 @@ class Followed(Witness):
 
     def start(self, host: Host) -> None:
         limits = {f"limit.{name}": each for name, each in zip(DRIVES, self.limits, strict=True)}
-        host.set(**limits, **self.p, input_time=self.at).start(self.before, self.time)  # type: ignore[arg-type]
+        host.set(**limits, **self.p, input_time=self.at).start(self.before, self.time)
         self.computed(self.before)
         self.compare(host, 1e-11, self.drives().clip(-self.limits, self.limits))
 
@@ -265,7 +265,7 @@ class Moved(Witness):
         self.compare(host, self.u)
 
     def force(self, time: float) -> Array:
-        return self.wind + self.gust * (self.blows[0] <= time < self.blows[1])
+        return self.wind + self.gust * float(self.blows[0] <= time < self.blows[1])
 
     def step(self, host: Host) -> None:
         h, u, earlier, t = self.length(), self.inputs(), self.u, self.time
