@@ -83,15 +83,8 @@ def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], fold
     options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
     if name == "rotary_crane plant":  # inputs by chance would drop its load
         options.append("-DAMPLITUDE=0.0")
-    build: list[str | Path] = [
-        *compiler,
-        *options,
-        NATIVE / f"{driver}.c",
-        *compiled_files(model, fmi),
-        "-o",
-        driver,
-        "-lm",
-    ]
+    files: list[str | Path] = [NATIVE / f"{driver}.c", *compiled_files(model, fmi)]
+    build = [*compiler, *options, *files, "-o", driver, "-lm"]
     built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":
         pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")

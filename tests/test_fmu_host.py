@@ -137,18 +137,6 @@ def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> No
 # --- state -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_state_also_holds_what_failed_and_what_has_not_begun() -> None:
-    with Host() as host:
-        fresh = host.fmu.getFMUState()
-        host.set(gravity=0.0).start()
-        failed = host.fmu.getFMUState()
-        host.fmu.setFMUState(fresh)
-        assert host.start().step(0.0, 0.1)
-        host.fmu.setFMUState(failed)
-        assert not host.step(0.0, 0.1)
-        assert "gravity" in host.messages[-1]
-
-
 @pytest.mark.parametrize("wrong", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "rotary crane state 1", "guid": "x"}'])
 def test_a_foreign_state_is_refused_and_nothing_changes(wrong: bytes) -> None:
     with Host() as host:

@@ -43,17 +43,8 @@ def guid() -> str:
 def run(folder: Path, *, given: str | None = None, location: str | None = None) -> subprocess.CompletedProcess[str]:
     """Follow a load at rest in a C program, which has no Python, without anything of this process's environment."""
     binary, inputs = folder / "binaries" / PLATFORM / "RotaryCrane.so", len(JET) + len(FEEDBACK_INPUTS)
-    words = [
-        inputs,
-        inputs,
-        inputs,
-        len(OUTPUTS),
-        NO_CHOICE,
-        STEPS,
-        0.1,
-        1,
-        location or (folder / "resources").as_uri(),
-    ]
+    where = location or (folder / "resources").as_uri()
+    words = [inputs, inputs, inputs, len(OUTPUTS), NO_CHOICE, STEPS, 0.1, 1, where]
     rest = [5.0, 0.0, -5.0, *[0.0] * (inputs - 3)] * (STEPS + 1)
     return subprocess.run(
         [str(each) for each in (c_host(2), binary, given or guid(), *words)],
