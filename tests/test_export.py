@@ -30,7 +30,7 @@ from servocore.numerics.compiled_calls import Array
 FLAT = (("rotary_crane", 2), ("rotary_crane", 3), ("elastic_hoist", 3))
 INTERNAL = ("mass_on_car", 2)
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
-SOME = (*FLAT, INTERNAL, ("ship", 3))
+SOME: tuple[tuple[str, int], ...] = (*FLAT, INTERNAL, ("ship", 3))
 if FULL:
     SOME = tuple((name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist", "ship", "wind") for fmi in (2, 3))
 MOVES = {

@@ -192,7 +192,7 @@ def test_exact_positions_at_1_ms_are_not_lost_in_rounding() -> None:
 
 
 def test_a_start_in_motion_waits_for_samples_and_says_so() -> None:
-    error, (said,) = torque_errors(8.0 + 0.01 * np.arange(100))
+    error, (said,) = torque_errors(np.arange(800.0, 900.0) * 0.01)
     assert error[7:].max() < 0.05
     assert 0.5 < error.max() < 10.0
     assert "the load starts in motion: derivatives above the load's position are known after 7 samples" in said
