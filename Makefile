@@ -14,7 +14,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test quick versions hostile nightly ivp load loop loopnative native platforms check format fmu bench chart atlas planning jobs effects levels pictures docs clean
+.PHONY: help demo test quick versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects levels pictures docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -54,15 +54,12 @@ ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bar
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 	SERVOCORE_LOAD=full $(RUN) pytest -s --durations=0 tests/test_load.py
 
-loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (half an hour or more)
+loop: $(INSTALLED)  ## close the loop of native inverse model and plant over 200 random manoeuvres at every step (an hour)
 	$(BIN)/python tests/loop_study.py
 
-loopnative: $(INSTALLED)  ## the same with native FMUs, 50 manoeuvres of each kind (some quarter of an hour)
-	$(BIN)/python tests/loop_study.py 50 --native
-
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
-	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py \
-		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_loop.py tests/test_export_wasm.py
+	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py tests/test_export.py \
+		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py

@@ -1,18 +1,14 @@
-"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--native | --draw]``.
+"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--draw]``.
 
-With ``--native`` native FMUs run every manoeuvre themselves, and nothing but the distributions is told. With ``--draw``
-nothing runs: the picture is drawn from feedback.csv.
-
-Random manoeuvres run in machine code (`compiled_loop`); the default manoeuvre and one case in twenty also in the FMUs,
-which have to agree. Distributions and the loop's stability go to the standard output, every run into feedback.csv, the
-picture beside it.
+Native FMUs run random manoeuvres. Distributions and the loop's stability go to the standard output, every run into
+feedback.csv, the picture beside it. With ``--draw`` nothing runs: the picture is drawn from feedback.csv.
 """
 
 from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -24,7 +20,6 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from called import laws
-from compiled_loop import compiled_deviation
 from loop_information import smallest_distance
 from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, STEPS, Case, PlantRefusedError, deviation, fastest, random_case
@@ -36,7 +31,6 @@ MASTERS = {"start": "Jacobi", "end": "Gauss-Seidel"}
 NOMINAL, ANY, HARD, DISTURBED = "default crane", "any crane", "any crane, any snap", "5 % mass error and gust"
 DISTURBED_ANY = "any crane, 5 % mass error and gust"
 BOUND_OF_OTHERS, BOUND_DISTURBED, DISTURBED_STEP = 3.0, 10.0, 0.01
-ONE_IN, AGREEMENT = 20, (0.05, 1e-6)  # relative, and in mm: the FMUs round otherwise
 
 
 @dataclass(frozen=True)
@@ -73,15 +67,15 @@ def jump(case: Case) -> float:
     return float(np.linalg.norm(np.concatenate([ends, both[1] - both[0]]), axis=1).max())
 
 
-def by_native(case: Case, h: float, at: str, share: float = 1.0) -> float:
-    """Return what `compiled_deviation` does, by native FMUs; infinite where the plant refuses to go on."""
+def measured(case: Case, h: float, at: str, share: float = 1.0) -> float:
+    """Return the largest distance of the load from its path in mm; infinite where the plant refuses to go on."""
     try:
-        return deviation(case, h, at, native=True, feedback=share)
+        return deviation(case, h, at, feedback=share)
     except PlantRefusedError:
         return float("inf")
 
 
-def runs(count: int, measured: Callable[..., float] = compiled_deviation) -> Iterator[list[Run]]:
+def runs(count: int) -> Iterator[list[Run]]:
     """Yield the runs of each kind, master and step."""
     for kind in (NOMINAL, ANY, HARD, DISTURBED, DISTURBED_ANY):
         cases = cases_of(kind, count)
@@ -125,24 +119,6 @@ def sentence(found: Sequence[Run]) -> str:
         share = max(each.distance / each.without for each in found)
         said += f"; at most {share:.2g} of what feedforward alone leaves"
     return said + (" BROKEN" if broken(found) else "")
-
-
-def agreement(count: int) -> bool:
-    """Run the FMUs themselves, and say whether they do what the machine code does."""
-    agrees = True
-    chosen = [*cases_of(NOMINAL, count)[::ONE_IN], *cases_of(ANY, count)[::ONE_IN]]
-    for at, master in MASTERS.items():
-        rows = [(deviation(Case(), h, at), compiled_deviation(Case(), h, at), h, "default manoeuvre") for h in STEPS]
-        for k, case in enumerate(chosen):
-            h = STEPS[k % 4]
-            if fastest(case) * h <= LARGEST_TURN:
-                rows.append((deviation(case, h, at), compiled_deviation(case, h, at), h, case.name))
-        for by_fmus, compiled, h, name in rows:
-            equal = bool(np.isclose(by_fmus, compiled, *AGREEMENT))
-            agrees &= equal
-            print(f"FMUs, {master}, {h:g} s: {by_fmus:.3e} mm, compiled {compiled:.3e} mm ({name})"
-                  f"{'' if equal else ' DIFFERENT'}", flush=True)  # fmt: skip
-    return agrees
 
 
 def stability() -> bool:
@@ -211,7 +187,7 @@ def _draw_kind(axis: Any, found: Sequence[Run]) -> None:
 
 
 def main(count: int, folder: Path) -> int:
-    """Run, print and draw everything; returns 1 if a bound is broken or FMUs do something else."""
+    """Run, print and draw everything; returns 1 if a bound is broken."""
     everything: list[Run] = []
     status = 0
     for found in runs(count):
@@ -225,7 +201,7 @@ def main(count: int, folder: Path) -> int:
         table.writerows([[f"{value:.3e}" if isinstance(value, float) else value for value in vars(each).values()]
                          for each in everything])  # fmt: skip
     draw(everything, folder / "feedback.png")
-    return status | (not agreement(count)) | (not stability())
+    return status | (not stability())
 
 
 def recorded(file: Path) -> list[Run]:
@@ -238,21 +214,10 @@ def recorded(file: Path) -> list[Run]:
         ]  # fmt: skip
 
 
-def native(count: int) -> int:
-    """Run native FMUs, and print; returns 1 if a bound is broken."""
-    status = 0
-    for found in runs(count, by_native):
-        print(sentence(found), flush=True)
-        status |= broken(found)
-    return status
-
-
 if __name__ == "__main__":
     options = [word for word in sys.argv[1:] if word.startswith("--")]
     numbers = [word for word in sys.argv[1:] if word not in options]
     if "--draw" in options:
         draw(recorded(TARGET / "feedback.csv"), TARGET / "feedback.png")
-    elif "--native" in options:
-        sys.exit(native(int(numbers[0]) if numbers else 200))
     else:
         sys.exit(main(int(numbers[0]) if numbers else 200, Path(numbers[1]) if numbers[1:] else TARGET))

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from fmu_host import JET, Host, fmu_file
+from fmu_host import JET, Host
 from native_fmu import native_file
 
 import servocore as sc
@@ -43,12 +43,11 @@ class PlantRefusedError(AssertionError):
 
 
 class Loop:
-    """Two instances that are used for one run: of the FMUs with Python, or of the native ones."""
+    """Two instances of native FMUs that are used for one run."""
 
-    def __init__(self, case: Case, at: str = "start", native: bool = False, **settings: float | str) -> None:
+    def __init__(self, case: Case, at: str = "start", **settings: float | str) -> None:
         self.case, self.at = case, at
-        names = ("RotaryCrane", "CranePlant"), ("rotary_crane loop", "rotary_crane plant")
-        crane_file, plant_file = [native_file(name, 2) for name in names[1]] if native else map(fmu_file, names[0])
+        crane_file, plant_file = (native_file(f"rotary_crane {what}", 2) for what in ("loop", "plant"))
         path = case.reference
         start = path.jet(path.start_time, 0)[0]
         places = {f"start.position[{k + 1}]": float(start[k]) for k in range(3)}
@@ -94,10 +93,10 @@ class Loop:
         return np.array(self.measured()[6:9])
 
 
-def deviation(case: Case, h: float, at: str = "start", native: bool = False, **settings: float | str) -> float:
+def deviation(case: Case, h: float, at: str = "start", **settings: float | str) -> float:
     """Largest distance in mm of the load from its path, also a second after it."""
     t = h * np.arange(round((case.reference.duration + 1.0) / h) + 1)
-    return _deviation_at(Loop(case, at, native, **settings), t, np.full(len(t) - 1, h))
+    return _deviation_at(Loop(case, at, **settings), t, np.full(len(t) - 1, h))
 
 
 def jets_of(path: sc.Reference, h: float) -> np.ndarray:
@@ -112,9 +111,9 @@ def jets_at(path: sc.Reference, t: np.ndarray) -> np.ndarray:
     return jets
 
 
-def deviation_over(case: Case, steps: np.ndarray, at: str = "start", native: bool = False) -> float:
+def deviation_over(case: Case, steps: np.ndarray, at: str = "start") -> float:
     """`deviation` where steps vary."""
-    return _deviation_at(Loop(case, at, native), np.concatenate([[0.0], np.cumsum(steps)]), steps)
+    return _deviation_at(Loop(case, at), np.concatenate([[0.0], np.cumsum(steps)]), steps)
 
 
 def _deviation_at(loop: Loop, t: np.ndarray, steps: np.ndarray) -> float:

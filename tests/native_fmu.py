@@ -5,12 +5,14 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import numpy.typing as npt
 from budgets import shared_by_all_files
@@ -32,6 +34,8 @@ from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
 
+NATIVE = Path(__file__).parent / "native"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
 OK, WARNING, DISCARD, ERROR = range(4)
 START, END = 1, 2
 """Values of input_time."""
@@ -63,6 +67,15 @@ OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "waves": timed.mass_in_waves,
     "wind": lambda: timed.pendulum_in_the_wind().scene,
 }
+
+
+@cache
+def c_host(fmi: int) -> Path:
+    """Return a host in C: see native/host.c."""
+    program = scratch() / f"host {fmi}"
+    options = ["-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}"]
+    subprocess.run([*sc.c_compiler(), *options, NATIVE / "host.c", "-o", program, "-ldl"], check=True)
+    return program
 
 
 @cache
@@ -104,6 +117,17 @@ def joined(name: str, steps: int) -> sc.Scene:
     """Return a scene on its own path as an FMU joins it between communication points."""
     scene = scene_called(name)
     return scene.with_reference(Joined.of(scene.reference, exported(name).mathematics.orders, steps))
+
+
+def inputs_along_path(name: str, steps: int) -> Array:
+    """Return the inputs (steps + 1, m) that the library computes along the scene's own path, as an FMU joins it."""
+    scene = scene_called(name)
+    if not exported(name).method:
+        path = scene.reference
+        return sc.ExactInversion(scene)(np.linspace(path.start_time, path.end_time, steps + 1))
+    step = scene.reference.duration / steps
+    solution = sc.solve(joined(name, steps), sc.Reduced(), sc.RadauIIA(3), step=step)
+    return np.column_stack([solution[each.name] for each in scene.model().inputs])
 
 
 @cache

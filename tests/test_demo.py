@@ -2,7 +2,6 @@
 
 import os
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -174,15 +173,6 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(
         assert result.stdout == ""
         assert re.fullmatch(r"crane-fmu: cannot write file.*not a folder; name another place\n", result.stderr)
     assert os.listdir() == ["file"]
-
-
-def test_build_is_the_same_as_build_fmu(fmu: Path, tmp_path: Path) -> None:
-    built = tmp_path / "deep" / "folder" / "RotaryCrane.fmu"
-    command = [sys.executable, "-m", "crane_fmu", "build", "--targets", "host", "-o", str(built.parent)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
-    assert done.stdout.strip() == str(built)
-    assert all(re.fullmatch("[a-z].*FMU.*|.*RotaryCrane.*|[a-z0-9_, -]+", each) for each in done.stderr.splitlines())
-    assert built.read_bytes() == fmu.read_bytes()
 
 
 class TestRunFmu:

@@ -18,17 +18,13 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy import read_model_description, simulate_fmu
-from fmpy.validation import validate_fmu
 from fmu_host import extracted
-from native_fmu import Native, along_path, exported, jets_of, joined, native_file, scene_called
-from test_masters import MASTERS, in_master, required
+from native_fmu import HEADERS, NATIVE, Native, along_path, c_host, exported, jets_of, native_file, scene_called
 
 import servocore as sc
 from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.targets import zig
 
-HERE = Path(__file__).parent / "native"
-HEADERS = Path(fmpy.__file__).parent / "c-code"
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 PLATFORMS = os.environ.get("SERVOCORE_PLATFORMS") == "all"
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -57,54 +53,16 @@ def numbers_of(text: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int, compiler: list[str], tmp_path: Path) -> None:
+def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int) -> None:
     name, steps = "rotary_crane", 100
-    host = tmp_path / "host"
-    build: list[str | Path] = [
-        *compiler,
-        "-O1",
-        "-w",
-        f"-DFMI={fmi}",
-        f"-I{HEADERS}",
-        HERE / "host.c",
-        "-o",
-        host,
-        "-ldl",
-    ]
-    subprocess.run(build, check=True)
     folder = Path(extracted(native_file(name, fmi)))
     (library,) = folder.glob("binaries/*/*.so")
     words, path = host_words(name, fmi, steps)
     token = read_model_description(str(folder)).guid
-    done = subprocess.run([host, library, token, *words], input=path, capture_output=True, text=True, check=True)
+    done = subprocess.run([c_host(fmi), library, token, *words], input=path, capture_output=True, text=True, check=True)
     with Native(name, fmi) as instance:
         expected = along_path(instance, steps)
     assert (numbers_of(done.stdout) == expected).all()
-
-
-@pytest.mark.parametrize("master", ["ecospy", "libcosimpy"])
-def test_another_master_gets_what_a_host_in_python_gets(master: str, tmp_path: Path) -> None:
-    required(master)
-    file, t = native_file("rotary_crane", 2), np.arange(40.0, 60.0) * 0.1
-    jets = jets_of("rotary_crane", t)
-    with Native("rotary_crane", 2) as host:
-        host.start(jets[0])  # inputs belong to the start of a step: these masters set no enumerations
-        expected = [host.values()]
-        for k in range(1, len(t)):
-            host.tell(jets[k]).step(0.1 * (k - 1), 0.1)
-            expected.append(host.values())
-        task = {
-            "file": str(file),
-            "step": 0.1,
-            "jets": jets.reshape(len(t), -1).tolist(),
-            "inputs": host.inputs,
-            "outputs": host.outputs,
-            "settings": {},
-            "references": host.references,
-        }
-    found = in_master(MASTERS[master], task, tmp_path / "task.json")
-    assert len(found) >= len(t) - 1  # not all tell the outputs at the start
-    np.testing.assert_allclose(found, expected[-len(found) :], rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
 # What a host may do --------------------------------------------------------------------------------------------------
@@ -125,15 +83,8 @@ def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], fold
     options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
     if name == "rotary_crane plant":  # inputs by chance would drop its load
         options.append("-DAMPLITUDE=0.0")
-    build: list[str | Path] = [
-        *compiler,
-        *options,
-        HERE / f"{driver}.c",
-        *compiled_files(model, fmi),
-        "-o",
-        driver,
-        "-lm",
-    ]
+    files: list[str | Path] = [NATIVE / f"{driver}.c", *compiled_files(model, fmi)]
+    build = [*compiler, *options, *files, "-o", driver, "-lm"]
     built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":
         pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")
@@ -155,30 +106,7 @@ def test_vectors_that_do_not_fit_meet_no_sanitizer(name: str, compiler: list[str
     under_sanitizers(name, 3, "hostile3", compiler, tmp_path, 10_000, 3)
 
 
-# All scenes, all platforms -------------------------------------------------------------------------------------------
-
-ALL = [(name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist", "ship", "wind") for fmi in (2, 3)]
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-@pytest.mark.parametrize(("name", "fmi"), ALL)
-def test_every_scene_is_exported_and_computes_the_same(name: str, fmi: int) -> None:
-    file, steps = native_file(name, fmi), 100
-    assert validate_fmu(str(file)) == []
-    alone = simulate_fmu(str(file), stop_time=1.0, output_interval=0.1)
-    assert len(alone) == 11
-    scene = scene_called(name)
-    inputs = [each.name for each in scene.model().inputs]
-    if exported(name).method:
-        scene = joined(name, steps)
-        solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=scene.reference.duration / steps)
-        expected = np.column_stack([solution[each] for each in inputs])
-    else:
-        t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)
-        expected = sc.ExactInversion(scene)(t)
-    with Native(name, fmi) as host:
-        found = along_path(host, steps)[:, : len(inputs)]
-    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+# Branches, and all platforms ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
@@ -215,7 +143,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path
     windows = target.endswith("windows")
     host = tmp_path / ("host.exe" if windows else "host")
     options = ["-target", f"{target}-gnu", "-O1", "-w", "-DFMI=3", f"-I{HEADERS}", *(() if windows else ("-ldl",))]
-    subprocess.run([*compiler, "cc", *options, HERE / "host.c", "-o", host], check=True, timeout=900)
+    subprocess.run([*compiler, "cc", *options, NATIVE / "host.c", "-o", host], check=True, timeout=900)
     words, path = host_words(name, 3, steps)
     done = subprocess.run(
         [*runner, host, library, read_model_description(str(folder)).guid, *words],

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import os
 import zipfile
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
-from fmu_host import fmu_file
-from native_fmu import DISCARD, END, OK, START, Native, began, exported, native_file, path_of
+from native_fmu import DISCARD, END, OK, Native, began, exported, native_file, path_of
 from present import of_kind, present
 
 import servocore as sc
@@ -121,58 +119,7 @@ def test_a_profile_that_is_none_is_refused() -> None:
         trajectory_model(CRANE, None, sc.TrajectoryWishes(profile="degree8"))
 
 
-def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence() -> None:
-    for parameters, words in (({"profile": 1, "ramp": 2.0}, "a ramp belongs to the profile three-phase, not"),
-                              ({"profile": 3, "ramp": 15.0}, "takes at least 30 s")):  # fmt: skip
-        with Native("rotary_crane trajectory", 2) as host:
-            with pytest.raises(fmpy.fmi1.FMICallException):
-                host.start(**parameters)  # type: ignore[arg-type]  # wrong on purpose
-            assert words in host.messages[-1]
-
-
 # Plant ---------------------------------------------------------------------------------------------------------------
-
-
-@cache
-def inputs(steps: int) -> np.ndarray:
-    """Return inputs (steps, 3) that move the crane gently, none at first."""
-    p = {each.name: each.default for each in CRANE.model().parameters.declared}
-    t = np.arange(steps) * 0.1
-    found = np.column_stack([50.0 * np.sin(t), 20.0 * np.sin(0.7 * t + 1.0), 2.0 * np.sin(1.3 * t)])
-    found[:, 2] -= p["load_mass"] * p["gravity"] * p["winch_radius"]
-    found[:2] = 0.0
-    return found
-
-
-SETTINGS: tuple[dict[str, float], ...] = (
-    {},
-    {"input_time": END},
-    {"hold": 2},
-    {"brakes": 2, "start.position[1]": 6.0, "start.velocity[2]": 0.1, "start.swing[2]": 0.05},
-    {"start.swing[1]": 0.05},
-    {"start.velocity[1]": 0.1},
-    {"mass_error": 0.05, "wind[1]": 3.0, "gust[2]": -8.0, "gust_start": 1.234, "gust_duration": 0.789},
-)
-WATCHED = (
-    *(f"load.{what}[{k}]" for what in ("position", "velocity") for k in (1, 2, 3)),
-    *("phi", "s", "l", "phi_dot", "s_dot", "l_dot", "tension", "energy"),
-)
-
-
-@pytest.mark.parametrize("settings", SETTINGS, ids=str)
-def test_the_plant_moves_as_the_one_in_python(settings: dict[str, Any]) -> None:
-    found = []
-    for make in (partial(Native, "python", 2, fmu_file("CranePlant")), partial(Native, "rotary_crane plant", 2)):
-        with make() as host:
-            host.start(**settings)
-            found.append([host.get(*WATCHED)])
-            for k, u in enumerate(inputs(30)):
-                host.numbers_set(DRIVES, u)
-                assert host.step(k * 0.1, 0.1) == OK, host.messages
-                found[-1].append(host.get(*WATCHED))
-    python, native = np.array(found)
-    assert np.abs(python[-1] - python[0]).max() > 0.1
-    assert (np.abs(native - python) <= 1e-12 * np.abs(python).max(axis=0)).all()
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -218,124 +165,11 @@ def test_a_rope_that_would_have_to_push_is_refused_with_its_tension(name: str) -
         assert host.get("tension")[0] == before
 
 
-def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope() -> None:
-    with Native("rotary_crane plant", 2) as host:
-        host.start(brakes=2)
-        host.numbers_set(host.inputs, [0.0, 0.0, 1000.0])
-        time, status = 0.0, OK
-        while status == OK and time < 5.0:
-            status, time = host.step(time, 0.01), time + 0.01
-    assert status == DISCARD
-    assert "tension" in host.messages[-1]
-
-
 @pytest.mark.parametrize("model", CRANE.models)
 def test_a_tension_is_watched_in_every_model(model: str) -> None:
     outputs = plant_model(CRANE, model).outputs
     assert {each.name for each in outputs if each.positive} >= {"l", "tension"}
     assert "swing" not in {each.name for each in outputs if each.positive}  # it may be zero
-
-
-# Feedback ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("input_time", [START, END])
-def test_the_feedback_is_that_of_python(input_time: int) -> None:
-    """A load beside its path, its measured motion made up: only equal laws say the same of it."""
-    h, first = 0.1, 40
-    motion = sc.solve(CRANE, step=h)
-    found: list[Any] = []
-    jets = CRANE.reference.jet(motion.t, 4)
-    for make in (partial(Native, "python", 2, fmu_file()), partial(Native, "rotary_crane loop", 2)):
-        with make() as host:
-            path, measured = ([e for e in host.inputs if e.startswith(of)] for of in ("load.", "measured."))
-            host.set(input_time=input_time, **{"limit.M_b": 1e5})
-            host.start(time=motion.t[first])
-            found.append([])
-            for k in range(first, first + 25):
-                seen = [motion[each][k] for each in ("phi", "s", "l")]
-                rates = [(motion[each][k + 1] - motion[each][k - 1]) / (2 * h) for each in ("phi", "s", "l")]
-                place = jets[k, 0] + [0.02 * np.sin(k), 0.01, 0.005]
-                told = jets[k + 1] if input_time == END else jets[k]
-                host.numbers_set([*path, *measured], [*told.ravel(), *seen, *rates, *place, *jets[k, 1]])
-                assert host.step(motion.t[k], h) == OK, host.messages
-                found[-1].append(host.get(*DRIVES))
-    python, native = np.array(found)
-    feedforward = np.column_stack([motion[each] for each in DRIVES])[first + 1 : first + 26]
-    assert np.abs(native - feedforward).max() > 1.0
-    assert np.abs(native - python).max() < 1e-9 * np.abs(python).max()
-
-
-# Estimated derivatives -----------------------------------------------------------------------------------------------
-
-CONNECTED = {"snap": 1, "jerk": 2, "acceleration": 3, "velocity": 4, "position": 5}
-
-
-def driven(host: Native, jets: np.ndarray, h: float, input_time: int, connected: str) -> np.ndarray:
-    """Return the outputs of all steps."""
-    path, found = [each for each in host.inputs if each.startswith("load.")], []
-    host.set(input_time=input_time, connected=CONNECTED[connected])
-    host.fmu.setupExperiment(startTime=0.0)
-    host.fmu.enterInitializationMode()
-    host.numbers_set(path, jets[0].ravel())
-    host.fmu.exitInitializationMode()
-    for k, jet in enumerate(jets[1:] if input_time == END else jets[:-1]):
-        host.numbers_set(path, jet.ravel())
-        assert host.step(k * h, h) == OK, host.messages
-        found.append(host.get(*DRIVES, "phi", "s", "l"))
-    return np.array(found)
-
-
-@pytest.mark.parametrize(
-    ("connected", "input_time", "h", "rounding"),
-    [("position", START, 0.1, 0.0), ("position", END, 0.01, 1e-6), ("velocity", END, 0.1, 0.0),
-     ("acceleration", START, 0.01, 1e-4), ("jerk", START, 0.1, 0.0)],
-)  # fmt: skip
-def test_what_is_not_connected_is_estimated_as_in_python(
-    connected: str, input_time: int, h: float, rounding: float
-) -> None:
-    jets, found = CRANE.reference.jet(np.arange(200) * h, 4), []
-    if rounding:
-        jets = np.round(jets / rounding) * rounding
-    for make in (partial(Native, "python", 2, fmu_file()), partial(Native, "rotary_crane loop", 2)):
-        with make() as host:
-            found.append(driven(host, jets, h, input_time, connected))
-    python, native = found
-    with Native("rotary_crane loop", 2) as host:
-        everything = driven(host, jets, h, input_time, "snap")
-    assert np.abs(native - everything).max() > 1e-9 * np.abs(everything).max()
-    assert np.abs(native - python).max() < 1e-12 * np.abs(python).max()
-
-
-def test_a_start_in_motion_is_told_once_and_known_after_some_samples() -> None:
-    h = 0.01  # inputs belong to the end of the first step, which is the instant that is told
-    jets = CRANE.reference.jet(8.0 + np.arange(12) * h, 4)
-    with Native("rotary_crane loop", 2) as host:
-        found = driven(host, jets, h, END, "position")
-        (said,) = host.messages
-    assert said.startswith(
-        "at t = 0.01 s the load starts in motion: derivatives above the load's position are known after 7 samples"
-    )
-    assert CRANE.closed_form is not None
-    wanted = CRANE.closed_form(jets[1:], CRANE.parameter_values())["M_b"]
-    assert np.abs(found[:5, 0] - wanted[:5]).max() > 0.5 * np.abs(wanted).max()
-    assert np.abs(found[6:, 0] - wanted[6:]).max() < 0.01 * np.abs(wanted).max()
-
-
-def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning() -> None:
-    with Native("rotary_crane loop", 2) as host:
-        host.start()
-        before, path = host.values(), CRANE.reference.jet(0.0, 4).ravel()
-        far = np.array([0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 6.0, 0.0, -5.0, 0.0, 0.0, 0.0])
-        host.numbers_set(host.inputs, [*path, *far])
-        assert [host.step(0.1 * k, 0.1) for k in range(2)] == [OK, OK]
-        (said,) = host.messages
-        assert "is 1 m from its path, more than feedback_distance = 0.5 m" in said
-        np.testing.assert_allclose(host.values(), before, atol=1e-9)
-        far[2] = -1.0
-        host.numbers_set(host.inputs, [*path, *far])
-        assert host.step(0.2, 0.1) == DISCARD
-        assert "the measured rope length is -1 m" in host.messages[-1]
 
 
 # Command line --------------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from fmpy import read_model_description
-from fmpy.validation import validate_fmu
 from fmu_host import Host, described, fmu_file, in_a_process, scratch
 from present import present
 
@@ -36,13 +35,6 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 def native() -> bytes:
     """Return a native FMU that is soon compiled."""
     return native_fmu(LOAD_TRAJECTORY, targets="host", judged_late=True)
-
-
-def test_fmpy_finds_no_problems() -> None:
-    assert validate_fmu(str(fmu_file())) == []
-    command = [sys.executable, "-m", "fmpy", "validate", str(fmu_file())]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
 
 
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
@@ -219,9 +211,3 @@ def test_a_clean_process_runs_it_without_casadi_or_the_project(tmp_path: Path) -
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
-
-
-def test_it_runs_from_a_path_with_a_space(tmp_path: Path) -> None:
-    (tmp_path / "with space").mkdir()
-    done = in_a_process(CLEAN, fmu_file(), TMPDIR=str(tmp_path / "with space"))
-    assert done.returncode == 0, done.stderr

@@ -12,15 +12,15 @@ from loop_information import smallest_distance
 from loop_schedules import KINDS, distances, schedule
 from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
+from plain_crane import advance, sampled
 from scipy.linalg import expm, logm
 from thinned import thinned
 
 import servocore as sc
-from crane_fmu.build.feedback_law import hanging
-from crane_fmu.build.sampling import SHORT_TURN, advance, sampled
+from crane_fmu.build.sampling import SHORT_TURN
 
 MASTERS = ("start", "end")
-GUSTS = ("gust[1]", "gust[2]")
+GUSTS = [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0), (-14.14, -14.14, 0.0)]
 
 
 @pytest.mark.parametrize("h", STEPS[:-2])
@@ -38,12 +38,6 @@ def test_random_manoeuvres_hold_at_long_steps(at: str, any_crane: bool) -> None:
             case = random_case(rng, any_crane=any_crane)
             if fastest(case) * h <= 1.0:
                 assert deviation(case, h, at) < BOUNDS[h] * (3.0 if any_crane else 1.0), case.name
-
-
-@pytest.mark.parametrize("at", MASTERS)
-def test_native_fmus_keep_the_load_as_near_as_those_with_python(at: str) -> None:
-    python, native = (deviation(Case(), 0.1, at, each) for each in (False, True))
-    assert native == pytest.approx(python, rel=1e-6)
 
 
 # Steps that vary -----------------------------------------------------------------------------------------------------
@@ -64,12 +58,11 @@ def test_no_load_is_lost_where_steps_vary(longest: float, factor: float, at: str
         assert np.isfinite(distances(2, kind, longest, factor, at)).all(), kind
 
 
-@pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 @pytest.mark.parametrize("at", MASTERS)
-def test_fmus_keep_the_load_where_steps_vary(at: str, native: bool) -> None:
+def test_fmus_keep_the_load_where_steps_vary(at: str) -> None:
     steps = schedule(np.random.default_rng(5), "either", 0.1, 10.0, 21.0)
-    assert deviation_over(Case(), steps, at, native) < BOUNDS[0.1]
-    assert deviation_over(BLOWN_AT, steps, at, native) < 60.0  # with feedforward alone the load falls
+    assert deviation_over(Case(), steps, at) < BOUNDS[0.1]
+    assert deviation_over(BLOWN_AT, steps, at) < 60.0  # with feedforward alone the load falls
 
 
 def test_steps_that_differ_by_round_off_are_steps_of_one_length() -> None:
@@ -82,17 +75,38 @@ NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three
 """The trolley passes the axis at 1.4 m, on a rope of 6.7 m."""
 
 
-@pytest.mark.parametrize("gust", GUSTS)
+def beside(case: Case, stop: float, feedback: float = 1.0) -> float:
+    """Largest distance in mm of the load from its path at 10 ms, until some time."""
+    count, h = round(stop / 0.01), 0.01
+    jets = case.reference.jet(h * np.arange(count + 1), 4)
+    with Loop(case, feedback=feedback) as loop:
+        places = [loop.step(jets, k, h) for k in range(count)]
+    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
+
+
+@pytest.mark.parametrize("force", GUSTS)
 @pytest.mark.parametrize(
     ("path", "begin"), [(CRANE.reference, 8.0), (NEAR_AXIS, 4.2)], ids=["default", "near the axis"]
 )
-def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(path: sc.Reference, begin: float, gust: str) -> None:
-    disturbance = {"mass_error": 0.05, gust: 20.0, "gust_start": begin, "gust_duration": 2.0}
-    count, h = round((begin + 3.0) / 0.01), 0.01
-    jets = path.jet(h * np.arange(count + 1), 4)
-    with Loop(Case(path, disturbance=disturbance)) as loop:
-        places = [loop.step(jets, k, h) for k in range(count)]
-    assert np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max() < 0.01
+def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(
+    path: sc.Reference, begin: float, force: tuple[float, float, float]
+) -> None:
+    gust = {f"gust[{k + 1}]": force[k] for k in range(3)} | {"gust_start": begin, "gust_duration": 2.0}
+    assert beside(Case(path, disturbance={"mass_error": 0.05, **gust}), begin + 3.0) < 10.0
+
+
+def test_without_feedback_a_gust_is_not_forgiven() -> None:
+    """The bound above is no matter of course: a pendulum of four metres gives way by 80 mm."""
+    gust = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
+    assert beside(Case(disturbance=gust), 11.0, feedback=0.0) > 50.0
+
+
+def test_a_steady_wind_leaves_no_lasting_error() -> None:
+    assert beside(Case(disturbance={"wind[1]": 10.0, "wind[2]": -10.0, "mass_error": -0.05}), 6.0) < 10.0
+
+
+def test_a_breeze_does_not_let_the_load_fall_before_the_first_inputs_arrive() -> None:
+    assert beside(Case(disturbance={"wind[1]": 1e-3}), 4.0, feedback=0.0) < 0.2
 
 
 def test_drives_that_give_no_more_bring_the_load_back_without_winding_up() -> None:
@@ -205,31 +219,20 @@ def test_a_jump_of_crackle_costs_what_no_jacobi_master_can_save() -> None:
 
 # Short steps ---------------------------------------------------------------------------------------------------------
 
-SWINGING = np.array([5.0, 1.0, 5.3, 0.8, -4.0, 0.2, 0.4, 0.1, 0.3, -0.2])
-"""Places and velocities of trolley and load."""
-UNDER = (np.array([30.0, 20.0, -40.0]), np.array([3.0, -2.0, 1.0]), list(CRANE.parameter_values().values()))
-"""Inputs, force on the load, parameters."""
-
-
-def test_a_short_step_is_computed_with_less_work_and_the_same_result() -> None:
-    u, d, p = UNDER
-    h = SHORT_TURN / fastest(Case())
-    step, slope = advance(hanging(CRANE.model("points"))), [100.0, 50.0, 20.0]
-    short, other = (np.array(step(each, SWINGING, u, slope, d, p, h)).ravel() for each in (1, 0))
-    assert 0.0 < np.abs(short - other).max() < 1e-6
-
 
 def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() -> None:
-    u, d, p = UNDER
-    model, turn = sampled(hanging(CRANE.model("points"))), fastest(Case())
-    for is_short, h in ((1, SHORT_TURN / turn), (0, 1.0 / turn)):
-        A, first, second = (np.array(each) for each in model(is_short, SWINGING, u, d, p, h))
-        tiny, begun, _ = (np.array(each) for each in model(0, SWINGING, u, d, p, 1e-3))
-        rate = logm(tiny).real / 1e-3
-        B = np.linalg.solve(tiny - np.eye(10), rate) @ begun
+    """And a short step is computed with less work: of the law in NumPy, which the kernel's is equal to."""
+    x, u, d = np.array([5.0, 1.0, 5.3, 0.8, -4.0, 0.2, 0.4, 0.1, 0.3, -0.2]), np.array([30.0, 20.0, -40.0]), np.ones(3)
+    p, slope, turn = np.array(list(CRANE.parameter_values().values())), np.array([100.0, 50.0, 20.0]), fastest(Case())
+    apart = [advance(each, x, u, slope, d, p, SHORT_TURN / turn) for each in (True, False)]
+    assert 0.0 < np.abs(apart[0] - apart[1]).max() < 1e-6
+    tiny, begun, _ = sampled(False, x, u, d, p, 1e-3)
+    rate = logm(tiny).real / 1e-3
+    for short, h in ((True, SHORT_TURN / turn), (False, 1.0 / turn)):
         whole = np.zeros((16, 16))  # of state, inputs and their slope: its exponential has all three
-        whole[:10, :10], whole[:10, 10:13], whole[10:13, 13:] = rate, B, np.eye(3)
+        whole[:10, :10], whole[:10, 10:13] = rate, np.linalg.solve(tiny - np.eye(10), rate) @ begun
+        whole[10:13, 13:] = np.eye(3)
         exact = expm(whole * h)
-        assert np.abs(A - exact[:10, :10]).max() < 1e-3 * np.abs(exact[:10, :10]).max()
-        assert np.abs(first - exact[:10, 10:13]).max() < 1e-3 * np.abs(first).max()
-        assert np.abs(second - exact[:10, 13:] / h).max() < 1e-3 * np.abs(second).max()
+        wanted = exact[:10, :10], exact[:10, 10:13], exact[:10, 13:] / h
+        for found, each in zip(sampled(short, x, u, d, p, h), wanted, strict=True):
+            assert np.abs(found - each).max() < 1e-3 * np.abs(each).max()

@@ -1,17 +1,14 @@
-"""CranePlant.fmu and LoadTrajectory.fmu: right numbers, refusals with sentences, states that go back and forth."""
+"""CranePlant.fmu's brakes and start; what all three FMUs have in common: states, pages."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
-from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process, promised
+from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process
 
 import servocore as sc
 from crane_fmu.build.page import user_page
@@ -27,59 +24,8 @@ def plant(**settings: float | str) -> Host:
     return Host(fmu_file("CranePlant")).set(**settings)
 
 
-def trajectory(**settings: float | str) -> Host:
-    return Host(fmu_file("LoadTrajectory")).set(**settings)
-
-
 def load(host: Host) -> Array:
     return np.array([host[name] for name in LOAD])
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_fmpy_finds_no_problems(name: str) -> None:
-    assert validate_fmu(str(fmu_file(name))) == []
-
-
-# The plant ---------------------------------------------------------------------------------------------------------
-
-
-def follow(host: Host, step: float, inputs: Callable[[float], Any], until: float = 2.0, at: str = "start") -> Array:
-    """Drive the plant with sampled inputs."""
-    host.set(input_time=at)
-    u = inputs(0.0)
-    host.set(M_b=u[0], F=u[1], M_w=u[2]).start()
-    for k in range(round(until / step)):
-        u = inputs((k + (at == "end")) * step)
-        host.set(M_b=u[0], F=u[1], M_w=u[2])
-        assert host.step(k * step, step), host.messages
-    return load(host)
-
-
-def push(time: float) -> tuple[Array, Array, Array]:
-    return 300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)
-
-
-def exact() -> Array:
-    path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0 + 1e-9, 0.0, -5.0), 2.0)
-    found = sc.simulate(CRANE.with_reference(path), lambda t: np.array(push(t)), t=np.array([0.0, 2.0]))
-    return np.array([found[name][-1] for name in "xyz"])
-
-
-@pytest.mark.parametrize(("settings", "order"), [({}, 2.0), ({"hold": "zero_order"}, 1.0), ({"at": "end"}, 2.0)])
-def test_continuing_the_inputs_linearly_makes_the_error_of_second_order(settings: dict[str, str], order: float) -> None:
-    at, errors = settings.pop("at", "start"), []
-    for step in (0.02, 0.01):
-        with plant(**settings) as host:
-            errors.append(np.linalg.norm(follow(host, step, push, at=at) - exact()))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
-
-
-def test_at_10_ms_the_hold_costs_less_than_a_tenth_of_holding_the_inputs() -> None:
-    errors = []
-    for hold in ("first_order", "zero_order"):
-        with plant(hold=hold) as host:
-            errors.append(np.linalg.norm(follow(host, 0.01, push) - exact()))
-    assert errors[0] < 0.1 * errors[1]
 
 
 def test_with_nothing_connected_the_brakes_hold_and_the_load_hangs() -> None:
@@ -122,36 +68,6 @@ def test_without_brakes_a_load_that_nobody_holds_falls_and_drives_the_winch() ->
         assert load(host)[2] == pytest.approx(-5.0 - fall, rel=1e-6)
 
 
-def test_wind_pushes_the_load_away() -> None:
-    with plant(**{"wind[2]": 20.0}) as host:
-        host.set(M_w=-98.1).start()
-        for k in range(20):
-            assert host.step(k * 0.01, 0.01)
-        assert load(host)[1] == pytest.approx(0.5 * 0.2 * 0.2**2, rel=0.05)
-
-
-def test_a_gust_begins_and_ends_between_communication_points() -> None:
-    ends = []
-    for step in (0.1, 0.01):
-        with plant(**{"gust[1]": 200.0, "gust_start": 0.123, "gust_duration": 0.2}) as host:
-            host.set(M_w=-98.1).start()
-            for k in range(round(1.0 / step)):
-                assert host.step(k * step, step)
-            ends.append(load(host))
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-8)
-
-
-def test_a_mass_error_makes_the_load_heavier() -> None:
-    with plant(mass_error=0.05) as host:
-        host.set(M_w=-98.1).start()
-        assert host["tension"] == pytest.approx(981.0 * 1.05 - 105.0 * host_acceleration(), rel=1e-9)
-
-
-def host_acceleration() -> float:
-    """Of a load of 105 kg on a winch that holds 100 kg."""
-    return (105.0 - 100.0) * 9.81 / (105.0 + 10.0)
-
-
 def test_it_may_start_in_motion_and_swinging() -> None:
     start = {"start.position[1]": 3.0, "start.position[2]": 4.0, "start.velocity[1]": 0.5, "start.swing[1]": 0.1}
     with plant(**start) as host:
@@ -160,35 +76,6 @@ def test_it_may_start_in_motion_and_swinging() -> None:
         assert host["phi"] == pytest.approx(math.atan2(4.0, 3.0))
         assert host["phi_dot"] == pytest.approx(-4.0 * 0.5 / 25.0)
         assert load(host)[2] == pytest.approx(-5.0 * math.cos(0.1))
-
-
-def mistakes() -> dict[str, tuple[Callable[[Host], object], ...]]:
-    """What a host does wrong, in the order of the pages' sentences."""
-    return {
-        "CranePlant": (
-            lambda host: host.start().set(F=math.nan).step(0.0, 0.1),
-            lambda host: host.set(brakes="none").start().set(M_w=100.0).step(0.0, 0.1),
-            lambda host: host.start().set(M_b=1e300, M_w=-98.1).step(0.0, 0.1),
-            lambda host: host.set(**{"start.position[3]": 1.0}).start().step(0.0, 0.1),
-            lambda host: host.start().step(0.0, -0.1),
-            lambda host: host.start().set(mass_error=-2.0).step(0.0, 0.1),
-        ),
-        "LoadTrajectory": (
-            lambda host: host.set(ramp=3.0).start().step(0.0, 0.1),
-            lambda host: host.set(profile="three-phase", ramp=11.0).start().step(0.0, 0.1),
-            lambda host: host.set(profile="file").start().step(0.0, 0.1),
-            lambda host: host.set(duration=math.nan).start().step(0.0, 0.1),
-            lambda host: host.start().step(0.0, 0.1) and host.step(0.0, 0.1),
-        ),
-    }
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_every_refusal_is_the_sentence_that_the_page_promises(name: str) -> None:
-    for mistake, sentence in zip(mistakes()[name], promised(name), strict=True):
-        with Host(fmu_file(name)) as host:
-            assert not mistake(host)
-            assert host.messages[-1].endswith(sentence)
 
 
 CONTINUE = """
@@ -241,27 +128,8 @@ def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(na
         assert " = 99 is unknown" in other.messages[0]
 
 
-# The trajectory ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("profile", ["degree9", "degree13", "three-phase"])
-def test_a_trajectory_has_all_derivatives_of_its_line(profile: str) -> None:
-    law = {"degree9": sc.DEGREE9, "degree13": sc.DEGREE13, "three-phase": sc.three_phase(4.0)}[profile]
-    path = sc.rest_to_rest((1.0, 2.0, -3.0), (5.0, 0.0, -4.0), 12.0, law, start_time=1.0)
-    points = {f"start[{k + 1}]": v for k, v in enumerate((1.0, 2.0, -3.0))}
-    points |= {f"end[{k + 1}]": v for k, v in enumerate((5.0, 0.0, -4.0))}
-    more = {"ramp": 4.0} if profile == "three-phase" else {}
-    names = [each.name for each in described("LoadTrajectory", "output")]
-    with trajectory(**points, **more, duration=12.0, start_time=1.0, profile=profile) as host:
-        host.start()
-        for k in range(28):
-            assert host.step(0.5 * k, 0.5)
-            found = np.array([host[name] for name in names]).reshape(5, 3)
-            np.testing.assert_allclose(found, path.jet(0.5 * (k + 1), 4), atol=1e-12)
-
-
 def test_it_starts_where_the_crane_and_the_plant_do() -> None:
-    with trajectory() as host, plant() as other:
+    with Host(fmu_file("LoadTrajectory")) as host, plant() as other:
         np.testing.assert_array_equal(load(host.start()), load(other.start()))
 
 

@@ -22,7 +22,8 @@ from fmu_host import JET, OUTPUTS, fmu_file, in_a_process, scratch
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.catalogue import KINDS
+from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.catalogue import KINDS, ROTARY_CRANE
 
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60
@@ -124,20 +125,27 @@ def in_master(script: str, task: dict[str, object], place: Path) -> np.ndarray:
 
 
 @cache
-def at_end() -> Path:
-    """Return the FMU built for inputs of the end of a step: not every master sets enumerations."""
-    return build_fmu(scratch() / "at end", starts={"input_time": "end"}, targets="host")
+def at_end(native: bool) -> Path:
+    """Return an FMU built for inputs of the end of a step: not every master sets enumerations."""
+    starts = {"input_time": "end"}
+    if not native:
+        return build_fmu(scratch() / "at end", starts=starts, targets="host")
+    file = scratch() / "native at end.fmu"
+    file.write_bytes(native_fmu(ROTARY_CRANE, NativeWishes(targets="host", starts=starts)))
+    return file
 
 
+@pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 @pytest.mark.parametrize("master", MASTERS)
-def test_every_master_gets_what_solve_gets(master: str, tmp_path: Path) -> None:
+def test_every_master_gets_what_solve_gets(master: str, native: bool, tmp_path: Path) -> None:
     required(master)
+    file = at_end(native)
     wanted = solution()
     times = wanted.t[40 : 40 + COUNT + 1] - wanted.t[40]  # in motion from the first step
     jets = CRANE.reference.jet(wanted.t[40 : 40 + COUNT + 1], 4)
-    variables = read_model_description(str(at_end())).modelVariables
+    variables = read_model_description(str(file)).modelVariables
     task = {
-        "file": str(at_end()),
+        "file": str(file),
         "step": STEP,
         "jets": jets.reshape(len(times), -1).tolist(),
         "inputs": list(JET),

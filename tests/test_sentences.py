@@ -102,6 +102,16 @@ MISTAKES = [
             "the communication point must be a finite number, not nan s": [(math.nan, 0.1)],
         }.items()
     ),
+    *(
+        Mistake(
+            "plant",
+            f"the communication point t = {asked:.16g} s lies {where} the FMU's time 1000000000.001 s; to repeat a step"
+            " restore the FMU's state first",
+            steps=[(1e9, 1e-3), (asked, 1e-3)],
+            start=1e9,
+        )
+        for asked, where in [(1e9, "behind"), (1e9 + 2e-3, "ahead of")]
+    ),
     *(Mistake(kind, "the start time must be a finite number, not nan s", start=math.nan) for kind in KINDS),
     *(
         Mistake(kind, sentence, steps=steps, stop=stop)

@@ -6,6 +6,7 @@
    step. Prints the outputs at all instants with all digits; with more than one round, the microseconds of a step and of
    an instantiation instead: the fastest round. */
 
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -54,7 +55,11 @@ static double seconds(void)
 static void logger(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category, fmi2String text,
                    ...)
 {
-    fprintf(stderr, "%s\n", text);
+    va_list values;
+    va_start(values, text);
+    vfprintf(stderr, text, values);
+    va_end(values);
+    fputc('\n', stderr);
 }
 #else
 static void logger(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String text)

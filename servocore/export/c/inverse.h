@@ -383,7 +383,7 @@ static Outcome with_feedback(Instance *instance, const double *told, double time
     call(instance, at_end ? MATHEMATICS(feedback_end) : MATHEMATICS(feedback_start));
     finite = all_finite(scratch->memory, N_MEMORY) && all_finite(found, N_DRIVES);
     if (!finite)
-        return left_out(instance, 3, "at t = %.6g s the feedback finds no inputs%.0s%.0s; the " FOLLOWER " is left to the"
+        return left_out(instance, 3, "at t = %.6g s the feedback finds no inputs; the " FOLLOWER " is left to the"
                         " feedforward", time, 0.0, 0.0);
     memcpy(work->memory, scratch->memory, sizeof work->memory);
     memcpy(work->outputs, found, sizeof feedforward);
