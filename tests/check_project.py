@@ -240,7 +240,7 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
 
 
 def test_the_index_names_every_page() -> None:
-    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    index = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("index.md", "development.md"))
     pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name != "index.md"]
     pages = [page for page in pages if not page.startswith("site/")]  # nothing of their own: what only the site shows
     assert [page for page in pages if f"({page})" not in index] == []
