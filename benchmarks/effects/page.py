@@ -21,9 +21,9 @@ _TEXT = """# Effects: estimated and simulated
 
 `servocore effects SCENE` and `sc.effects(scene)` estimate the tracking error that a neglected physical effect causes
 ([model levels](../model-levels.md), [decision 80](../decisions/0080-effects.md)): both models are
-inverted along the same path, and the simpler model is driven by the input deficit. This page compares the estimates with
-simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if of
-the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
+inverted along the same path, and the simpler model is driven by the input deficit. This page compares the estimates
+with simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if
+of the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
 
 Filled marks are rows that `sc.effects` simulates automatically, for any tolerance. The estimate uses the model
 without the effect to compute how the plant responds to the missing inputs. If the plant with the effect responds
