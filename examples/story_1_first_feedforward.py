@@ -2,8 +2,8 @@
 First feedforward
 =================
 
-A load of 100 kg has to move from (5, 0, -5) m to (-2, 2, -2) m in 20 s and rest at both ends. Which slewing torque,
-trolley force and winch torque do that?
+Feedforward inputs of the rotary crane (slewing torque, trolley force, winch torque) for a load of 100 kg that moves
+from (5, 0, -5) m to (-2, 2, -2) m in 20 s, from rest to rest.
 """
 
 import warnings
@@ -14,8 +14,8 @@ import numpy as np
 import servocore as sc
 
 # %%
-# A scene holds the crane's equations, its parameters and a path. The default scene is the manoeuvre above;
-# ``analyse`` tells what kind of problem it is.
+# A scene has the crane's equations, its parameters and a path. The default scene is the manoeuvre above;
+# ``analyse`` classifies the problem: the crane is flat.
 
 crane = sc.scenes.rotary_crane()
 report = sc.analyse(crane)
@@ -35,7 +35,7 @@ for axis, name in zip(axes, ("M_b", "F", "M_w"), strict=True):
 axes[-1].set_xlabel("time (s)")
 
 # %%
-# The crane has a closed form, with which the inputs agree to round-off:
+# The inputs agree with the crane's closed form to rounding:
 
 for name in ("M_b", "F", "M_w"):
     largest = np.abs(exact[name]).max()
@@ -43,8 +43,8 @@ for name in ("M_b", "F", "M_w"):
     print(f"{name}: largest {largest:.4g} {solution.unit(name)}, error {error:.1e} of that")
 
 # %%
-# The scheme of the paper integrates the projected equations by backward Euler. Its inputs err by the step. ``solve``
-# warns of that by itself; here the errors are printed instead.
+# The scheme of the paper integrates the projected equations by backward Euler. The error of its inputs is proportional
+# to the step. ``solve`` warns of it; here the errors are printed instead.
 
 warnings.simplefilter("ignore", sc.ServocoreWarning)
 for step in (0.1, 0.05, 0.025):

@@ -1,6 +1,6 @@
 """
-A path of one's own, from a file
-================================
+Your own path, from a file
+==========================
 
 The load follows waypoints from a table with the columns ``time,x,y,z``: pick up, lift over an obstacle, slew, lower.
 """
@@ -14,7 +14,7 @@ import servocore as sc
 
 # %%
 # The file has seven waypoints. Between them the load moves on a spline that is smooth enough for the crane, whose
-# inputs hold the fourth derivative of the path; it rests at both ends.
+# inputs depend on the fourth derivative of the path; it rests at both ends.
 
 folder = Path.cwd()
 path = sc.waypoints_from_csv(folder / "working_cycle_waypoints.csv")
@@ -30,8 +30,8 @@ over_time.plot(solution.t, solution["M_b"])
 over_time.set(xlabel="time (s)", ylabel="M_b (N m)", title="slewing torque")
 
 # %%
-# A file with many samples of a smooth path is read by ``from_csv``. Rounded positions are no smooth path: a tolerance
-# says how far the spline may be from them.
+# ``from_csv`` reads a file with many samples of a smooth path. Rounded positions need a tolerance, the largest
+# distance of the spline from them.
 
 sampled = sc.from_csv(folder / "working_cycle_sampled.csv")
 again = sc.solve(crane.with_reference(sampled), step=0.1)

@@ -1,8 +1,8 @@
 """
-A crane of one's own, and its limits
-====================================
+Your own crane, and its limits
+==============================
 
-Another load, other drives: what may the crane do, and how fast?
+Other data and actuator limits, and the shortest duration within them.
 """
 
 import matplotlib.pyplot as plt
@@ -11,7 +11,7 @@ import numpy as np
 import servocore as sc
 
 # %%
-# Parameters are changed by name, in SI units; a value that cannot be is refused in a sentence.
+# Parameters are changed by name, in SI units; impossible values are refused with a message.
 
 crane = sc.scenes.rotary_crane().with_parameters(load_mass=150.0, trolley_mass=20.0)
 try:
@@ -28,8 +28,8 @@ for name, margin in solution.margins.items():
     print(f"{name}: {margin.left:.3g} {margin.unit} left, at t = {margin.time:.1f} s")
 
 # %%
-# A hasty manoeuvre breaks one. The sentence names it, with its time; ``shortest_duration`` tells how long the same
-# law must take.
+# A manoeuvre that is too fast violates one. The message names it, with its time; ``shortest_duration`` computes the
+# shortest duration of the same time law.
 
 start, end = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)
 hasty = crane.with_reference(sc.rest_to_rest(start, end, 6.0))

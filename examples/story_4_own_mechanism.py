@@ -1,9 +1,8 @@
 """
-A mechanism of one's own
-========================
+Your own mechanism
+==================
 
-A hoist lifts a load on an elastic rope: two coordinates, one input, and a load that has to follow a path. Nothing in
-the library knows this system.
+A hoist lifts a load on an elastic rope: two coordinates, one input, and a load that has to follow a path.
 """
 
 import casadi as ca
@@ -51,7 +50,7 @@ def elastic_hoist() -> sc.MechanicalSystem:
 scene = sc.Scene("elastic_hoist", {"points": elastic_hoist}, sc.rest_to_rest((0.0,), (5.0,), 4.0))
 
 # %%
-# The analysis finds index and relative degree by itself, and recommends a route.
+# The analysis determines index and internal dynamics, and recommends a route.
 
 print(sc.analyse(scene))
 

@@ -1,6 +1,6 @@
 """
-The loop closed: feedback against what the model does not know
-==============================================================
+Closed loop: feedback against a model error
+===========================================
 
 The inverse model computes the inputs for a load of 100 kg, but the load weighs 105 kg. A winch that exerts a torque
 for 100 kg does not hold it: the load sinks. Feedback of the measured load keeps it on its path. Path, inverse model
@@ -28,7 +28,7 @@ for name, feedback in (("feedforward alone", 0.0), ("with feedback", 1.0)):
     runs[name] = run_ssp(folder / "Crane.ssp", 21.0, 0.05, {"plant.load_mass": 105.0, "crane.feedback": feedback})
 
 # %%
-# How far is the load from where it should be?
+# The tracking error of the load:
 
 
 def distance(run: dict[str, np.ndarray]) -> np.ndarray:

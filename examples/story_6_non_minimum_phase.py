@@ -1,10 +1,10 @@
 """
-An arm that has to move before its path does
-============================================
+Stable inversion: an arm that moves before its path does
+========================================================
 
 An arm with a passive, elastic second joint: when its tip is to follow a path, the internal dynamics are unstable
-(non-minimum phase), and every integration forward in time leaves the solution. The bounded solution starts to move
-before the path.
+(non-minimum phase), and every integration forward in time diverges. The bounded solution starts to move before
+the path.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ import numpy as np
 import servocore as sc
 
 # %%
-# The point that is tracked decides. Inside of the centre of percussion the zero dynamics are stable:
+# Stability depends on the tracked point. Within the centre of percussion the zero dynamics are stable:
 
 for distance in (0.4, 1.0):
     arm = sc.scenes.passive_joint_arm().with_parameters(tracked_distance=distance)
@@ -21,7 +21,7 @@ for distance in (0.4, 1.0):
     print(f"tracked point at {distance} m: {report.classification}, eigenvalues {np.round(report.eigenvalues, 2)}")
 
 # %%
-# For the tip, ``solve`` takes a boundary value problem over the whole time: bounded before and after the motion.
+# For the tip, ``solve`` solves a boundary value problem over the whole time: bounded before and after the motion.
 
 tip = sc.scenes.passive_joint_arm().with_parameters(tracked_distance=1.0)
 solution = sc.solve(tip)

@@ -2,8 +2,8 @@
 The inverse model as an FMU
 ===========================
 
-Any scene becomes a co-simulation FMU without Python in it: inputs are the path and its derivatives, outputs what the
-drives have to do. Here FMPy runs it; any tool for FMI 2 or 3 can.
+A scene without unstable internal dynamics becomes a co-simulation FMU without Python: its inputs are the path and its
+derivatives, its outputs the inputs of the drives. Here FMPy runs it.
 """
 
 import tempfile
@@ -24,8 +24,8 @@ file = sc.export_fmu(crane, Path(tempfile.mkdtemp()) / "crane.fmu", fmi=2, targe
 print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB")
 
 # %%
-# Path and derivatives go in as a table, at the communication points. The FMU continues the path by its derivatives
-# from the start of a step to its end, so that its error falls with the step.
+# Path and derivatives go in as a table, at the communication points. The FMU extrapolates the path by its derivatives
+# from the start of a step to its end, so that its error decreases with the step.
 
 step = 0.01
 rows = input_rows(crane.reference, step)

@@ -1,9 +1,9 @@
 """
-As fast as the drives allow
-===========================
+Time-optimal motion within actuator limits
+==========================================
 
-The crane has a slewing drive of 1000 N m, a trolley drive of 60 N and no more than 5 degrees of swing. What is the
-shortest duration, and what does a smooth standard law take within the same limits?
+The limits are 1000 N m for slewing, 60 N for the trolley and 5 degrees of swing. The time-optimal trajectory along a
+line is compared with a smooth standard time law within the same limits.
 """
 
 import matplotlib.pyplot as plt
@@ -22,7 +22,7 @@ path, report = sc.fastest(crane, [start, end], limits)
 print(report)
 
 # %%
-# The law of degree 9 within the same limits; where a limit holds the fastest law back the ground is shaded:
+# The law of degree 9 within the same limits; shaded times: an active constraint of the time-optimal motion:
 
 limited = crane.with_limits(**limits)
 shortest = sc.shortest_duration(limited.with_reference(sc.rest_to_rest(start, end, 20.0)))

@@ -239,8 +239,17 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=short)
+def test_rows_of_a_table_have_the_cells_of_its_heading(page: Path) -> None:
+    """A bar in a cell, as in the magnitude of M_b, is escaped."""
+    text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    tables = [found.splitlines() for found in re.findall(r"(?:^ *\|.*\n)+", text, re.MULTILINE)]
+    bars = [[len(re.findall(r"(?<!\\)\|", row)) for row in table] for table in tables]
+    assert [table[0] for table, counts in zip(tables, bars, strict=True) if len(set(counts)) > 1] == []
+
+
 def test_the_index_names_every_page() -> None:
-    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    index = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("index.md", "development.md"))
     pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name != "index.md"]
     pages = [page for page in pages if not page.startswith("site/")]  # nothing of their own: what only the site shows
     assert [page for page in pages if f"({page})" not in index] == []

@@ -22,7 +22,7 @@ from fmu_host import JET, OUTPUTS, fmu_file, in_a_process, scratch
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import KINDS, ROTARY_CRANE
 
 CRANE = sc.scenes.rotary_crane()
@@ -131,7 +131,7 @@ def at_end(native: bool) -> Path:
     if not native:
         return build_fmu(scratch() / "at end", starts=starts, targets="host")
     file = scratch() / "native at end.fmu"
-    file.write_bytes(native_fmu(ROTARY_CRANE, NativeWishes(targets="host", starts=starts)))
+    file.write_bytes(native_fmu(ROTARY_CRANE, starts=starts, targets="host"))
     return file
 
 

@@ -19,13 +19,13 @@ Study = Mapping[str, Mapping[str, Sequence[float]]]
 
 _TEXT = """# Effects: estimated and simulated
 
-`servocore effects SCENE` and `sc.effects(scene)` say what it costs to leave a physical effect out of a model
-([model levels](../model-levels.md), [decision 80](../decisions/0080-effects.md)). They estimate first: both models are
-inverted along the same path, and the small one is run under what the plant will lack. This page compares that with
-simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if of
-the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
+`servocore effects SCENE` and `sc.effects(scene)` estimate the tracking error that a neglected physical effect causes
+([model levels](../model-levels.md), [decision 80](../decisions/0080-effects.md)): both models are
+inverted along the same path, and the simpler model is driven by the input deficit. This page compares the estimates
+with simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if
+of the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
 
-Filled marks are rows that `sc.effects` simulates by itself, whatever the tolerance is. The estimate uses the model
+Filled marks are rows that `sc.effects` simulates automatically, for any tolerance. The estimate uses the model
 without the effect to compute how the plant responds to the missing inputs. If the plant with the effect responds
 differently (a second swing of a body below its hook, a shorter rope, drives that stick), terms of second order
 matter. Both linear responses are computed beforehand at rest, at the start and at the end of the path; if they differ
@@ -38,7 +38,7 @@ in every drive. Effects of index 5 run on the polynomial of degree 9, effects of
 
 ![estimated against simulated errors](comparison.png)
 
-*Left: largest distance of the load from its path while that lasts. Right: the ratio, with 10 % shaded. Dashed: 1, 10
+*Left: largest tracking error of the load during the motion. Right: the ratio, with 10 % shaded. Dashed: 1, 10
 and 100 mm.*
 
 {known}
@@ -51,7 +51,7 @@ air's density and the creep of friction) is its value times a factor between 1/{
 straight line of {shortest:g} to {longest:g} m, the duration {quickest:g} to {slowest:g} s; durations and factors
 evenly in their logarithms. Data: [fresh.csv](fresh.csv).
 
-![estimated against simulated errors of cranes by chance](fresh.png)
+![estimated against simulated errors of random cranes](fresh.png)
 
 {fresh}
 

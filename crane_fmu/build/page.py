@@ -68,7 +68,8 @@ def _table(variables: list[Any], causality: str) -> str:
 def _text(variable: Any) -> str:
     """Return the description, of a choice with the numbers of its items."""
     items = variable.declaredType.items if variable.type == "Enumeration" else []
-    return ": ".join([variable.description, *([", ".join(f"{e.value} {e.name}" for e in items)] if items else [])])
+    described = variable.description.replace("|", r"\|")  # a bar would end the cell
+    return ": ".join([described, *([", ".join(f"{e.value} {e.name}" for e in items)] if items else [])])
 
 
 def _extent(variable: Any) -> str:
