@@ -15,7 +15,7 @@ import fmpy
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build import Wishes, build_fmu, build_ssp
+from crane_fmu.build import SystemOptions, build_fmu, build_ssp
 from servocore.export.building import inverse_model
 from servocore.export.inverse_model import InverseModel
 from servocore.numerics.machine_code import c_compiler
@@ -112,7 +112,7 @@ def python_fmu(folder: Path, host: Path) -> tuple[float, float]:
 
 def system(folder: Path, host: Path) -> dict[str, float]:
     """Return microseconds of a step of 10 ms of the native system: trajectory, inverse model with feedback, plant."""
-    build_ssp(folder / "system", wishes=Wishes(native=True, targets="host"))
+    build_ssp(folder / "system", options=SystemOptions(native=True, targets="host"))
     crane, h = sc.scenes.rotary_crane(), 0.01
     motion = sc.solve(crane, step=h)
     rows = slice(200, 201 + STEPS)

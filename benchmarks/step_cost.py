@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore import Discretisation
+from servocore import Discretization
 from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 
 REPEATS = 15
@@ -59,7 +59,7 @@ def measure(model: str, formulation: sc.Formulation, count: int) -> Row:
     loops = {"step": stepper.program.step.mapaccum(count)}
     residual, unknowns = dae.h, dae.z
     if dae.x.numel():
-        discretization = METHOD.discretise(dae)
+        discretization = METHOD.discretize(dae)
         residual, unknowns = discretization.equations.residual, discretization.equations.unknowns
         loops["undivided"] = undivided_step(discretization).mapaccum(count)
         require_agreement(*[np.asarray(loop(*arguments)[0]) for loop in loops.values()])
@@ -111,7 +111,7 @@ def loop_arguments(stepper: sc.Stepper, count: int) -> tuple[np.ndarray, ...]:
     return state, gamma, np.full((1, count), stepper.step), np.tile(stepper.parameters[:, None], count)
 
 
-def undivided_step(step: Discretisation) -> ca.Function:
+def undivided_step(step: Discretization) -> ca.Function:
     """Return the step as one Newton iteration over all its unknowns, scaled alike."""
     equations = step.equations
     scaled = ca.SX.sym("scaled", equations.unknowns.numel())

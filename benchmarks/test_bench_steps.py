@@ -38,7 +38,7 @@ def bare_loop() -> Callable[[], np.ndarray]:
     """Return the run of a loop in Python over one CasADi function: the whole step as one Newton iteration."""
     stepper = sc.Stepper(CRANE, sc.Projected(), sc.BackwardEuler(), STEP)
     dae = sc.Projected().dae(stepper.system)
-    equations = sc.BackwardEuler().discretise(dae).equations
+    equations = sc.BackwardEuler().discretize(dae).equations
     scaled = ca.SX.sym("scaled", equations.unknowns.numel())
     residual = ca.substitute(equations.residual, equations.unknowns, scaled * equations.unknown_scale)
     root = ca.rootfinder(

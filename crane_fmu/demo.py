@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build import STEP, Wishes, build_ssp
+from crane_fmu.build import STEP, SystemOptions, build_ssp
 from crane_fmu.catalogue import ROTARY_CRANE, components
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
@@ -123,7 +123,7 @@ def build_system(folder: Path, announce: Announce) -> Path:
     Path
         The file of the system.
     """
-    own = Wishes(targets="host")  # it runs here
+    own = SystemOptions(targets="host")  # it runs here
     files = build_ssp(folder / SYSTEM, lambda stage: announce(f"building the FMUs: {stage}"), own)
     put(folder, {ROTARY_CRANE.file_name: (folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes()})
     return files[-1]

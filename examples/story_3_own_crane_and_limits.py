@@ -25,7 +25,7 @@ except sc.ServocoreError as error:
 crane = crane.with_limits(F=60, swing="4 deg", **{"s.rate": 1.2})
 solution = sc.solve(crane, step=0.05)
 for name, margin in solution.margins.items():
-    print(f"{name}: {margin.left:.3g} {margin.unit} left, at t = {margin.time:.1f} s")
+    print(f"{name}: {margin.slack:.3g} {margin.unit} left, at t = {margin.time:.1f} s")
 
 # %%
 # A manoeuvre that is too fast violates one. The message names it, with its time; ``shortest_duration`` computes the

@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from crane_fmu.build import Wishes, build_ssp
+from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.run import run_ssp
 
 # %%
@@ -21,7 +21,7 @@ from crane_fmu.run import run_ssp
 # second longer than the manoeuvre takes.
 
 folder = Path(tempfile.mkdtemp())
-build_ssp(folder, wishes=Wishes(targets="host"))
+build_ssp(folder, options=SystemOptions(targets="host"))
 
 runs = {}
 for name, feedback in (("feedforward alone", 0.0), ("with feedback", 1.0)):

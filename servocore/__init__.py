@@ -1,7 +1,10 @@
-"""Servo constraint problems: the inputs that make a mechanical system's output follow a path.
+"""Feedforward inputs by inverse dynamics: servo-constraint problems of underactuated mechanical systems.
+
+`solve` computes the inputs that make the outputs of a mechanical system follow a prescribed trajectory: exactly at each
+instant where the system is flat, by stable inversion or time stepping where it has internal dynamics.
 
 >>> import servocore as sc
->>> solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
+>>> solution = sc.solve(sc.scenes.rotary_crane(), step=0.1)
 >>> solution["M_b"].shape, solution.unit("M_b")
 ((201,), 'N.m')
 """
@@ -16,10 +19,9 @@ from typing import TYPE_CHECKING
 # The public names, each with the module that it is imported from at its first use.
 if TYPE_CHECKING:
     from servocore import scenes as scenes
-    from servocore.analysis import StructureReport as StructureReport, analyse as analyse
-    from servocore.dae import Dae as Dae, Equation as Equation, Unknown as Unknown
-    from servocore.effects.drives import Drives as Drives
-    from servocore.effects.report import EffectRow as EffectRow, EffectsReport as EffectsReport
+    from servocore.analysis import analyse as analyse
+    from servocore.dae import Dae as Dae
+    from servocore.effects.position_loops import PositionLoops as PositionLoops
     from servocore.effects.study import effects as effects
     from servocore.errors import (
         InconsistentStart as InconsistentStart,
@@ -39,9 +41,9 @@ if TYPE_CHECKING:
         export_plant as export_plant,
         export_trajectory as export_trajectory,
     )
-    from servocore.export.plant_model import PlantWishes as PlantWishes
+    from servocore.export.plant_model import PlantOptions as PlantOptions
     from servocore.export.routes import SteppedRoutes as SteppedRoutes
-    from servocore.export.trajectory_model import TrajectoryWishes as TrajectoryWishes
+    from servocore.export.trajectory_model import TrajectoryOptions as TrajectoryOptions
     from servocore.export.wasm import export_wasm as export_wasm
     from servocore.formulations.base import Formulation as Formulation
     from servocore.formulations.original import Original as Original
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
     from servocore.formulations.reduced import Reduced as Reduced
     from servocore.methods.backward_euler import BackwardEuler as BackwardEuler
     from servocore.methods.base import (
-        Discretisation as Discretisation,
+        Discretization as Discretization,
         Method as Method,
         Orders as Orders,
         Start as Start,
@@ -59,13 +61,8 @@ if TYPE_CHECKING:
     from servocore.methods.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
     from servocore.methods.trapezoidal import Trapezoidal as Trapezoidal
     from servocore.model.drawing import Part as Part
-    from servocore.model.effects import Effect as Effect, Effects as Effects
-    from servocore.model.generalize import generalise as generalise
-    from servocore.model.limit_files import (
-        factors_of_texts as factors_of_texts,
-        limits_given as limits_given,
-        read_limits as read_limits,
-    )
+    from servocore.model.generalize import generalize as generalize
+    from servocore.model.limit_files import read_limits as read_limits
     from servocore.model.limits import Limit as Limit
     from servocore.model.parameter_files import read_parameters as read_parameters
     from servocore.model.potentials import Potential as Potential
@@ -73,20 +70,18 @@ if TYPE_CHECKING:
     from servocore.model.scene import Scene as Scene
     from servocore.model.symbols import Coordinates as Coordinates, Parameter as Parameter, Parameters as Parameters
     from servocore.model.system import MAX_REFERENCE_ORDER as MAX_REFERENCE_ORDER, MechanicalSystem as MechanicalSystem
-    from servocore.numerics.machine_code import c_compiler as c_compiler
     from servocore.numerics.square_systems import SquareSystem as SquareSystem
     from servocore.planning.durations import shortest_duration as shortest_duration
     from servocore.planning.fastest import fastest as fastest
     from servocore.planning.flat_system import to_control as to_control
     from servocore.planning.obstacles import Box as Box, Sphere as Sphere
-    from servocore.planning.report import PlanReport as PlanReport
-    from servocore.planning.sensitivities import Sensitivities as Sensitivities, sensitivities as sensitivities
+    from servocore.planning.sensitivities import sensitivities as sensitivities
     from servocore.planning.space import Space as Space
     from servocore.planning.sweep import sweep as sweep
     from servocore.problem import Problem as Problem
     from servocore.references.base import Reference as Reference
     from servocore.references.csv_file import (
-        csv_of as csv_of,
+        path_to_csv as path_to_csv,
         from_csv as from_csv,
         waypoints_from_csv as waypoints_from_csv,
     )
@@ -103,9 +98,9 @@ if TYPE_CHECKING:
     )
     from servocore.references.rest_to_rest import rest_to_rest as rest_to_rest
     from servocore.references.splines import sampled as sampled, through as through
-    from servocore.solution import Margin as Margin, Solution as Solution, Statistics as Statistics
+    from servocore.solution import Solution as Solution
     from servocore.solvers.batch import Batch as Batch
-    from servocore.solvers.boundary_value import BoundaryValue as BoundaryValue
+    from servocore.solvers.stable_inversion import StableInversion as StableInversion
     from servocore.solvers.dynamic_inversion import DynamicInversion as DynamicInversion
     from servocore.solvers.energy_momentum import EnergyMomentum as EnergyMomentum
     from servocore.solvers.exact_inversion import ExactInversion as ExactInversion
@@ -113,17 +108,42 @@ if TYPE_CHECKING:
     from servocore.solvers.simulate import simulate as simulate
     from servocore.solvers.solve import solve as solve
     from servocore.solvers.sundials import Sundials as Sundials
-    from servocore.stepping.forward_dynamics import Plant as Plant, compile_plant as compile_plant
-    from servocore.stepping.program import Program as Program, StepReport as StepReport
+    from servocore.stepping.forward_dynamics import compile_plant as compile_plant
     from servocore.stepping.rotation_update import RotationUpdate as RotationUpdate
     from servocore.stepping.stepper import Stepper as Stepper
     from servocore.view.page import LivePart as LivePart, live_part as live_part, view as view
 
     __all__: list[str]
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
-# A room that is imported for the first time takes the place of the function of its name: so that comes first.
+_FORMER = {
+    "BoundaryValue": "servocore.StableInversion",
+    "Discretisation": "servocore.Discretization",
+    "Drives": "servocore.PositionLoops",
+    "PlantWishes": "servocore.PlantOptions",
+    "TrajectoryWishes": "servocore.TrajectoryOptions",
+    "csv_of": "servocore.path_to_csv",
+    "generalise": "servocore.generalize",
+    "Effect": "servocore.model.effects.Effect",
+    "Effects": "servocore.model.effects.Effects",
+    "EffectRow": "servocore.effects.report.EffectRow",
+    "EffectsReport": "servocore.effects.report.EffectsReport",
+    "Equation": "servocore.dae.Equation",
+    "Margin": "servocore.solution.Margin",
+    "Plant": "servocore.stepping.forward_dynamics.Plant",
+    "PlanReport": "servocore.planning.report.PlanReport",
+    "Program": "servocore.stepping.program.Program",
+    "Sensitivities": "servocore.planning.sensitivities.Sensitivities",
+    "Statistics": "servocore.solution.Statistics",
+    "StepReport": "servocore.stepping.program.StepReport",
+    "StructureReport": "servocore.analysis.StructureReport",
+    "Unknown": "servocore.dae.Unknown",
+    "c_compiler": "servocore.numerics.machine_code.c_compiler",
+}
+"""Names of version 0.2, and the names that replace them: `__getattr__` refuses the former by the latter."""
+
+# A package that is imported for the first time takes the place of the function of its name: so that comes first.
 for _room in ("effects", "view"):
     import_module(f"servocore.{_room}")
     del globals()[_room]
@@ -139,13 +159,15 @@ def _homes() -> dict[str, str]:
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name, or a room, at its first use."""
+    """Import a public name, or a package, at its first use."""
     value: object
     home = __name__ if name.startswith("_") else _homes().get(name, __name__)
     if name == "__all__":
         value = sorted(_homes())
     elif home != __name__:
         value = getattr(import_module(home), name)
+    elif name in _FORMER:
+        raise AttributeError(f"{__name__}.{name} is {_FORMER[name]} since version 0.3")
     elif name.startswith("_") or find_spec(f"{__name__}.{name}") is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     else:

@@ -143,7 +143,7 @@ def require_real(value: object, what: str, wanted: str, error: type[ServocoreErr
 def require_formulation(value: object) -> None:
     """Raise `InvalidSetting` unless this is a formulation."""
     if not _offers(value, "dae"):
-        method = _offers(value, "discretise") or _offers(value, "run")
+        method = _offers(value, "discretize") or _offers(value, "run")
         hint = "; it is a method: write method=" if method else ""
         raise InvalidSetting(
             f"the formulation must be one such as Reduced(), not {described(value)}{_written(value, hint)}"
@@ -152,7 +152,7 @@ def require_formulation(value: object) -> None:
 
 def require_method(value: object, *, routes: bool = True) -> None:
     """Raise `InvalidSetting` unless this is a method or, where one may stand, a route."""
-    if not _offers(value, "discretise") and not (routes and _offers(value, "run")):
+    if not _offers(value, "discretize") and not (routes and _offers(value, "run")):
         hint = "; it is a formulation: write formulation=" if _offers(value, "dae") else ""
         raise InvalidSetting(
             f"the method must be one such as RadauIIA(3), not {described(value)}{_written(value, hint)}"

@@ -26,7 +26,7 @@ class Statistics:
 
     Attributes
     ----------
-    steps, newton_iterations, factorisations : int
+    steps, newton_iterations, factorizations : int
         Totals of the run; iterations are those of the slowest block of each step.
     worst_residual : float
         Largest residual of any equation, scaled by the step size to the level of accelerations.
@@ -50,7 +50,7 @@ class Statistics:
 
     steps: int
     newton_iterations: int
-    factorisations: int
+    factorizations: int
     worst_residual: float
     servo_violation: float
     servo_rate_violation: float
@@ -115,7 +115,7 @@ class Margin:
 
     Attributes
     ----------
-    left : float
+    slack : float
         Distance from the nearer bound where it is least, negative beyond it.
     time, value, bound : float
         When that is, the quantity then, and that bound.
@@ -123,7 +123,7 @@ class Margin:
         Of all but the time.
     """
 
-    left: float
+    slack: float
     time: float
     value: float
     bound: float

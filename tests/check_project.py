@@ -127,7 +127,7 @@ OXFORD = re.compile(  # stems that take -ize; other words do not: otherwise, pre
     r"|recogni|regulari|seriali|stabili|summari|symmetri|synchroni|utili|vectori|visuali)s(e|ing|ation|able)",
     re.IGNORECASE,
 )
-PUBLIC_SPELLING = re.compile(r"\b(generalise|[Dd]iscretis(e|ation)|factorisations|linearised?)\b|emphasis")
+PUBLIC_SPELLING = re.compile(r"\b(generalize|[Dd]iscretis(e|ation)|factorizations|linearized?)\b|emphasis")
 
 
 def test_words_are_spelled_as_in_oxford() -> None:
@@ -187,7 +187,7 @@ def exported_by(attribute: str, argument: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("name", [*exported_by("dae", "system"), *exported_by("discretise", "dae")])
+@pytest.mark.parametrize("name", [*exported_by("dae", "system"), *exported_by("discretize", "dae")])
 def test_a_formulation_or_method_is_explained(name: str) -> None:
     assert f"`{name}`" in (DOCS / "theory.md").read_text(encoding="utf-8")
 

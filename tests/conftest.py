@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import servocore as sc
+from servocore.numerics.machine_code import c_compiler
 
 pytest.register_assert_rewrite("problems", "suite")
 
@@ -79,7 +80,7 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def compiler() -> list[str]:
     """Return the command of this machine's C compiler."""
     try:
-        return sc.c_compiler()
+        return c_compiler()
     except sc.InvalidSetting as error:
         pytest.skip(str(error))
 

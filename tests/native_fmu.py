@@ -33,6 +33,7 @@ from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.machine_code import c_compiler
 
 NATIVE = Path(__file__).parent / "native"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -74,7 +75,7 @@ def c_host(fmi: int) -> Path:
     """Return a host in C: see native/host.c."""
     program = scratch() / f"host {fmi}"
     options = ["-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}"]
-    subprocess.run([*sc.c_compiler(), *options, NATIVE / "host.c", "-o", program, "-ldl"], check=True)
+    subprocess.run([*c_compiler(), *options, NATIVE / "host.c", "-o", program, "-ldl"], check=True)
     return program
 
 
@@ -139,12 +140,12 @@ def exported(name: str) -> Any:
     if what == "plant":
         return plant_model(scene_called(scene), None, CRANE_PLANT if scene == "rotary_crane" else None)
     if what == "trajectory":
-        return trajectory_model(scene_called(scene), None, sc.TrajectoryWishes(path_of(scene)))
+        return trajectory_model(scene_called(scene), None, sc.TrajectoryOptions(path_of(scene)))
     own = scene_called(scene)
     return inverse_model(own, None, feedback_of(own), estimates_of(own)) if what == "loop" else inverse_model(own)
 
 
-CRANE_PLANT = sc.PlantWishes(errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")})
+CRANE_PLANT = sc.PlantOptions(errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")})
 
 
 @cache

@@ -323,7 +323,7 @@ class ProblemSuite:
         # A pointwise form starts every instant from the configuration at rest, the others from the last instants.
         most = (8 if problem.pointwise else 4) * statistics.steps
         assert statistics.newton_iterations <= most
-        assert statistics.factorisations > 0  # linear blocks need no iteration, but they count
+        assert statistics.factorizations > 0  # linear blocks need no iteration, but they count
 
     def test_solution_lists_inputs_first_and_every_quantity_with_its_unit(self, problem: Problem) -> None:
         solution, system = solved(problem, 200), problem.system
@@ -404,7 +404,7 @@ def march(
 
     `exact` gives [x; z] at a time up to 0 for the start, `path` the reference and its derivatives, shape (orders,).
     """
-    step = method.discretise(dae)
+    step = method.discretize(dae)
     solver = compile_solver("sc_march", step.equations, [step.next_state])
     first = ca.Function("first", [step.start.values, step.start.rates, step.step], [step.first_state])
     read = ca.Function("read", [step.state], [ca.vertcat(step.x, step.z)])
@@ -507,7 +507,7 @@ class MethodSuite:
 
     def test_its_nodes_lie_within_the_step_in_order(self, by: MethodCase) -> None:
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
-        nodes = by.method.discretise(small_dae(x, z, gamma[0], z - x, gamma)).nodes
+        nodes = by.method.discretize(small_dae(x, z, gamma[0], z - x, gamma)).nodes
         assert all(a < b for a, b in pairwise(nodes))
         assert 0.0 <= nodes[0] <= nodes[-1] <= 1.0
 

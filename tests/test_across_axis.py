@@ -77,7 +77,7 @@ def test_every_command_with_a_path_refuses_one_through_the_axis_in_the_same_sent
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "path.csv").write_text(sc.csv_of(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
+    (tmp_path / "path.csv").write_text(sc.path_to_csv(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
     name, *words = ("rotary_crane" if word == "SCENE" else word for word in command)
     line = LINES[name]
     line.assert_refused(line(*words, "--reference", "path.csv"), "at t = 10 s the trolley reaches the slewing axis")
@@ -91,7 +91,7 @@ def test_a_scene_that_can_pass_the_axis_is_not_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
-    (tmp_path / "path.csv").write_text(sc.csv_of(STRAIGHT))
+    (tmp_path / "path.csv").write_text(sc.path_to_csv(STRAIGHT))
     (tmp_path / "passing.py").write_text(
         "import servocore as sc\n\ndef crane():\n    return sc.scenes.rotary_crane(across_axis=True)\n"
     )

@@ -12,6 +12,7 @@ import sys
 import pytest
 
 import servocore as sc
+from servocore.solution import Statistics
 
 CRANE = sc.scenes.rotary_crane()
 STEPS = 200
@@ -49,10 +50,10 @@ CONTROLLED = {1e-3: (600, 513), 1e-6: (1400, 849)}
 """Steps of all runs, and iterations of the last, that Radau IIA with five stages takes to a tolerance."""
 
 
-def require_at_most(found: sc.Statistics, needed: tuple[int, int]) -> None:
+def require_at_most(found: Statistics, needed: tuple[int, int]) -> None:
     assert found.steps == STEPS
     assert 0 < found.newton_iterations <= SLACK * needed[0]
-    assert 0 < found.factorisations <= SLACK * needed[1]
+    assert 0 < found.factorizations <= SLACK * needed[1]
 
 
 @pytest.mark.filterwarnings("ignore::servocore.ServocoreWarning")  # of inputs that an undamped method loses
@@ -64,7 +65,7 @@ def test_a_method_takes_no_more_iterations_and_factorizations_than_it_did(method
 
 def test_every_kind_of_method_is_counted() -> None:
     made = {type(method) for method in NEEDED}
-    exported = {getattr(sc, name) for name in sc.__all__ if hasattr(getattr(sc, name), "discretise")}
+    exported = {getattr(sc, name) for name in sc.__all__ if hasattr(getattr(sc, name), "discretize")}
     assert exported - {sc.Method} == made
 
 

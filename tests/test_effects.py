@@ -17,8 +17,9 @@ from present import of_kind, present
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.effects.closed_loop import Driven, linear_answers, run_loop
-from servocore.effects.drives import Gains, gains_of
 from servocore.effects.model_inversion import inverted
+from servocore.effects.position_loops import Gains, gains_of
+from servocore.effects.report import EffectsReport
 from servocore.model.effects import Extended
 from servocore.problem import Problem
 from servocore.references.profiles import polynomial
@@ -26,21 +27,21 @@ from servocore.references.rest_to_rest import RestToRest
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
 ROWS = {  # index, derivatives of the path and unknowns of the rotary crane with an effect; all are flat
-    "elastic rope": (5, 4, 45), "heavy rope": (7, 6, 68), "heavy rope 2": (9, 8, 102), "heavy rope 3": (11, 10, 144),
-    "friction": (5, 4, 42), "air drag": (5, 4, 42), "wind": (5, 4, 42), "hook": (7, 6, 68), "rigid load": (7, 6, 68),
-    "flexible bridge": (7, 6, 73), "rope exit": (5, 4, 42),
+    "elastic rope": (5, 4, 45), "rope mass": (7, 6, 68), "rope mass 2": (9, 8, 102), "rope mass 3": (11, 10, 144),
+    "friction": (5, 4, 42), "air drag": (5, 4, 42), "wind": (5, 4, 42), "hook": (7, 6, 68), "load inertia": (7, 6, 68),
+    "flexible bridge": (7, 6, 73), "sheave offset": (5, 4, 42),
 }  # fmt: skip
 NOTHING = {  # values with which an effect nearly vanishes, and the structure remains
     "elastic rope": {"rope_stiffness": 1e8},
-    "heavy rope": {"rope_mass": 1e-5},
+    "rope mass": {"rope_mass": 1e-5},
     "friction": {"trolley_friction": 1e-5, "bridge_friction": 1e-5, "winch_friction": 1e-5},
     "air drag": {"drag_area": 1e-7},
     "wind": {"drag_area": 1e-7},
     "hook": {"hook_mass": 1e-5},
-    "rigid load": {"hook_mass": 1e-5, "body_gyration": 1e-3},
+    "load inertia": {"hook_mass": 1e-5, "body_gyration": 1e-3},
     "flexible bridge": {"bridge_frequency": 500.0},
     "flexible rail": {"bridge_frequency": 500.0},
-    "rope exit": {"exit_side": 1e-6, "exit_drop": 1e-6},
+    "sheave offset": {"exit_side": 1e-6, "exit_drop": 1e-6},
 }  # fmt: skip
 G = 9.81
 
@@ -127,7 +128,7 @@ def test_at_rest_an_elastic_rope_is_paid_out_by_its_stretch_less() -> None:
     assert math.isclose(length * (1 + 100.0 * G / 2e4), 4.0, rel_tol=1e-12)
 
 
-@pytest.mark.parametrize("effect", ["heavy rope", "heavy rope 2"])
+@pytest.mark.parametrize("effect", ["rope mass", "rope mass 2"])
 def test_at_rest_the_winch_holds_the_load_and_the_rope_that_is_paid_out(effect: str) -> None:
     solution = at_rest(effect, rope_mass=3.0)
     assert math.isclose(solution["M_w"][0], -(100.0 + 3.0 * 4.0) * G * 0.1, rel_tol=1e-12)
@@ -141,11 +142,11 @@ def test_steady_wind_makes_the_rope_lean_by_drag_over_weight() -> None:
 
 
 def test_where_the_rope_leaves_the_trolley_lower_it_is_shorter() -> None:
-    assert math.isclose(at_rest("rope exit", exit_drop=0.7)["l"][0], 3.3, rel_tol=1e-12)
+    assert math.isclose(at_rest("sheave offset", exit_drop=0.7)["l"][0], 3.3, rel_tol=1e-12)
 
 
 def test_a_rigid_load_hangs_with_its_centre_of_oscillation_on_the_path() -> None:
-    solution = at_rest("rigid load", body_centre=0.4, body_gyration=0.3)
+    solution = at_rest("load inertia", body_centre=0.4, body_gyration=0.3)
     assert math.isclose(solution["hook_z"][0], -4.0 + 0.4 + 0.3**2 / 0.4, rel_tol=1e-12)
 
 
@@ -160,8 +161,8 @@ def test_the_spring_of_a_flexible_bridge_carries_what_moves_behind_it() -> None:
 
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
 def test_the_own_inputs_of_every_effects_model_drive_its_plant_along_the_path(name: str) -> None:
-    for effect in [*listed(name), "heavy rope 2"]:
-        scene = smooth(crane(name).with_effects(effect), 6.0, order=8 if effect == "heavy rope 2" else 6)
+    for effect in [*listed(name), "rope mass 2"]:
+        scene = smooth(crane(name).with_effects(effect), 6.0, order=8 if effect == "rope mass 2" else 6)
         problem, measured = Problem.of(scene), scene.effects.measured
         fine = 4 if effect == "friction" else 1  # it turns from one side to the other within a fiftieth of a second
         own = inverted(problem, measured, 3000 * fine + 1)
@@ -179,7 +180,7 @@ def test_a_stiff_elastic_rope_has_inputs_without_noise() -> None:
 
 
 def test_effects_combine_in_one_model_that_solve_takes() -> None:
-    names = ("friction", "rope exit", "air drag", "elastic rope", "hook")
+    names = ("friction", "sheave offset", "air drag", "elastic rope", "hook")
     problem = Problem.of(smooth(crane("rotary_crane").with_effects(*names), 10.0))
     assert (problem.flat, problem.signature.index, len(problem.array.unknowns)) == (True, 7, 71)
     scene = smooth(crane("rotary_crane").with_effects("friction", "flexible bridge"), 10.0)
@@ -202,7 +203,7 @@ def test_equal_scenes_with_effects_share_what_was_made() -> None:
     ("names", "without", "words"),
     [
         (("stiction",), (), "no effect is called stiction; there are elastic rope"),
-        (("heavy rope", "heavy rope 2"), (), "choose one number of lumps"),
+        (("rope mass", "rope mass 2"), (), "choose one number of lumps"),
         (("hook",), ("hook",), "cannot be both with and without hook"),
     ],
 )
@@ -217,7 +218,7 @@ def test_effects_that_make_no_sense_are_refused_by_name(
 
 
 @cache
-def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> sc.EffectsReport:
+def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> EffectsReport:
     scene = crane(name)
     path = of_kind(RestToRest, scene.reference)
     scene = scene.with_reference(sc.rest_to_rest(path.start, path.end, 10.0))
@@ -227,7 +228,7 @@ def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> sc.Ef
 def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study() -> None:
     # Forward simulations by fourth-order steps of 1 to 2 ms in another program, degree 9, 10 s, drives of 6 rad/s.
     known = {"elastic rope": 0.57, "friction": 76.0, "winch inertia": 0.73, "air drag": 16.0, "wind": 490.0,
-             "rope exit": 128.0}  # fmt: skip
+             "sheave offset": 128.0}  # fmt: skip
     found = report("rotary_crane", simulate=True)
     for name, error in known.items():
         assert found[name].how == "simulated"
@@ -250,9 +251,9 @@ def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> N
     # with dry friction stick. Everywhere else the small model answers like the plant.
     quick = crane("gantry_crane").with_reference(sc.rest_to_rest((0.0, 0.0, -5.0), (6.0, 3.0, -2.0), 5.0))
     found = sc.effects(quick, tolerance=1e-9)
-    assert {"rigid load", "friction"} <= {each.name for each in found.rows if each.how == "simulated"}
-    assert "the plant answers otherwise" in found["rigid load"].reason
-    assert present(found["rigid load"].estimate) < 0.9 * present(found["rigid load"].error)
+    assert {"load inertia", "friction"} <= {each.name for each in found.rows if each.how == "simulated"}
+    assert "the plant answers otherwise" in found["load inertia"].reason
+    assert present(found["load inertia"].estimate) < 0.9 * present(found["load inertia"].error)
     assert found["hook"].how == "estimated"
 
 
@@ -260,7 +261,7 @@ def test_linear_answers_at_both_ends_are_what_a_small_push_does_to_a_plant_at_re
     scene = smooth(crane("overhead_crane"), 5.0)
     problem, measured = Problem.of(scene), scene.effects.measured
     own = inverted(problem, measured, 501)
-    gains = gains_of(problem.system, measured, own.end, problem.p, sc.Drives())
+    gains = gains_of(problem.system, measured, own.end, problem.p, sc.PositionLoops())
     push = np.outer(1e-3 * np.sin(own.t) ** 4, [1.0, 0.5])
     answers = linear_answers(problem, own, gains, measured, (), push)
     for place, q, u, answer in zip(
@@ -308,7 +309,7 @@ def test_the_verdict_builds_the_smallest_model() -> None:
     found = report("rotary_crane")
     added, without = found.arguments
     assert "air drag" not in added  # it comes with the wind
-    assert {"wind", "friction", "rope exit"} <= set(added)
+    assert {"wind", "friction", "sheave offset"} <= set(added)
     assert without == ("winch inertia",)
     smallest = found.smallest()
     assert smallest.effects.added == set(added)
@@ -359,7 +360,7 @@ def test_a_plant_with_internal_dynamics_is_simulated() -> None:
 def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss() -> None:
     path = of_kind(RestToRest, crane("rotary_crane").reference)
     scene = crane("rotary_crane").with_reference(sc.rest_to_rest(path.start, path.end, 10.0))
-    found = sc.effects(scene, drives=None)
+    found = sc.effects(scene, loops=None)
     assert present(found["elastic rope"].input_change) < 2e-4
     assert found["elastic rope"].error == pytest.approx(0.044, rel=0.05)
 
@@ -368,7 +369,7 @@ def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss() 
     ("options", "error", "words"),
     [
         ({"tolerance": 0.0}, sc.InvalidSetting, "the tolerance must be positive and finite, not 0"),
-        ({"drives": 6.0}, sc.InvalidSetting, r"drives must be Drives\(...\) or None, not 6.0"),
+        ({"loops": 6.0}, sc.InvalidSetting, r"loops must be PositionLoops\(...\) or None, not 6.0"),
         ({"parameters": {"hook": 1.0}}, sc.InvalidModel, "no parameter of an effect is called hook"),
         ({"plant": {"ours": 3}}, sc.InvalidModel, "the plant ours must be a function that returns a model, not 3"),
         (
@@ -400,15 +401,15 @@ def test_a_scene_that_declares_nothing_says_what_to_give() -> None:
 
 
 def test_drives_must_have_a_bandwidth() -> None:
-    with pytest.raises(sc.InvalidSetting, match="bandwidth of drives must be positive and finite, not 0"):
-        sc.Drives(bandwidth=0.0)
+    with pytest.raises(sc.InvalidSetting, match="bandwidth of position loops must be positive and finite, not 0"):
+        sc.PositionLoops(bandwidth=0.0)
 
 
 def test_a_rope_shorter_than_its_lumps_refuses_its_row() -> None:
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
-    assert found["heavy rope"].how == "refused"
-    assert "rope_above is -" in found["heavy rope"].reason
-    assert found.verdict.endswith("mm at most, errors added up. Not judged: heavy rope.")
+    assert found["rope mass"].how == "refused"
+    assert "rope_above is -" in found["rope mass"].reason
+    assert found.verdict.endswith("mm at most, errors added up. Not judged: rope mass.")
 
 
 # Paths that are too rough.
@@ -470,9 +471,9 @@ def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> N
             ("overhead_crane", "--deviation", "5"),
             ("--deviation 5 is without its unit: write it as in --deviation 5mm",),
         ),
-        (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of drives must be positive",)),
-        (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("no drives whose bandwidth",)),
-        (("overhead_crane", "--open-loop", "--bandwidth", "6"), ("no drives whose bandwidth",)),
+        (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of position loops must be positive",)),
+        (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("there are no position loops",)),
+        (("overhead_crane", "--open-loop", "--bandwidth", "6"), ("there are no position loops",)),
         (("overhead_crane", "--parameters", "bad.toml"), ("bad.toml", "'rope_colour'")),
         (("overhead_crane", "--reference", "none.csv"), ("none.csv",)),
         (("cars",), ("cars declares no effects",)),

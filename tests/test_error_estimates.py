@@ -226,7 +226,7 @@ def test_a_run_is_compared_on_the_branch_that_it_began_on() -> None:
 
 def test_a_bounded_inversion_is_compared_with_one_of_higher_order() -> None:
     unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
-    found, said = solved(unstable, None, sc.BoundaryValue(tolerance=0.05, stages=1), step=0.4)
+    found, said = solved(unstable, None, sc.StableInversion(tolerance=0.05, stages=1), step=0.4)
     true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
     assert said == []
     assert found.error["u"] == pytest.approx(true, rel=0.1)

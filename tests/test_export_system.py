@@ -23,7 +23,7 @@ from servocore.cli.commands import app
 from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
-from servocore.references.csv_file import csv_of
+from servocore.references.csv_file import path_to_csv
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
 
@@ -116,7 +116,7 @@ def test_a_trajectory_begins_with_the_law_of_its_scene(name: str) -> None:
 
 def test_a_profile_that_is_none_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="there is no profile 'degree8'; there are degree9, degree13, three-p"):
-        trajectory_model(CRANE, None, sc.TrajectoryWishes(profile="degree8"))
+        trajectory_model(CRANE, None, sc.TrajectoryOptions(profile="degree8"))
 
 
 # Plant ---------------------------------------------------------------------------------------------------------------
@@ -178,7 +178,7 @@ def test_a_tension_is_watched_in_every_model(model: str) -> None:
 def test_the_command_writes_plant_and_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
-    write("path.csv", csv_of(present(path_of("rotary_crane"))))
+    write("path.csv", path_to_csv(present(path_of("rotary_crane"))))
     common = ("--targets", "host", "--fmi", "2")
     said = run("export", "cars", "--plant", "-o", "plant.fmu", *common).output
     assert "plant.fmu: plant of cars, FMI 2" in said

@@ -65,7 +65,7 @@ def test_the_script_that_builds_names_its_extra(tmp_path: Path) -> None:
 def test_nothing_native_imports_pythonfmu(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['pythonfmu'] = None\n"
-        "from crane_fmu.build import Wishes, build_ssp\nfrom crane_fmu.build.native import native_fmu\n"
+        "from crane_fmu.build import SystemOptions, build_ssp\nfrom crane_fmu.build.native import native_fmu\n"
         "from crane_fmu.catalogue import KINDS\n"
         "for kind in KINDS.values(): native_fmu(kind, targets='none')\n"
     )

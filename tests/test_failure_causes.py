@@ -360,7 +360,7 @@ def test_friction_that_is_smooth_but_steep_ends_soon(slip: float) -> None:
     steep = block(lambda v: -2.0 * ca.tanh(v / slip))
     t = np.linspace(0.0, 2.0, 41)
     found = sc.simulate(steep, lambda time: np.array([3.0 * np.sin(time)]), t=t, start={"x": 0.0, "x_dot": 0.0})
-    assert found.statistics.factorisations < 200_000
+    assert found.statistics.factorizations < 200_000
     begin = np.arcsin(2.0 / 3.0)
     moved = 3.0 * ((t - begin) * np.cos(begin) - np.sin(t) + np.sin(begin)) - (t - begin) ** 2
     assert np.abs(found["x"] - np.where(t > begin, moved, 0.0)).max() < 20 * slip

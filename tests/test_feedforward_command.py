@@ -33,7 +33,7 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path:
     scene = REGISTRY[name]()
     outputs = [each.name for each in scene.model().outputs]
     file = tmp_path / "path.csv"
-    file.write_text(sc.csv_of(scene.reference, outputs, each=40), encoding="utf-8")
+    file.write_text(sc.path_to_csv(scene.reference, outputs, each=40), encoding="utf-8")
     done = servocore_command("feedforward", name, "--reference", file, "-o", tmp_path / "inputs.csv")
     assert done.exit_code == 0, done.stderr
     names, values = table((tmp_path / "inputs.csv").read_text(encoding="utf-8"))
@@ -63,7 +63,7 @@ def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
     scene = REGISTRY[name]()
     outputs = [each.name for each in scene.model().outputs]
     file = tmp_path / "path.csv"
-    file.write_text(sc.csv_of(scene.reference, outputs, each=40), encoding="utf-8")
+    file.write_text(sc.path_to_csv(scene.reference, outputs, each=40), encoding="utf-8")
     order = sc.Problem.of(scene).array.reference_order
     expected = sc.from_csv(file, columns=outputs, rest_order=order)
     shown: list[sc.Reference] = []
@@ -73,7 +73,7 @@ def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
     monkeypatch.setattr(view, "live_part", lambda *_, **__: part)
     monkeypatch.setattr(view, "page_text", lambda *_: "page")
     monkeypatch.setattr(export, "require_built", lambda *_: None)
-    monkeypatch.setattr(export, "export_trajectory", lambda _, __, wishes, **___: shown.append(wishes.path))
+    monkeypatch.setattr(export, "export_trajectory", lambda _, __, options, **___: shown.append(options.path))
     page, fmu = tmp_path / "page.html", tmp_path / "path.fmu"
     viewed = servocore_command("view", name, "--reference", with_units_and_commas(file, scene), "-o", page)
     exported = servocore_command("export", name, "--trajectory", "--reference", file, "-o", fmu)
@@ -104,7 +104,7 @@ def test_few_rows_are_waypoints_and_that_is_said() -> None:
 def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
     scene = REGISTRY["overhead_crane"]()
     file = tmp_path / "path.csv"
-    file.write_text(sc.csv_of(scene.reference, ["x", "z"]), encoding="utf-8")
+    file.write_text(sc.path_to_csv(scene.reference, ["x", "z"]), encoding="utf-8")
     done = servocore_command("feedforward", "overhead_crane", "--reference", file)
     names, values = table(done.stdout)
     assert "waypoints" not in done.stderr
@@ -114,7 +114,7 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
 def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: Path) -> None:
     bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
     outputs = [each.name for each in bar.model().outputs]
-    file.write_text(sc.csv_of(bar.reference, outputs, each=40), encoding="utf-8")
+    file.write_text(sc.path_to_csv(bar.reference, outputs, each=40), encoding="utf-8")
     assert GivenPath(file).along(bar).reference.smoothness >= 6
     sensitivities = servocore_command("sensitivities", "elastic_bar", "--reference", file, "-o", tmp_path / "by.csv")
     assert sensitivities.exit_code == 0, sensitivities.stderr

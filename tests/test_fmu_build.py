@@ -34,7 +34,7 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def native() -> bytes:
     """Return a native FMU that is soon compiled."""
-    return native_fmu(LOAD_TRAJECTORY, targets="host", judged_late=True)
+    return native_fmu(LOAD_TRAJECTORY, targets="host", deferred_refusals=True)
 
 
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_the_identifier_changes_with_the_content(
 
 def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of the slave, and of the library: the crane has a lighter load."""
-    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", judged_late=True)
+    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", deferred_refusals=True)
     slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
     (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
     monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))

@@ -1,4 +1,4 @@
-"""`generalise`: the same system in other coordinates, section 3.1 of the paper, number by number."""
+"""`generalize`: the same system in other coordinates, section 3.1 of the paper, number by number."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hypothesis.strategies import DataObject, SearchStrategy
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.system import DERIVED
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import gyroscopic_forces
@@ -125,7 +125,7 @@ def pendulum(
     length = system.parameters["l"]
     theta = coordinates.q[0]
     F = ca.vertcat(length * ca.sin(theta), -length * ca.cos(theta), theta) if mapping is None else mapping
-    return generalise(system, coordinates, F, name=name)
+    return generalize(system, coordinates, F, name=name)
 
 
 def test_the_pendulum_in_its_angle_is_the_textbook_pendulum() -> None:

@@ -238,7 +238,7 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
     single = [sc.solve(each, sc.Projected(), sc.BackwardEuler(), step=step, checks=False) for each in alone]
     inputs = np.column_stack([each.values[:, :3] for each in single])
     np.testing.assert_allclose(many.values[:, : inputs.shape[1]], inputs, atol=1e-9 * np.abs(inputs).max())
-    assert many.statistics.factorisations == sum(each.statistics.factorisations for each in single)
+    assert many.statistics.factorizations == sum(each.statistics.factorizations for each in single)
 
 
 def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:

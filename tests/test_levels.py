@@ -116,7 +116,7 @@ def test_unstable_internal_dynamics_are_not_stepped_forward() -> None:
     unstable = sc.scenes.mass_on_car().with_parameters(stiffness=-5.0)
     found = measure_levels(unstable, instants=INSTANTS, repeats=1)
     assert {cost.microseconds for level in found for cost in level.costs.values()} == {None}
-    assert any("BoundaryValue" in each for each in remarks(found))
+    assert any("StableInversion" in each for each in remarks(found))
 
 
 def test_a_scene_without_an_exact_answer_has_costs_but_no_errors() -> None:

@@ -431,12 +431,12 @@ class TestWhatIsLeft:
         exact = scene.exact(solution.t)
         left = solution.margins
         assert set(left) == {"F", "swing", "M_w", "s.rate"}
-        assert left["F"].left == pytest.approx(60.0 - np.abs(exact["F"]).max(), abs=1e-9)
-        assert left["swing"].left == pytest.approx(np.radians(5.0) - exact["swing"].max(), abs=1e-9)
-        assert left["M_w"].left == pytest.approx(exact["M_w"].min() + 104.0, abs=1e-9)
+        assert left["F"].slack == pytest.approx(60.0 - np.abs(exact["F"]).max(), abs=1e-9)
+        assert left["swing"].slack == pytest.approx(np.radians(5.0) - exact["swing"].max(), abs=1e-9)
+        assert left["M_w"].slack == pytest.approx(exact["M_w"].min() + 104.0, abs=1e-9)
         k = int(np.abs(exact["F"]).argmax())
         assert (left["F"].time, left["F"].value) == pytest.approx((solution.t[k], exact["F"][k]))
-        assert 0.0 < left["s.rate"].left < 1.2
+        assert 0.0 < left["s.rate"].slack < 1.2
 
     def test_without_limits_there_are_no_margins(self) -> None:
         assert sc.solve(CRANE).margins == {}
@@ -470,7 +470,7 @@ class TestWhatIsLeft:
     def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name: str) -> None:
         scene = CRANE.with_limits(**{name: (0, None)})
         if name != "M_b":
-            assert sc.solve(scene).margins[name].left == pytest.approx(0.0, abs=1e-12)
+            assert sc.solve(scene).margins[name].slack == pytest.approx(0.0, abs=1e-12)
         else:
             said = present(refusal(scene))
             assert (said["side"], said["bound"]) == ("lower", "0")

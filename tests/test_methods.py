@@ -42,7 +42,7 @@ def test_backward_euler_takes_H_at_the_new_instant() -> None:  # noqa: N802
 def test_backward_euler_uses_the_reference_at_the_new_instant_only() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     dae = small_dae(x, z, gamma[0], z - x, gamma)
-    assert sc.BackwardEuler().discretise(dae).nodes == (1.0,)
+    assert sc.BackwardEuler().discretize(dae).nodes == (1.0,)
     found = march(sc.BackwardEuler(), dae, lambda _: [0.0, 0.0], polynomial([0, 1.0]), 0.5, 2)
     np.testing.assert_allclose(found[:, 0], [0.0, 0.25, 0.75], rtol=1e-14)
 
@@ -180,7 +180,7 @@ def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_da
 def test_generalized_alpha_refuses_what_is_no_mechanical_system() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     with pytest.raises(sc.InvalidModel, match="needs positions with their velocities"):
-        sc.GeneralizedAlpha().discretise(small_dae(x, z, gamma[0], z - x, gamma))
+        sc.GeneralizedAlpha().discretize(small_dae(x, z, gamma[0], z - x, gamma))
 
 
 @pytest.mark.parametrize("rho", [-0.1, 1.1, float("nan")])

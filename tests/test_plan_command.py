@@ -46,7 +46,7 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture() -> Non
         "p.csv",
         "--plot",
         "p.png",
-        "--path",
+        "--write-path",
         "way.csv",
     )
     assert result.exit_code == 0
@@ -68,7 +68,7 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture() -> Non
 
 def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing_and_a_path_for_the_others() -> None:
     limits = [each for limit in ("M_b=1000", "F=60", "swing=5deg") for each in ("--limit", limit)]
-    result = crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *limits, "--path", "way.csv")
+    result = crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *limits, "--write-path", "way.csv")
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
     assert lines[0] == "time,M_b,F,M_w,phi,s,l,x,y,z,tension,swing"
@@ -88,7 +88,7 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
 
 def test_a_plan_is_played_on_a_live_page_as_it_was_planned() -> None:
     path, report = sc.fastest(OVERHEAD, [(0, -4), (5, -4)], {"F": 200}, intervals=20)
-    Path("way.csv").write_text(sc.csv_of(path, ["x", "z"]), encoding="utf-8")
+    Path("way.csv").write_text(sc.path_to_csv(path, ["x", "z"]), encoding="utf-8")
     shown = run("view", "overhead_crane", "--reference", "way.csv", "--limit", "F=200", "-o", "v.html")
     assert shown.exit_code == 0, shown.stderr
     found = re.search(r'"duration":([\d.]+)', Path("v.html").read_text(encoding="utf-8"))
@@ -103,7 +103,7 @@ def test_a_plan_is_played_on_a_live_page_as_it_was_planned() -> None:
 def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
     Path("my_crane.py").write_text("import servocore as sc\n\ndef mine():\n    return sc.scenes.overhead_crane()\n")
     limits = ["--limit", "F=200"]
-    plan = run("plan", "my_crane:mine", *LEVEL, *limits, "-o", "p.csv", "--path", "way.csv")
+    plan = run("plan", "my_crane:mine", *LEVEL, *limits, "-o", "p.csv", "--write-path", "way.csv")
     assert plan.exit_code == 0, plan.stderr
     played = run("feedforward", "my_crane:mine", "--reference", "way.csv", *limits, "-o", "again.csv")
     assert played.exit_code == 0, played.stderr
@@ -115,8 +115,8 @@ def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
 
 def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None:
     run.assert_refused(
-        run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--path", "way.csv"),
-        "--path: a file holds 4 derivatives of a path, but elastic_bar needs 6",
+        run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--write-path", "way.csv"),
+        "--write-path: a file holds 4 derivatives of a path, and elastic_bar needs 6",
     )
     assert not list(Path().iterdir())
 
@@ -130,11 +130,17 @@ FREE = ["--limit", "M_b=1000", "--limit", "F=60", "--limit", "M_w=-108..-88", "-
         (["--limit", "F=60", "--keep-out", "sphere 1 2 -3 1"], "--keep-out belongs to --free"),
         (["--limit", "F=60", "--free"], "needs a limit of every input, and M_b has none"),
         (["--limit", "F=60", "--free", "--keep-out", "cone 1 2 -3 1"], "'cone 1 2 -3 1' is neither"),
-        (["--limit", "F=60", "--free", "--parts", "load"], "--parts belongs to --keep-out"),
-        ([*FREE, "--keep-out", "sphere 3 0 0 1", "--parts", "load,hook"], "'hook' is no part that can keep clear"),
-        ([*FREE, "--keep-out", "sphere 3 0 0 1", "--parts", "load, bridge"], "a point of load, bridge is 1 m inside"),
+        (["--limit", "F=60", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),
+        (
+            [*FREE, "--keep-out", "sphere 3 0 0 1", "--clearance-of", "load,hook"],
+            "'hook' is no part that can keep clear",
+        ),
+        (
+            [*FREE, "--keep-out", "sphere 3 0 0 1", "--clearance-of", "load, bridge"],
+            "a point of load, bridge is 1 m inside",
+        ),
         ([*FREE, "--keep-out", "sphere 5 0 -3 1"], "a point of load, rope is 1 m inside"),
-        (["--limit", "F=60", "-o", "way.csv", "--path", "way.csv"], "both name way.csv"),
+        (["--limit", "F=60", "-o", "way.csv", "--write-path", "way.csv"], "both name way.csv"),
     ],
 )
 def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence: str) -> None:
@@ -156,8 +162,8 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input, and M_w has none"),
         ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
-        ([*LEVEL, "--limit", "F=200", "--free", "--parts", "load"], "--parts belongs to --keep-out"),
-        ([*LEVEL, "--by", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
+        ([*LEVEL, "--limit", "F=200", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),
+        ([*LEVEL, "--via", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
         ([*LEVEL, "--limit", "F=1e-9"], "keeps them in no 1e+06 s are not planned"),
         ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step: the time is given as 'nan'"),
         (["--from", 0, -4, "--to", 0, -4, "--limit", "F=200"], "the path does not move there"),
@@ -180,8 +186,8 @@ def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Seque
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ([], "height zero, nor a bridge: plan with --parts load"),
-        (["--parts", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
+        ([], "height zero, nor a bridge: plan with --clearance-of load"),
+        (["--clearance-of", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
     ],
 )
 def test_the_load_alone_keeps_clear_where_no_rope_is_known(options: list[str], sentence: str) -> None:

@@ -18,6 +18,7 @@ from servocore.model.limits import Bounds
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import advanced, sampled_law
 from servocore.planning.limit_rows import rounded
+from servocore.planning.report import PlanReport
 from servocore.planning.tasks import corner_problems, curve_of, task_along
 from servocore.planning.time_laws import law_of, shape_of, shortest
 from servocore.planning.transcription import Transcription
@@ -40,16 +41,14 @@ def largest_excess(scene: sc.Scene, path: sc.Reference, limits: Mapping[str, Any
 
 
 @pytest.fixture(scope="module")
-def default_plan() -> tuple[sc.Reference, sc.PlanReport]:
+def default_plan() -> tuple[sc.Reference, PlanReport]:
     return sc.fastest(CRANE, LINE, DEFAULT, intervals=QUICK)
 
 
 class TestDefaultManoeuvre:
     """The crane's line under limits of slewing torque, trolley force and swing."""
 
-    def test_is_as_fast_as_the_best_known_on_such_a_grid(
-        self, default_plan: tuple[sc.Reference, sc.PlanReport]
-    ) -> None:
+    def test_is_as_fast_as_the_best_known_on_such_a_grid(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         _, report = default_plan
         assert report.duration == pytest.approx(7.284, rel=3e-3)
         assert report.degree9 == pytest.approx(10.694, abs=1e-3)
@@ -57,17 +56,17 @@ class TestDefaultManoeuvre:
         assert report.status == "Solve_Succeeded"
         assert 0.0 < report.grid_error < 0.5
 
-    def test_keeps_its_limits_by_the_closed_form(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
+    def test_keeps_its_limits_by_the_closed_form(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         path, report = default_plan
         assert largest_excess(CRANE, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
         assert report.violation == 0.0
 
-    def test_touches_every_limit_at_some_time(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
+    def test_touches_every_limit_at_some_time(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         _, report = default_plan
         assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
         assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
 
-    def test_is_a_path_that_everything_takes(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
+    def test_is_a_path_that_everything_takes(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         path, report = default_plan
         scene = CRANE.with_reference(path).with_limits(**DEFAULT)
         solution = sc.solve(scene, step=report.duration / 100)
@@ -75,7 +74,7 @@ class TestDefaultManoeuvre:
         assert np.abs(inputs[:, 1] - solution["F"]).max() < 1e-7
         np.testing.assert_allclose(inputs[[0, -1]], [[0.0, 0.0, -98.1]] * 2, atol=1e-6)
 
-    def test_has_exact_derivatives(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
+    def test_has_exact_derivatives(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         path, _ = default_plan
         t, h = np.linspace(0.3, path.duration - 0.3, 37) + 0.011, 1e-4
         for order in range(5):
@@ -211,7 +210,7 @@ def test_a_bar_of_index_seven_has_six_smooth_derivatives() -> None:
 
 
 def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(
-    default_plan: tuple[sc.Reference, sc.PlanReport],
+    default_plan: tuple[sc.Reference, PlanReport],
 ) -> None:
     nominal = default_plan[1].duration
     path, report = sc.fastest(CRANE, LINE, DEFAULT, robust={"load_mass": (0.9, 1.1)}, intervals=QUICK)
@@ -267,7 +266,7 @@ def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path: 
     unit = shape_of(sc.DEGREE9)(np.linspace(0.0, 1.0, 81), 4).T
     law = sampled_law(unit[:, :, None] / 7.5 ** np.arange(5)[:, None, None], 7.5, 4)
     path = TimedPath.of(curve_of(sc.through(points, duration=20), 3, "crane"), law.path())
-    (tmp_path / "way.csv").write_text(sc.csv_of(path), encoding="utf-8")
+    (tmp_path / "way.csv").write_text(sc.path_to_csv(path), encoding="utf-8")
     t = np.linspace(0.0, 7.5, 2001)
     back, snap = (each.jet(t, 4)[:, 4] for each in (sc.from_csv(tmp_path / "way.csv"), path))
     assert np.abs(back - snap).max() < 1e-4 * np.abs(snap).max()

@@ -10,13 +10,14 @@ import pytest
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
+from servocore.stepping.forward_dynamics import Plant
 
 CRANE = sc.scenes.rotary_crane()
 STILL = np.zeros(3)
 MODELS = ("points", "generalized")
 
 
-def at_rest(model: str) -> tuple[sc.Plant, Array, Array]:
+def at_rest(model: str) -> tuple[Plant, Array, Array]:
     system = CRANE.model(model)
     plant = sc.compile_plant(system)
     p = system.parameters.values()
@@ -31,7 +32,7 @@ def push(time: float) -> Array:
     return np.array([300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)])
 
 
-def run(plant: sc.Plant, state: Array, p: Array, step: float, until: float = 2.0) -> Array:
+def run(plant: Plant, state: Array, p: Array, step: float, until: float = 2.0) -> Array:
     for k in range(round(until / step)):
         now, then = push(k * step), push((k + 1) * step)
         state = plant.advance(state, now, (then - now) / step, STILL, p, step)

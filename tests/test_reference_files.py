@@ -96,7 +96,7 @@ def test_columns_need_names_of_their_own(columns: list[str], tmp_path: Path) -> 
 def test_a_path_is_not_written_into_columns_of_one_name() -> None:
     for columns in (("x", "x", "z"), ("time", "y", "z")):
         with pytest.raises(sc.InvalidReference, match="position columns with names of their own"):
-            sc.csv_of(sc.scenes.rotary_crane().reference, columns)
+            sc.path_to_csv(sc.scenes.rotary_crane().reference, columns)
 
 
 def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path: Path) -> None:
@@ -264,7 +264,7 @@ def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go() 
 
 
 def test_a_header_t_is_the_time(tmp_path: Path) -> None:
-    text = sc.csv_of(sc.scenes.rotary_crane().reference)
+    text = sc.path_to_csv(sc.scenes.rotary_crane().reference)
     (tmp_path / "time.csv").write_text(text, encoding="utf-8")
     (tmp_path / "t.csv").write_text(text.replace("time,", "t,", 1), encoding="utf-8")
     with pytest.warns(sc.ServocoreWarning, match="as time,x,y,z"):

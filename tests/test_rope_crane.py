@@ -119,7 +119,7 @@ def test_ropes_of_lumps_approach_it(inputs: sc.Solution) -> None:
     rope = load(simulated(crane(16, **HEAVY), inputs, end=0.6))
     errors = []
     for lumps in (2, 4):
-        scene = sc.scenes.rotary_crane().with_effects(f"heavy rope {lumps}").with_reference(PATH)
+        scene = sc.scenes.rotary_crane().with_effects(f"rope mass {lumps}").with_reference(PATH)
         scene = scene.with_parameters(rope_mass=5.0, rope_piece=1.5)
         names = scene.model().coordinates.names
         start = dict.fromkeys(names, 0.0) | {"d_x": 1.0, "p_x": 5.0, "s": 5.0, "l": 5.0, "x": 5.0, "z": -5.0}

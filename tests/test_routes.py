@@ -15,10 +15,10 @@ import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.solvers.adaptive import ToTolerance
-from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.fixed_step import FixedStep, StateSelection
 from servocore.solvers.solve import chosen_route
+from servocore.solvers.stable_inversion import StableInversion
 
 CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
 
@@ -46,7 +46,7 @@ class Rest:
         (CRANE, sc.Projected(), sc.BDF(3), sc.Adaptive(1e-3), ToTolerance),
         (CAR, sc.Reduced(), sc.RadauIIA(3), None, StateSelection),
         (CAR, sc.Reduced(), sc.RadauIIA(3), sc.Adaptive(1e-3), ToTolerance),
-        (CAR, sc.Reduced(), BoundaryValue(), None, BoundaryValue),
+        (CAR, sc.Reduced(), StableInversion(), None, StableInversion),
         (CAR, sc.Reduced(), Rest(), None, Rest),
     ],
 )

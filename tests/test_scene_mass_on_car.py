@@ -114,7 +114,7 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
 def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution() -> None:
     this = scene_of("unstable")
     solution = sc.solve(this)
-    assert "BoundaryValue" in solution.advice
+    assert "StableInversion" in solution.advice
     exact = this.exact(solution.t)
     for name in ("u", "s"):
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())

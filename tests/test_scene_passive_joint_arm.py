@@ -138,7 +138,7 @@ def test_forward_integration_at_the_tip_is_warned_of_and_leaves_the_bounded_solu
 def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pre_actuation() -> None:
     arm = scene(tip=True)
     solution = sc.solve(arm)
-    assert "BoundaryValue" in solution.advice
+    assert "StableInversion" in solution.advice
     assert solution.t[0] < arm.reference.start_time
     assert solution.t[-1] > arm.reference.end_time
     exact = arm.exact(solution.t)

@@ -68,7 +68,7 @@ def test_a_step_of_the_default_crane_takes_about_three_newton_iterations(model: 
     statistics = solved(problem("rotary_crane", model), 200).statistics
     assert statistics.steps == 200
     assert statistics.newton_iterations <= most * 200
-    assert statistics.newton_iterations <= statistics.factorisations
+    assert statistics.newton_iterations <= statistics.factorizations
 
 
 def test_iterations_become_fewer_as_steps_become_smaller() -> None:

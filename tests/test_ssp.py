@@ -23,7 +23,7 @@ from fmpy.ssp.ssd import read_ssd
 from fmu_host import Host, fmu_file, in_a_process, only_one, scratch
 
 import servocore as sc
-from crane_fmu.build import Wishes, build_ssp
+from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, described, description, read_again
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli.commands import app
@@ -39,7 +39,7 @@ def system(native: bool = False) -> Path:
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch()) / f"system{' native' * native}"
     with only_one(folder.with_suffix(".busy")), shared_by_all_files():
         if not folder.is_dir():
-            build_ssp(folder, wishes=Wishes(targets="host", native=native))
+            build_ssp(folder, options=SystemOptions(targets="host", native=native))
     return folder / "Crane.ssp"
 
 
@@ -149,7 +149,7 @@ def test_the_default_experiment_ends_with_the_path_to_the_last_digit() -> None:
 
 
 def test_two_builds_are_equal_byte_by_byte(tmp_path: Path) -> None:
-    build_ssp(tmp_path, wishes=Wishes(targets="host"))
+    build_ssp(tmp_path, options=SystemOptions(targets="host"))
     assert (tmp_path / "Crane.ssp").read_bytes() == system().read_bytes()
 
 
@@ -168,7 +168,7 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> Non
 def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = sc.through([[5.0, 0.0, -5.0], [4.0, 1.0, -4.0], [4.0, 2.0, -5.0]], duration=20.0)
-    (tmp_path / "path.csv").write_text(sc.csv_of(path))
+    (tmp_path / "path.csv").write_text(sc.path_to_csv(path))
     result = CliRunner().invoke(app, ["ssp", "-o", "out", "--targets", "host", "--reference", "path.csv"])
     assert result.exit_code == 0, result.output
     assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == [
@@ -189,7 +189,7 @@ def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
-    text = sc.csv_of(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
+    text = sc.path_to_csv(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
     (tmp_path / "path.csv").write_text(text)
     line = CommandLine(app, "crane-fmu")
     refused = line("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
@@ -200,13 +200,13 @@ def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
 def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)
     with pytest.raises(sc.InvalidReference, match="slack"):
-        build_ssp(tmp_path / "out", wishes=Wishes(path=path, parameters={"gravity": 1.6}, targets="host"))
+        build_ssp(tmp_path / "out", options=SystemOptions(path=path, parameters={"gravity": 1.6}, targets="host"))
     assert not (tmp_path / "out").exists()
 
 
 def test_a_path_so_slow_that_its_times_look_like_milliseconds_is_played() -> None:
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (4.8, 0.0, -5.0), 2000.0)
-    read = read_again(sc.csv_of(path))
+    read = read_again(sc.path_to_csv(path))
     np.testing.assert_allclose(read.jet(700.0, 4), path.jet(700.0, 4), rtol=1e-9)
 
 
@@ -226,17 +226,17 @@ def own_system(native: bool) -> Path:
     folder = scratch() / f"own{' native' * native}"
     folder.mkdir()
     path = sc.through([[6.0, -1.0, -5.0], [5.0, 1.0, -4.0], GOAL], duration=10.0)
-    files = {"path.csv": sc.csv_of(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
+    files = {"path.csv": sc.path_to_csv(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
     for name, text in files.items():
         (folder / name).write_text(text)
-    wishes = [
+    options = [
         "--reference",
         str(folder / "path.csv"),
         "--parameters",
         str(folder / "crane.toml"),
         *["--native"] * native,
     ]
-    result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), "--targets", "host", *wishes])
+    result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), "--targets", "host", *options])
     assert result.exit_code == 0, result.output
     return folder / "out" / "Crane.ssp"
 
@@ -262,7 +262,7 @@ def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master(native: b
 @pytest.mark.usefixtures("compiler")
 def test_start_values_that_are_none_of_the_crane_are_taken_too(tmp_path: Path) -> None:
     own: dict[str, Any] = {"connected": "velocity", "load_mass": 140.0}
-    build_ssp(tmp_path, wishes=Wishes(parameters=own, native=True, targets="host"))
+    build_ssp(tmp_path, options=SystemOptions(parameters=own, native=True, targets="host"))
     with zipfile.ZipFile(tmp_path / "RotaryCrane.fmu") as archive:
         root = ET.fromstring(archive.read("modelDescription.xml"))
     values = {each.get("name"): each[0] for each in root.iter("ScalarVariable")}
@@ -281,10 +281,10 @@ def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package: str) -> No
 
 def test_waypoints_are_a_path_to_carry_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     file = Path(__file__).parents[1] / "examples" / "working_cycle_waypoints.csv"
-    given: list[Wishes] = []
+    given: list[SystemOptions] = []
 
-    def built(folder: Path, _: object, wishes: Wishes) -> tuple[Path, ...]:
-        given.append(wishes)
+    def built(folder: Path, _: object, options: SystemOptions) -> tuple[Path, ...]:
+        given.append(options)
         return (folder,)
 
     monkeypatch.setattr("crane_fmu.build.build_ssp", built)
@@ -296,7 +296,7 @@ def test_waypoints_are_a_path_to_carry_as_well(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_path_beside_a_time_law_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="give either a path or a profile"):
-        Wishes(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -4.0), 9.0), profile="degree9")
+        SystemOptions(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -4.0), 9.0), profile="degree9")
 
 
 @pytest.mark.parametrize(

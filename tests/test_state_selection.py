@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
+from servocore.solution import Statistics
 
 PARAMETERS = sc.Parameters(
     sc.Parameter("gravity", 9.81, "m/s2", 0.0, 100.0), sc.Parameter("damping", 0.3, "kg/s", 0.0, 100.0)
@@ -62,7 +63,7 @@ def angle(steps: int) -> Array:
     return np.asarray(solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0])
 
 
-def error(method: sc.Method, steps: int) -> tuple[Array, sc.Statistics]:
+def error(method: sc.Method, steps: int) -> tuple[Array, Statistics]:
     solution = sc.solve(scene(), sc.Reduced(), method, step=DURATION / steps)
     return np.abs(solution["x"] - solution["s"] - np.sin(angle(steps))).max(), solution.statistics
 

@@ -86,7 +86,7 @@ def test_a_report_counts_iterations_and_the_residual() -> None:
     state, _ = stepper.start(jets[0])
     _, report = stepper.advance(state, jets[1])
     assert 2 <= report.newton_iterations <= 5
-    assert report.factorisations >= report.newton_iterations
+    assert report.factorizations >= report.newton_iterations
     assert report.residual < 1e-12
 
 

@@ -1,4 +1,4 @@
-"""Tables of paths: what `csv_of` writes `from_csv` reads by default, and finds the same path in it."""
+"""Tables of paths: what `path_to_csv` writes `from_csv` reads by default, and finds the same path in it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ ROUGH = {1: DEGREE3, 2: DEGREE5, 3: DEGREE7}
 """Time laws by the derivatives of them that are continuous: too few for a path that is read by default."""
 
 
-def read_back(folder: Path, path: sc.Reference, each: int | None = None, **wishes: Any) -> sc.Reference:
+def read_back(folder: Path, path: sc.Reference, each: int | None = None, **options: Any) -> sc.Reference:
     columns = "xyz"[: path.dimension]
     file = folder / "path.csv"
-    file.write_text(sc.csv_of(path, columns, each), encoding="utf-8")
-    return sc.from_csv(file, columns=columns, **wishes)
+    file.write_text(sc.path_to_csv(path, columns, each), encoding="utf-8")
+    return sc.from_csv(file, columns=columns, **options)
 
 
 def instants(path: sc.Reference) -> Array:
@@ -123,7 +123,7 @@ def test_few_rows_are_read_with_the_fit_that_they_have(tmp_path: Path) -> None:
 @pytest.mark.parametrize("column", range(15))
 def test_a_wrong_number_in_few_rows_is_no_better_than_in_many(column: int, tmp_path: Path) -> None:
     path = sc.rest_to_rest(START, END, 20.0, sc.three_phase())
-    header, *lines = sc.csv_of(path, each=4).splitlines()
+    header, *lines = sc.path_to_csv(path, each=4).splitlines()
     rows = np.array([line.split(",") for line in lines], dtype=float)
     rows[2, 1 + column] += 2.0 * np.abs(rows[:, 1 + column]).max()
     file = tmp_path / "wrong.csv"
@@ -136,7 +136,7 @@ def test_what_was_planned_comes_back(tmp_path: Path) -> None:
     through = [(0.0, -4.0), (3.0, -4.0), (5.0, -3.0)]
     path, _ = sc.fastest(sc.scenes.overhead_crane(), through, {"F": 200, "swing": "8 deg"}, intervals=20)
     file = tmp_path / "way.csv"
-    file.write_text(sc.csv_of(path, "xz"), encoding="utf-8")
+    file.write_text(sc.path_to_csv(path, "xz"), encoding="utf-8")
     assert deviations(sc.from_csv(file, columns="xz"), path).max() < 1e-5
 
 
@@ -148,7 +148,7 @@ def test_motion_that_does_not_rest_comes_back_between_its_ends(tmp_path: Path) -
 @pytest.mark.parametrize("order", ROUGH)
 def test_a_path_with_few_derivatives_is_written_with_those_and_asks_for_no_more(order: int, tmp_path: Path) -> None:
     path = sc.rest_to_rest(START, END, 20.0, ROUGH[order])
-    text = sc.csv_of(path)
+    text = sc.path_to_csv(path)
     assert text.splitlines()[0].split(",") == ["time", *(p + axis for p in PREFIXES[: order + 1] for axis in "xyz")]
     assert deviations(read_back(tmp_path, path, rest_order=order), path, order).max() < RETURNS
     with pytest.raises(sc.InvalidReference, match=r"path\.csv, line 4: the file ends after 3 rows .* at least 20, for"):
@@ -165,7 +165,7 @@ def test_what_a_reader_would_ask_about_units_the_header_says(
     end: tuple[float, float, float], duration: float, tmp_path: Path
 ) -> None:
     path = sc.rest_to_rest(START, end, duration)
-    assert "[" in sc.csv_of(path).splitlines()[0]
+    assert "[" in sc.path_to_csv(path).splitlines()[0]
     assert deviations(read_back(tmp_path, path), path).max() < 1e-12
 
 
@@ -173,7 +173,7 @@ def test_ramps_of_half_a_duration_but_for_round_off_are_two_stretches(tmp_path: 
     ramp = 10.0 / 3.0
     path = sc.rest_to_rest(START, END, np.nextafter(2.0 * ramp, 9.0), sc.three_phase(ramp), start_time=0.7)
     assert np.diff(path.stretches).min() < 1e-12
-    assert len(sc.csv_of(path).splitlines()) == 1 + 5
+    assert len(sc.path_to_csv(path).splitlines()) == 1 + 5
     found, t = read_back(tmp_path, path), np.linspace(path.start_time, path.end_time, 999)
     np.testing.assert_allclose(found.jet(t, REST_ORDER), path.jet(t, REST_ORDER), atol=1e-9)
 
@@ -181,15 +181,15 @@ def test_ramps_of_half_a_duration_but_for_round_off_are_two_stretches(tmp_path: 
 def test_columns_and_rows_that_do_not_fit_a_path_are_refused() -> None:
     path = sc.rest_to_rest((0.0, 1.0), (1.0, 1.0), 2.0)
     with pytest.raises(sc.InvalidReference, match="a path with 2 components needs as many columns, not 3"):
-        sc.csv_of(path)
+        sc.path_to_csv(path)
     for each in (0, -1, 2.5):
         with pytest.raises(sc.InvalidReference, match="one or more whole rows, not"):
-            sc.csv_of(path, "xy", each)  # type: ignore[arg-type] # a user's mistake
+            sc.path_to_csv(path, "xy", each)  # type: ignore[arg-type] # a user's mistake
 
 
 def test_a_path_that_no_table_holds_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     path = sc.rest_to_rest(START, END, 20.0, polynomial(15))
-    sc.csv_of(path)
+    sc.path_to_csv(path)
     monkeypatch.setattr("servocore.references.csv_file._MOST_EACH", 2)
     with pytest.raises(sc.InvalidReference, match=r"no table holds the path: with 2 rows for each .* near t = 10 s"):
-        sc.csv_of(path)
+        sc.path_to_csv(path)

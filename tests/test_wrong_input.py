@@ -21,6 +21,7 @@ from problems import actuated_chain, changed, driven_pendulum, redundant_pendulu
 
 import servocore as sc
 from servocore import rotationless as rl
+from servocore.analysis import StructureReport
 from servocore.model.system import DERIVED
 from servocore.references.rest_to_rest import RestToRest
 
@@ -371,7 +372,7 @@ def test_a_reference_that_is_none_is_refused(
 @pytest.mark.parametrize("look", [sc.solve, sc.analyse, sc.ExactInversion])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
-    look: Callable[..., sc.Solution] | Callable[..., sc.StructureReport] | type[sc.ExactInversion], dimension: int
+    look: Callable[..., sc.Solution] | Callable[..., StructureReport] | type[sc.ExactInversion], dimension: int
 ) -> None:
     wrong = a_scene(reference=sc.rest_to_rest((0.0,) * dimension, (1.0,) * dimension, 1.0))
     said = f"mine needs a path with 1 components, this one has {dimension}; the outputs are angle"
@@ -400,8 +401,8 @@ def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
             "the method must be one such as RadauIIA(3), not a Projected; it is a formulation:...",
         ),
         (
-            {"method": sc.BoundaryValue},
-            "the method must be one such as RadauIIA(3), not the class BoundaryValue; an...",
+            {"method": sc.StableInversion},
+            "the method must be one such as RadauIIA(3), not the class StableInversion; an...",
         ),
         ({"step": "0.1"}, "the step must be a time in s or Adaptive(...), not the text '0.1'"),
         ({"step": sc.Adaptive}, "the step must be a time in s or Adaptive(...), not the class Adaptive"),
@@ -452,7 +453,7 @@ def test_settings_of_methods_and_studies_of_the_wrong_kind_are_refused(make: Cal
         (lambda: sc.figure_of_eight(0.0, 1.0, 2.0, 1.0), "a table with one centre a row is needed, not an array of..."),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.csv_of("path.csv"), "what csv_of is given must be a Reference, not the text 'path.csv'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.path_to_csv("path.csv"), "what path_to_csv is given must be a Reference, not the text 'path.csv'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: PATH.jet("now", 0), "the times of a path must be numbers in s, not the text 'now'"),
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),  # type: ignore[arg-type]  # wrong on purpose
     ],

@@ -109,7 +109,7 @@ class Mechanism:
             rate = forward_rate(self.system, held=False)
             u, d = ca.DM.zeros(len(self.system.inputs)), ca.DM.zeros(len(self.system.outputs))
             rates, lam, _ = (np.asarray(each).ravel() for each in rate(self.start, u, d, self.p))
-            found = method.discretise(dae)
+            found = method.discretize(dae)
             equations, start = found.equations, found.start
             solve = compile_solver("sc_control", equations, [found.next_state])
             first = ca.Function("first", [start.values, start.rates, found.step], [found.first_state])

@@ -177,11 +177,11 @@ ROW = Row(
     name=NAME,
     title="Unstable internal dynamics",
     avoid="forward integration where `analyse` reports non-minimum phase, with any method and any step",
-    do="`solve(scene)` with its default route, or `BoundaryValue()`; allow the input to begin before the path",
+    do="`solve(scene)` with its default route, or `StableInversion()`; allow the input to begin before the path",
     theory="If the zero dynamics have an eigenvalue σ > 0, every error of a forward integration grows like exp(σ t),"
     " whatever the method. The bounded solution is that of a two-point boundary value problem (stable inversion);"
     " its input begins before the path.",
-    survivor="`BoundaryValue`, the default there, agrees with the independent solution to {arm_error:.0e} (arm) and"
+    survivor="`StableInversion`, the default there, agrees with the independent solution to {arm_error:.0e} (arm) and"
     " {car_error:.0e} (mass on car). The simulated tip follows its path to {tip:.0e} of the path's length. The input"
     " begins {arm_pre:.2f} s before the motion and ends {arm_post:.2f} s after it.",
     limit="Forward, the arm's joint angle grows at {arm_rate:.2f}/s (eigenvalue {arm_eigenvalue:.2f}/s), that of the"

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Call, side_by_side
+from servocore.stepping.program import Program
 
 Array = npt.NDArray[np.float64]
 
@@ -136,5 +137,5 @@ def long_march(stepper: sc.Stepper, steps: int, chunk: int) -> Iterator[Chunk]:
 
 
 @lru_cache(maxsize=32)
-def _compiled(program: sc.Program, chunk: int) -> tuple[Call, Call]:
+def _compiled(program: Program, chunk: int) -> tuple[Call, Call]:
     return Call(program.step.mapaccum("sc_atlas", chunk)), Call(program.observe.map(chunk))

@@ -214,7 +214,7 @@ def _read(problem: Problem, found: tuple[sc.Solution, Array]) -> Answer:
 
 def _remark(answer: tuple[sc.Solution, Array]) -> str:
     found = answer[0].statistics
-    return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorisations} factorizations"
+    return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorizations} factorizations"
 
 
 def closed_form(problem: Problem) -> list[Candidate]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import servocore as sc
-from benchmarks.effects.cases import DRIVES, DURATIONS, Case
+from benchmarks.effects.cases import DURATIONS, LOOPS, Case
 from servocore.effects.report import ESTIMATED, REFUSED
 from servocore.effects.study import smooth_enough
 from servocore.problem import Problem
@@ -52,12 +52,12 @@ class Pair:
         return all((self.estimated > line) == (self.simulated > line) for line in LINES)
 
 
-def pairs(case: Case, drives: sc.Drives | None = DRIVES, durations: Sequence[float] = DURATIONS) -> Iterator[Pair]:
+def pairs(case: Case, loops: sc.PositionLoops | None = LOOPS, durations: Sequence[float] = DURATIONS) -> Iterator[Pair]:
     """Yield all effects of a crane over some durations."""
     for duration in durations:
         scene = case.over(duration)
         estimated, simulated = (
-            sc.effects(scene, drives=drives, tolerance=_NEVER, parameters=case.parameters, simulate=each)
+            sc.effects(scene, loops=loops, tolerance=_NEVER, parameters=case.parameters, simulate=each)
             for each in (False, True)
         )
         for row in simulated.rows:

@@ -66,7 +66,7 @@ For effects of index 5 the largest difference with drives is {largest:.1f} % bey
 Changes of inputs agree to that rounding, and residual swings within a tenth or the rounding, but for those in wind:
 there they count from how the rope leans at the start, here from how it leans at rest at the end. Where it says *other*
 the two are not the same thing: there all rows ran on degree 9, which omits impulses at both ends for index 7, the rope
-slid past eight nodes, and the rigid load followed the path with its centre of mass, which leaves an undamped internal
+slid past eight nodes, and the load inertia followed the path with its centre of mass, which leaves an undamped internal
 oscillation; here its centre of oscillation does.
 
 Without drives, where no loop takes what a force lacks (*here / there*, mm; *lost* where the plant does not survive):

@@ -42,7 +42,7 @@ For a scene, path and drives of your own:
 import servocore as sc
 
 crane = sc.scenes.overhead_crane()
-report = sc.effects(crane, drives=sc.Drives(bandwidth=6.0, damping=1.0), tolerance=0.02)
+report = sc.effects(crane, loops=sc.PositionLoops(bandwidth=6.0, damping=1.0), tolerance=0.02)
 print(report)  # a table, worst first, and the verdict
 better = crane.with_effects("friction").with_parameters(trolley_friction=20.0)
 ```

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import servocore as sc
+from servocore.planning.report import PlanReport
 
 WEIGHT = -98.1
 """M_w that holds the load at rest, N m."""
@@ -45,7 +46,7 @@ class Case:
     known: float
     free: sc.Space | None = None
 
-    def plan(self, intervals: int = 80) -> tuple[sc.Reference, sc.PlanReport]:
+    def plan(self, intervals: int = 80) -> tuple[sc.Reference, PlanReport]:
         """Return the plan and what is known about it."""
         return sc.fastest(sc.scenes.REGISTRY[self.scene](), self.way, self.limits, free=self.free, intervals=intervals)
 

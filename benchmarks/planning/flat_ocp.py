@@ -26,6 +26,7 @@ from rich.table import Table
 import servocore as sc
 from benchmarks.planning.by_hand import by_hand
 from servocore.cli.console import table_console
+from servocore.planning.report import PlanReport
 
 START, END = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)
 LIMITS = {"M_b": 1000.0, "F": 60.0}
@@ -52,7 +53,7 @@ class Row:
     seconds: float
 
 
-def by_fastest() -> tuple[Row, sc.PlanReport]:
+def by_fastest() -> tuple[Row, PlanReport]:
     """Plan with `sc.fastest`."""
     begin = time.process_time()
     _, report = sc.fastest(sc.scenes.rotary_crane(), [START, END], LIMITS)

@@ -2,6 +2,6 @@
 
 from crane_fmu.build.crosscheck import STEP
 from crane_fmu.build.fmu import build_fmu, main
-from crane_fmu.build.ssp import Wishes, build_ssp
+from crane_fmu.build.ssp import SystemOptions, build_ssp
 
-__all__ = ["STEP", "Wishes", "build_fmu", "build_ssp", "main"]
+__all__ = ["STEP", "SystemOptions", "build_fmu", "build_ssp", "main"]

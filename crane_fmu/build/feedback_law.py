@@ -112,7 +112,7 @@ def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
     place, load = coordinates.q[:2], coordinates.q[2:]
     s = ca.norm_2(place)
     rope = ca.norm_2(load - ca.vertcat(place, 0))
-    return sc.generalise(system, coordinates, ca.vertcat(place / s, place, s, rope, load), observables={})
+    return sc.generalize(system, coordinates, ca.vertcat(place / s, place, s, rope, load), observables={})
 
 
 class _Parts:

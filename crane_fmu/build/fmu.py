@@ -68,7 +68,7 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, judged_late=True)
+        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, deferred_refusals=True)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a process of its own")
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
     kind = KINDS[chosen.fmu]
     try:
         if chosen.page:
-            described = native_fmu(kind, targets="none", judged_late=True)
+            described = native_fmu(kind, targets="none", deferred_refusals=True)
             write_together({chosen.page: user_page(kind, described).encode()})
             return 0
         file = build_fmu(

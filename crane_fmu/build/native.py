@@ -42,8 +42,8 @@ def native_fmu(
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
     targets: str | None = None,
-    tell: Callable[[str], None] = lambda _: None,
-    judged_late: bool = False,
+    progress: Callable[[str], None] = lambda _: None,
+    deferred_refusals: bool = False,
 ) -> bytes:
     """Return the archive of trajectory, inverse model or plant, FMI 2.
 
@@ -57,38 +57,43 @@ def native_fmu(
         Start values of variables in place of defaults; names that the FMU does not have are passed over.
     targets : str, optional
         Platforms, as `sc.export_fmu` takes them.
-    tell : callable
+    progress : callable
         Told what is being done.
-    judged_late : bool
+    deferred_refusals : bool
         Whether it is for a slave of PythonFMU, whose setters cannot fail.
     """
     crane = sc.scenes.rotary_crane()
     own = {name: float(value) for name, value in starts.items() if name in crane.model().parameters.names}
     crane = crane.with_parameters(**own)
-    options: dict[str, Any] = {"fmi": 2, "targets": targets, "judged_late": judged_late, "tell": tell}
+    options: dict[str, Any] = {
+        "fmi": 2,
+        "targets": targets,
+        "deferred_refusals": deferred_refusals,
+        "progress": progress,
+    }
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
-            tell("compiling the trajectory")
-            sc.export_trajectory(crane, file, _trajectory(path, starts, judged_late), **options)
+            progress("compiling the trajectory")
+            sc.export_trajectory(crane, file, _trajectory(path, starts, deferred_refusals), **options)
         elif kind is CRANE_PLANT:
             sc.export_plant(crane, file, _plant(starts), model=_COORDINATES, **options)
         else:
             along = crane if path is None else crane.with_reference(path)
             options |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
-            sc.export_fmu(along, file, start=starts, routes=ROUTES if judged_late else None, **options)
+            sc.export_fmu(along, file, start=starts, routes=ROUTES if deferred_refusals else None, **options)
         return file.read_bytes()
 
 
-def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryWishes:
+def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryOptions:
     profile = starts.get("profile")
     named = None if profile in (None, FROM_FILE) else str(profile)
     numbers = {name: float(value) for name, value in starts.items() if not isinstance(value, str)}
-    return sc.TrajectoryWishes(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
+    return sc.TrajectoryOptions(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
 
 
-def _plant(starts: Starts) -> sc.PlantWishes:
-    return sc.PlantWishes(
+def _plant(starts: Starts) -> sc.PlantOptions:
+    return sc.PlantOptions(
         errors={"mass_error": "load_mass"},
         offsets={"start.swing": ("swing_in", "swing_out")},
         ranges={"start.swing": (-1.5, 1.5)},

@@ -60,7 +60,7 @@ _SPACES = {
 
 
 @dataclass(frozen=True)
-class Wishes:
+class SystemOptions:
     """What a user wants of a system in place of the defaults.
 
     Attributes
@@ -99,7 +99,7 @@ class Wishes:
 def build_ssp(
     directory: Path,
     progress: Progress = lambda _: None,
-    wishes: Wishes = Wishes(),
+    options: SystemOptions = SystemOptions(),
 ) -> tuple[Path, ...]:
     """Build the three FMUs, those with Python with their cross-check files, and pack them.
 
@@ -109,7 +109,7 @@ def build_ssp(
         Where they go; made if it does not exist.
     progress : callable
         Called with a phrase for every stage.
-    wishes : Wishes
+    options : SystemOptions
         A path, a time law and a crane of the user's own.
 
     Returns
@@ -128,26 +128,26 @@ def build_ssp(
     ServocoreWarning
         If the path ends in motion.
     """
-    reference = played = wishes.path
-    starts: dict[str, float | str] = dict(wishes.parameters)
+    reference = played = options.path
+    starts: dict[str, float | str] = dict(options.parameters)
     duration = 20.0
-    if wishes.profile is not None:
-        starts["profile"] = wishes.profile
+    if options.profile is not None:
+        starts["profile"] = options.profile
     if reference is not None:
         _require_start(reference)
         duration = reference.end_time
-    inverse = _inverse(reference, wishes.parameters)
+    inverse = _inverse(reference, options.parameters)
     if reference is not None:
         starts |= path_starts(reference, inverse)
         _tell_end(reference)
-        played = read_again(sc.csv_of(reference))
+        played = read_again(sc.path_to_csv(reference))
     with filled_folder(directory) as draft:
         for kind in KINDS.values():
-            if wishes.native:
-                put(draft, {kind.file_name: native_fmu(kind, played, starts, wishes.targets, progress)})
+            if options.native:
+                put(draft, {kind.file_name: native_fmu(kind, played, starts, options.targets, progress)})
             else:
-                build_fmu(draft, progress, kind, played, starts, wishes.targets)
-        if not wishes.native:
+                build_fmu(draft, progress, kind, played, starts, options.targets)
+        if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():
                 cross_check(draft / kind.file_name, reference, starts)

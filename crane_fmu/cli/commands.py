@@ -63,12 +63,12 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -
     crane = sc.scenes.rotary_crane()
     law = path.profile if path.options() == ["--profile"] else None
     line = path.path(crane) if law is None else None
-    from crane_fmu.build import Wishes, build_ssp  # noqa: PLC0415
+    from crane_fmu.build import SystemOptions, build_ssp  # noqa: PLC0415
 
     profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
-    wishes = Wishes(line, profile, subject.changes(crane), place.native, platforms.targets)
+    options = SystemOptions(line, profile, subject.changes(crane), place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
-        files = build_ssp(place.output or Path("system"), progress.describe, wishes)
+        files = build_ssp(place.output or Path("system"), progress.describe, options)
     print(*files, sep="\n")
 
 
@@ -149,7 +149,7 @@ app = CommandLine(
         Command(
             "plan", plan.plan_motion,
             (f"{_LINE} --limit M_b=1000 --limit F=60 --limit swing=5deg -o plan.csv",
-             f"{_LINE} --limit F=60 -o plan.csv --path way.csv"),
+             f"{_LINE} --limit F=60 -o plan.csv --write-path way.csv"),
             {**CRANE, **plan.FIXED},
         ),
         Command(

@@ -54,7 +54,7 @@ def _warn_of_growth(problem: Problem) -> None:
         _warn(
             f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
             f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
-            f" t = {reference.end_time:g} s; the method BoundaryValue finds the bounded solution"
+            f" t = {reference.end_time:g} s; the method StableInversion finds the bounded solution"
         )
 
 

@@ -19,7 +19,7 @@ ADVICE = {
     FLAT: "Reduced: the inputs follow from the reference and its derivatives at every instant, to round-off",
     MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics forward in time",
     WEAKLY_MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics, which are not damped",
-    NON_MINIMUM_PHASE: "BoundaryValue: forward in time the unstable internal dynamics let errors grow exponentially",
+    NON_MINIMUM_PHASE: "StableInversion: forward in time the unstable internal dynamics let errors grow exponentially",
     SINGULAR: "another path, other parameters or another model",
 }
 """What helps, by the kind of internal dynamics."""

@@ -131,7 +131,7 @@ def _share_in_words(share: float) -> str:
 def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
     """Say what helps: the default route, unless this is it, and smaller steps only where the inputs converge."""
     if method is None:
-        return "leave its horizon to BoundaryValue, with a smaller tolerance"
+        return "leave its horizon to StableInversion, with a smaller tolerance"
     index = problem.dae(formulation).index
     default = ""
     if problem.flat:

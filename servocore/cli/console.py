@@ -35,16 +35,20 @@ WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
 
 
+_RENAMED = {"--by": "--via", "--parts": "--clearance-of", "--path": "--write-path"}
+"""Options of version 0.2 that have other names now."""
+
 ON_THE_COMMAND_LINE = {
-    "plan with parts=('load',)": "plan with --parts load",
+    "plan with clearance_of=('load',)": "plan with --clearance-of load",
     "give plants of your own: plant=dict(name=factory)": "a scene of your own may declare some",
     ", points take a higher rest_order": ": use --from, --to and --duration",
     "waypoints, which waypoints_from_csv reads": "waypoints, which --waypoints reads",
     "the default route, solve without a form and a method,": "the default, without --formulation and --method,",
-    "the method BoundaryValue finds the bounded solution": "without --formulation and --method the bounded solution is"
-    " found",
-    "BoundaryValue: forward in time": "feedforward without --formulation and --method: forward in time",
-    "leave its horizon to BoundaryValue, with a smaller tolerance": "BoundaryValue in Python takes a smaller tolerance",
+    "the method StableInversion finds the bounded solution": "without --formulation and --method the bounded solution"
+    " is found",
+    "StableInversion: forward in time": "feedforward without --formulation and --method: forward in time",
+    "leave its horizon to StableInversion, with a smaller tolerance": "StableInversion in Python has a smaller"
+    " tolerance",
     "Reduced: the inputs follow": "feedforward without --formulation: the inputs follow",
     "Reduced with a method that integrates": "feedforward --formulation reduced, with a --method that integrates",
     "Reduced() with a method computes": "--formulation reduced with a --method computes",
@@ -53,7 +57,7 @@ ON_THE_COMMAND_LINE = {
     "in the form Reduced()": "with --formulation reduced",
     "sc.solve steps them": "feedforward steps them",
     "solve with RadauIIA steps them": "feedforward --method radau3 steps them",
-    "solve with BoundaryValue bounds them": "feedforward without --formulation and --method bounds them",
+    "solve with StableInversion bounds them": "feedforward without --formulation and --method bounds them",
     "resume=True (--resume) does": "--resume does",
 }
 """What sentences of the library advise in Python, and what the same is here."""
@@ -143,8 +147,11 @@ class CommandLine(click.Group):
     def _misused(self, error: click.UsageError) -> str:
         """Return what to say of a command line that Click does not take."""
         message = (error.message or error.format_message()).rstrip(".")
+        words = message.replace("'", " ").split()
+        if isinstance(error, click.NoSuchOption) and error.option_name in _RENAMED:
+            return f"{error.option_name} is {_RENAMED[error.option_name]} since version 0.3"
         for name, now in self.former.items():
-            if error.ctx is not None and error.ctx.command is self and name in message.replace("'", " ").split():
+            if error.ctx is not None and error.ctx.command is self and name in words:
                 return now
         near = [each for each in getattr(error, "possibilities", None) or () if each != "--help"]
         meant = f"; did you mean {' or '.join(near)}" if near else ""

@@ -10,7 +10,7 @@ from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.kinds import FILE, NUMBER, quantity, text
 from servocore.cli.options import GivenPath, Subject
-from servocore.effects.drives import Drives
+from servocore.effects.position_loops import PositionLoops
 from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
@@ -40,13 +40,13 @@ class Question:
     simulate: bool = option("--simulate", help="Simulate every plant, instead of those hard to estimate.")
     markdown: Path | None = option("--markdown", kind=FILE, metavar="FILE.md", help="Write the table as a page too.")
 
-    def drives(self) -> Drives | None:
-        """Return the drives of the plant, None without any; raises `InvalidSetting` if options exclude each other."""
+    def loops(self) -> PositionLoops | None:
+        """Return the position loops of the plant, None without any; raises `InvalidSetting` where options conflict."""
         if self.open_loop and self.bandwidth is not None:
-            raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")
+            raise InvalidSetting("--open-loop excludes --bandwidth: there are no position loops")
         if self.open_loop:
             return None
-        return Drives() if self.bandwidth is None else Drives(self.bandwidth)
+        return PositionLoops() if self.bandwidth is None else PositionLoops(self.bandwidth)
 
     def allowed(self, unit: str) -> float:
         """Return the deviation in a unit; a bare number is refused, since few who write 5 mean metres."""
@@ -69,7 +69,7 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
             "--tolerance belongs to --reference; how far the load may be off its path is --deviation, as in"
             f" --deviation {path.tolerance}"
         )
-    scene, drives = chosen_scene(subject.scene), question.drives()
+    scene, loops = chosen_scene(subject.scene), question.loops()
     declared = scene.effects.parameters
     file = subject.parameters
     given = {} if file is None else read_parameters(file, scene, declared.values())
@@ -80,7 +80,7 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
     with PatientProgress("estimating"):
         found = effects(
             moved,
-            drives=drives,
+            loops=loops,
             tolerance=allowed,
             parameters={name: value for name, value in given.items() if name not in own},
             simulate=question.simulate,

@@ -18,7 +18,7 @@ from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_trajectory, require_built, require_version
 from servocore.export.targets import chosen_targets, zig
-from servocore.export.trajectory_model import TrajectoryWishes
+from servocore.export.trajectory_model import TrajectoryOptions
 from servocore.export.wasm import export_wasm, loader_beside, require_module
 from servocore.files import made_folder, require_places, write_together
 from servocore.formulations.reduced import Reduced
@@ -122,34 +122,36 @@ def _export(
     path: GivenPath,
     products: Products,
     targets: str | None,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> None:
     """Export what is wanted; of an inverse model nothing is in its place before all is made."""
     file, c, wasm = products.output, products.c, products.wasm
     if file is not None and products.plant:
-        export_plant(scene, file, fmi=products.version, model=model, targets=targets, tell=tell)
+        export_plant(scene, file, fmi=products.version, model=model, targets=targets, progress=progress)
         return
     if file is not None and products.trajectory:
-        wishes = TrajectoryWishes(path.path(scene, model))
-        export_trajectory(scene, file, wishes, fmi=products.version, model=model, targets=targets, tell=tell)
+        options = TrajectoryOptions(path.path(scene, model))
+        export_trajectory(scene, file, options, fmi=products.version, model=model, targets=targets, progress=progress)
         return
     scene, results = path.along(scene, model), dict[Path, str | bytes]()
     with ExitStack() as folders:
         made = Path(folders.enter_context(TemporaryDirectory(prefix="servocore_")))
         if file is not None and products.cross_check:
-            tell("solving")
+            progress("solving")
             solution = solve(scene, Reduced(), METHOD, step=scene.reference.duration / STEPS, model=model)
             texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem)
             results |= {file.parent / name: text for name, text in texts.items()}
         if file is not None:
-            fmu = export_fmu(scene, made / file.name, fmi=products.version, model=model, targets=targets, tell=tell)
+            fmu = export_fmu(
+                scene, made / file.name, fmi=products.version, model=model, targets=targets, progress=progress
+            )
             results[file] = fmu.read_bytes()
         if c is not None:
             sources = export_c(scene, made / "c", model=model)
             results |= {c / each.name: each.read_bytes() for each in sources.iterdir()}
             folders.enter_context(made_folder(c, c))
         if wasm is not None:
-            tell("compiling to WebAssembly")
+            progress("compiling to WebAssembly")
             export_wasm(scene, made / wasm.name, model=model)
             results |= {place: (made / place.name).read_bytes() for place in (wasm, loader_beside(wasm))}
         write_together(results)

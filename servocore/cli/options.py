@@ -104,7 +104,7 @@ class GivenPath:
     )
     end: tuple[float, ...] | None = option("--to", kind=POINT, metavar="X Y ...", help="End of the line.")
     by: tuple[tuple[float, ...], ...] = option(
-        "--by", kind=POINT, metavar="X Y ...", default=(), help="Lead a plan through this point."
+        "--via", kind=POINT, metavar="X Y ...", default=(), help="Lead a plan through this point."
     )
     duration: float | None = option("--duration", kind=TIME, metavar="T", help="Time of the motion on the line (s).")
     profile: Profile | None = option(
@@ -164,7 +164,7 @@ class GivenPath:
     def points(self, scene: Scene, model: str | None = None) -> list[tuple[float, ...]]:
         """Return start, points on the way and end; raises `InvalidSetting` unless all have the scene's dimension."""
         names = [output.name for output in scene.model(model).outputs]
-        found = [("--from", self.start or ()), *(("--by", point) for point in self.by), ("--to", self.end or ())]
+        found = [("--from", self.start or ()), *(("--via", point) for point in self.by), ("--to", self.end or ())]
         for name, point in found:
             if len(point) != len(names):
                 shown = "".join(f" {each:g}" for each in point)

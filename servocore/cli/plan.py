@@ -20,13 +20,13 @@ from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import csv_of
+from servocore.references.csv_file import path_to_csv
 from servocore.references.csv_table import PREFIXES
 from servocore.solvers.solve import solve
 
 EXAMPLES = (
     "overhead_crane --from 0 -4 --to 5 -4 --limit F=200 --robust load_mass=0.9..1.1 --plot plan.png",
-    "rotary_crane --from 5 0 -5 --to -2 2 -2 --limit F=60 --limit swing=5deg -o plan.csv --path way.csv",
+    "rotary_crane --from 5 0 -5 --to -2 2 -2 --limit F=60 --limit swing=5deg -o plan.csv --write-path way.csv",
 )
 
 FIXED: dict[str, object] = {"duration": None, "profile": None, "ramp": None, "verbose": False}
@@ -50,12 +50,12 @@ class Freedom:
         "--keep-out", kind=text("'sphere 1 2 -3 0.5'"), metavar="BODY", default=(),
         help="With --free: 'sphere X Y Z RADIUS' or 'box X Y Z HALF HALF HALF' (m) for load and rope.",
     )  # fmt: skip
-    parts: str | None = option(
-        "--parts", kind=text("load,rope"), metavar="LIST",
+    clearance_of: str | None = option(
+        "--clearance-of", kind=text("load,rope"), metavar="LIST",
         help="With --keep-out: what keeps clear, of load,rope,bridge. Default: load,rope.",
     )  # fmt: skip
     path: Path | None = option(
-        "--path", kind=FILE, metavar="FILE.csv",
+        "--write-path", kind=FILE, metavar="FILE.csv",
         help="Write the path with its derivatives as well, for --reference of other commands.",
     )  # fmt: skip
 
@@ -69,9 +69,9 @@ class Freedom:
         """
         if self.keep_out and not self.free:
             raise InvalidSetting("--keep-out belongs to --free")
-        if self.parts is not None and not self.keep_out:
-            raise InvalidSetting("--parts belongs to --keep-out")
-        return Space.of_texts(self.keep_out, dimension, self.parts) if self.free else None
+        if self.clearance_of is not None and not self.keep_out:
+            raise InvalidSetting("--clearance-of belongs to --keep-out")
+        return Space.of_texts(self.keep_out, dimension, self.clearance_of) if self.free else None
 
 
 def plan_motion(
@@ -79,7 +79,7 @@ def plan_motion(
 ) -> None:
     """Find the fastest law along a way that keeps all limits, and write it as a table.
 
-    The way is a line (--from, --to), a smooth curve through more points (--by), or the curve of a path in a file
+    The way is a line (--from, --to), a smooth curve through more points (--via), or the curve of a path in a file
     (--reference, --waypoints). Everything starts and ends at rest, inputs without a jump. The table is that of
     feedforward, and holds all that the model reports. How good the plan is, and how it is known that it keeps the
     limits, is printed when the table goes into a file.
@@ -101,7 +101,7 @@ def plan_motion(
         solution = solve(bounded.with_reference(found), step=found.duration / count, model=subject.model)
         contents = table.picture(lambda pictures: pictures.plan_figure(bounded, found, report))
     if freedom.path is not None:
-        contents[freedom.path] = csv_of(found, [quantity.name for quantity in scene.model(subject.model).outputs])
+        contents[freedom.path] = path_to_csv(found, [quantity.name for quantity in scene.model(subject.model).outputs])
     deliver(table_pieces(solution, names), table.output, contents, report)
 
 
@@ -110,7 +110,7 @@ def _require_a_path_file(scene: Scene, model: str | None) -> None:
     needed, written = Problem.of(scene, model).array.reference_order, len(PREFIXES) - 1
     if needed > written:
         raise InvalidSetting(
-            f"--path: a file holds {written} derivatives of a path, but {scene.name} needs {needed}, or its inputs are"
+            f"--write-path: a file holds {written} derivatives of a path, and {scene.name} needs {needed}, or inputs are"
             " wrong"
         )
 

@@ -108,8 +108,8 @@ def details(solution: Solution, seconds: Sequence[float]) -> list[str]:
     counts = solution.statistics
     versions = [f"{name} {metadata.version(name)}" for name in ("servocore", "casadi", "numpy")]
     return [
-        f"  run: {counts.steps} steps, {counts.newton_iterations} Newton iterations, {counts.factorisations}"
-        f" factorisations, {counts.rejected} steps rejected; worst residual {counts.worst_residual:.1e}",
+        f"  run: {counts.steps} steps, {counts.newton_iterations} Newton iterations, {counts.factorizations}"
+        f" factorizations, {counts.rejected} steps rejected; worst residual {counts.worst_residual:.1e}",
         f"  equations: outputs off their path by {counts.servo_violation:.1e}, constraints by"
         f" {counts.constraint_violation:.1e}",
         *([f"  branch: {counts.branch}"] if counts.branch else []),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.effects.drives import Gains, measured_in
 from servocore.effects.model_inversion import Inverted
+from servocore.effects.position_loops import Gains, measured_in
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, Call, chained, mapped
 from servocore.numerics.memoization import made_once

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.effects.drives import measured_in
+from servocore.effects.position_loops import measured_in
 from servocore.errors import InconsistentStart
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem

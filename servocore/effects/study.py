@@ -23,8 +23,8 @@ import numpy as np
 
 from servocore.checks.limits import require_feasible
 from servocore.effects.closed_loop import COARSEST, Driven, linear_answers, run_loop
-from servocore.effects.drives import Drives, Gains, gains_of
 from servocore.effects.model_inversion import Inverted, at_rest, inverted
+from servocore.effects.position_loops import Gains, PositionLoops, gains_of
 from servocore.effects.report import REFUSED, SIMULATED, EffectRow, EffectsReport
 from servocore.errors import (
     InvalidModel,
@@ -55,7 +55,7 @@ _FEWEST = 500  # instants of a path, however short
 def effects(
     scene: Scene,
     *,
-    drives: Drives | None = Drives(),  # noqa: B008 - a frozen value
+    loops: PositionLoops | None = PositionLoops(),  # noqa: B008 - a frozen value
     tolerance: float = 0.005,
     plant: Mapping[str, ModelFactory] | None = None,
     measured: tuple[str, ...] = (),
@@ -68,7 +68,7 @@ def effects(
     ----------
     scene : Scene
         With its path and parameters.
-    drives : Drives or None
+    loops : PositionLoops or None
         Position loops of the plant, which get their references from the model without the effect; None: its inputs
         alone drive the plant.
     tolerance : float
@@ -92,30 +92,28 @@ def effects(
     InvalidModel
         If a scene declares no effects and none are given, or a parameter is unknown.
     InvalidSetting
-        If the tolerance or the drives make no sense.
+        If the tolerance or the position loops are invalid.
     InvalidReference
         If the path breaks a limit of the scene.
     """
     require_scene(scene, "effects")
-    if drives is not None:
-        require_kind(drives, Drives, "drives", "Drives(...) or None", InvalidSetting)
+    if loops is not None:
+        require_kind(loops, PositionLoops, "loops", "PositionLoops(...) or None", InvalidSetting)
     require_real(tolerance, "the tolerance", "a length", InvalidSetting)
     if not (math.isfinite(tolerance) and tolerance > 0.0):
         raise InvalidSetting(f"the tolerance must be positive and finite, not {tolerance:g}")
-    study = _Study(
-        scene, drives, float(tolerance), dict(parameters or {}), measured or scene.effects.measured, simulate
-    )
+    study = _Study(scene, loops, float(tolerance), dict(parameters or {}), measured or scene.effects.measured, simulate)
     study.require_parameters(plant or {})
     require_feasible(Problem.of(scene))
     rows = [study.row(case) for case in study.cases(plant or {})]
     unit = scene.model().outputs[0].unit
-    return EffectsReport(scene, _judged(rows, tolerance), float(tolerance), _in_words(drives), unit)
+    return EffectsReport(scene, _judged(rows, tolerance), float(tolerance), _in_words(loops), unit)
 
 
-def _in_words(drives: Drives | None) -> str:
-    if drives is None:
+def _in_words(loops: PositionLoops | None) -> str:
+    if loops is None:
         return "With the inputs alone"
-    return f"With drives of {drives.bandwidth:g} rad/s and damping {drives.damping:g}"
+    return f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}"
 
 
 def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
@@ -144,7 +142,7 @@ class _Study:
     """What all rows of a report have in common."""
 
     scene: Scene
-    drives: Drives | None
+    loops: PositionLoops | None
     tolerance: float
     parameters: dict[str, float]
     measured: tuple[str, ...]
@@ -302,9 +300,9 @@ class _Study:
 
     def _gains(self, scene: Scene, motion: Inverted) -> Gains:
         system, problem = scene.model(), Problem.of(scene)
-        if self.drives is None:
+        if self.loops is None:
             return Gains.none(len(system.inputs))
-        return gains_of(system, self.measured, motion.end, problem.p, self.drives)
+        return gains_of(system, self.measured, motion.end, problem.p, self.loops)
 
     def _weak(self, row: EffectRow) -> str:
         """Return why a row is to be simulated; empty where its estimate is good enough."""
@@ -312,7 +310,7 @@ class _Study:
             return "asked for"
         if self.tolerance / _WEAK < row.error < self.tolerance * _WEAK:
             return "simulated because its estimate is near the tolerance"
-        if self.drives is None and (row.input_change or 0.0) > _LARGE:
+        if self.loops is None and (row.input_change or 0.0) > _LARGE:
             return "simulated because its inputs change much and no loop holds the drives"
         return "" if math.isfinite(row.error) else "simulated because the estimate was not survived"
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from servocore.methods.base import Discretisation
+from servocore.methods.base import Discretization
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -18,7 +18,7 @@ def tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by:
 
 def tangent_of_step(
     name: str,
-    step: Discretisation,
+    step: Discretization,
     arguments: Sequence[ca.MX],
     by: Sequence[ca.MX],
     givens: ca.MX,
@@ -33,7 +33,7 @@ def tangent_of_step(
     ----------
     name : str
         Of the function.
-    step : Discretisation
+    step : Discretization
         Whose next state holds its unknowns.
     arguments, by : sequence of casadi.MX
         Symbols, and those among them that there are directions of.

@@ -7,7 +7,7 @@ from typing import TypeVar
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation
+from servocore.methods.base import Discretization
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
@@ -24,7 +24,7 @@ def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
 
 
 def observation(
-    system: MechanicalSystem, dae: Dae, step: Discretisation, known: list[tuple[Quantity, ca.SX]], order: int
+    system: MechanicalSystem, dae: Dae, step: Discretization, known: list[tuple[Quantity, ca.SX]], order: int
 ) -> ca.Function:
     """Compile (state, gamma (m, order + 1), p) -> values of `known`, without the violations that a host never sees."""
     read = compile_observation(system, dae, step, known, order)

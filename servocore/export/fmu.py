@@ -13,11 +13,11 @@ from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
 from servocore.export.page import documentation
-from servocore.export.plant_model import PlantWishes, plant_model
+from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
-from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
+from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.export.variables import with_item, with_starts
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
@@ -37,8 +37,8 @@ def export_fmu(
     estimates: SampledEstimates | None = None,
     routes: SteppedRoutes | None = None,
     start: Mapping[str, float | str] | None = None,
-    judged_late: bool = False,
-    tell: Progress = lambda _: None,
+    deferred_refusals: bool = False,
+    progress: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
 
@@ -63,9 +63,9 @@ def export_fmu(
         What may be chosen in place of the exact inversion of every instant.
     start : mapping of str to float or str, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
-    judged_late : bool, optional
+    deferred_refusals : bool, optional
         Whether values are judged when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
-    tell : callable
+    progress : callable
         Told what is being done.
 
     Returns
@@ -90,7 +90,7 @@ def export_fmu(
     """
     require_scene(scene, "export_fmu")
     require_built(path, targets, fmi)
-    tell("analysing")
+    progress("analysing")
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
@@ -100,19 +100,19 @@ def export_fmu(
             variables=tuple(with_starts(each, start) for each in made.variables),
             choices=tuple(with_item(each, start) for each in made.choices),
         )
-    return written(replace(made, judged_late=judged_late), path, fmi, targets, tell)
+    return written(replace(made, deferred_refusals=deferred_refusals), path, fmi, targets, progress)
 
 
 def export_plant(
     scene: Scene,
     path: str | Path,
-    wishes: PlantWishes | None = None,
+    options: PlantOptions | None = None,
     *,
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    judged_late: bool = False,
-    tell: Progress = lambda _: None,
+    deferred_refusals: bool = False,
+    progress: Progress = lambda _: None,
 ) -> Path:
     """Write the forward dynamics of a scene as a native FMU for co-simulation: where it goes under its inputs.
 
@@ -122,7 +122,7 @@ def export_plant(
         Its parameter values become the start values of the FMU's; it begins at rest where its path begins.
     path : str or Path
         The file.
-    wishes : PlantWishes, optional
+    options : PlantOptions, optional
         In what the plant differs from the scene's model.
     fmi : int, optional
         As of `export_fmu`.
@@ -130,9 +130,9 @@ def export_plant(
         Model of the scene; when not given the first without constraints, or its smallest.
     targets : str, optional
         As of `export_fmu`.
-    judged_late : bool, optional
+    deferred_refusals : bool, optional
         As of `export_fmu`.
-    tell : callable, optional
+    progress : callable, optional
         As of `export_fmu`.
 
     Returns
@@ -149,20 +149,22 @@ def export_plant(
     """
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
-    tell("compiling the forward dynamics")
-    return written(replace(plant_model(scene, model, wishes), judged_late=judged_late), path, fmi, targets, tell)
+    progress("compiling the forward dynamics")
+    return written(
+        replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals), path, fmi, targets, progress
+    )
 
 
 def export_trajectory(
     scene: Scene,
     path: str | Path,
-    wishes: TrajectoryWishes | None = None,
+    options: TrajectoryOptions | None = None,
     *,
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    judged_late: bool = False,
-    tell: Progress = lambda _: None,
+    deferred_refusals: bool = False,
+    progress: Progress = lambda _: None,
 ) -> Path:
     """Write a generator of paths for a scene as a native FMU: lines by a time law, or a path that is baked in.
 
@@ -172,7 +174,7 @@ def export_trajectory(
         Its own path gives the start values, and is baked in where it is no line by a time law of `TIME_LAWS`.
     path : str or Path
         The file.
-    wishes : TrajectoryWishes, optional
+    options : TrajectoryOptions, optional
         What shall be played in place of it.
     fmi : int, optional
         As of `export_fmu`.
@@ -180,9 +182,9 @@ def export_trajectory(
         Model of the scene, which says how many derivatives there are; its smallest when not given.
     targets : str, optional
         As of `export_fmu`.
-    judged_late : bool, optional
+    deferred_refusals : bool, optional
         As of `export_fmu`.
-    tell : callable, optional
+    progress : callable, optional
         As of `export_fmu`.
 
     Returns
@@ -199,8 +201,8 @@ def export_trajectory(
     """
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
-    made = replace(trajectory_model(scene, model, wishes), judged_late=judged_late)
-    return written(made, path, fmi, targets, tell)
+    made = replace(trajectory_model(scene, model, options), deferred_refusals=deferred_refusals)
+    return written(made, path, fmi, targets, progress)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
@@ -211,11 +213,11 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
     require_places({"the FMU": Path(path)})
 
 
-def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, tell: Progress) -> Path:
+def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
     file, names = Path(path), chosen_targets(targets, fmi)
     sources = fmu_sources(model, fmi)
-    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, tell, model.more_sources)
+    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, progress, model.more_sources)
     write_together({file: zipped(contents(model, fmi, sources, built, names))})
     return file
 

@@ -90,7 +90,7 @@ class NativeModel:
         What is called beside `functions`.
     more_sources : mapping of str to str
         C that is compiled beside the mathematics, with its headers, by file name.
-    judged_late : bool
+    deferred_refusals : bool
         Whether the host's setters cannot fail: values are judged when they are used.
     """
 
@@ -113,7 +113,7 @@ class NativeModel:
     terminals: Mapping[str, tuple[str, str]]
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
-    judged_late: bool = False
+    deferred_refusals: bool = False
 
     @property
     def settings(self) -> tuple[Variable, ...]:
@@ -140,7 +140,7 @@ class NativeModel:
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.judged_late)).encode())
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.deferred_refusals)).encode())
         for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr(self.limits), *more):
             digest.update(text.encode())
         code = digest.hexdigest()

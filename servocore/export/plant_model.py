@@ -43,7 +43,7 @@ _LONGEST = 0.002  # s, of an internal step
 
 
 @dataclass(frozen=True)
-class PlantWishes:
+class PlantOptions:
     """In what an exported plant differs from the model of its scene.
 
     Attributes
@@ -72,7 +72,7 @@ class PlantWishes:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
-def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | None = None) -> NativeModel:
+def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | None = None) -> NativeModel:
     """Compile the forward dynamics of a scene for export.
 
     Parameters
@@ -81,7 +81,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         With its parameter values; it begins at rest where its path begins.
     model : str, optional
         Model of the scene; when not given the first without constraints, or its smallest.
-    wishes : PlantWishes, optional
+    options : PlantOptions, optional
         In what the plant differs from the model.
 
     Raises
@@ -89,18 +89,18 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
     InvalidModel
         If constraints are redundant, the equations hold the time, or variables have no legal names.
     """
-    wishes = wishes or PlantWishes()
+    options = options or PlantOptions()
     model = model or scene.independent_model or scene.default_model
     problem = Problem.of(scene, model)
     plant = compile_plant(problem.system)
-    identifier = wishes.identifier or identifier_of(f"{scene.name}_plant")
+    identifier = options.identifier or identifier_of(f"{scene.name}_plant")
     used = _used(problem, plant)
-    offsets = wishes.offsets or (
+    offsets = options.offsets or (
         {}
         if problem.system.lam.numel()
         else {f"start.{coordinate}": (coordinate,) for coordinate in _coordinates(problem)}
     )
-    variables = _variables(problem, scene.tracked, used, offsets, wishes)
+    variables = _variables(problem, scene.tracked, used, offsets, options)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, _start_orders(problem))
@@ -119,13 +119,13 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
             "pushed": len(problem.system.outputs),
             "start_orders": _start_orders(problem),
             "start_limits": start_limits,
-            "errors": [problem.system.parameters.names.index(parameter) for parameter in wishes.errors.values()],
+            "errors": [problem.system.parameters.names.index(parameter) for parameter in options.errors.values()],
             "offsets": sum(len(offset) for offset in offsets.values()),
-            "reasons": [wishes.reasons.get(each.name, "") for each in used],
+            "reasons": [options.reasons.get(each.name, "") for each in used],
         },
         functions=functions,
         variables=variables,
-        choices=tuple(rows.with_item(each, wishes.start) for each in CHOICES),
+        choices=tuple(rows.with_item(each, options.start) for each in CHOICES),
         outputs=tuple(used),
         limits=limits,
         depends=np.ones((len(used), m), dtype=bool),
@@ -169,7 +169,7 @@ def _variables(
     tracked: str,
     outputs: Sequence[Quantity],
     offsets: Mapping[str, Sequence[str]],
-    wishes: PlantWishes,
+    options: PlantOptions,
 ) -> tuple[Variable, ...]:
     system = problem.system
     variables = [
@@ -181,13 +181,13 @@ def _variables(
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     home = np.zeros((_start_orders(problem), len(system.outputs)))
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
-    settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
+    settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, options.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
     settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
     for setting in settings:
-        low, high = wishes.ranges.get(setting.name, (setting.low, setting.high))
+        low, high = options.ranges.get(setting.name, (setting.low, setting.high))
         variables.append(replace(setting, low=low, high=high))
-    return rows.placed(rows.with_starts(each, wishes.start) for each in variables)
+    return rows.placed(rows.with_starts(each, options.start) for each in variables)
 
 
 def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:

@@ -67,7 +67,7 @@ class Routes:
         p) -> residuals of all equations at the first guess. None for the exact inversion.
     margins : casadi.Function
         (path, p) -> how far each limit is.
-    wishes : SteppedRoutes
+    options : SteppedRoutes
         What they were made for.
     outputs : sequence of Quantity
         What they compute.
@@ -76,7 +76,7 @@ class Routes:
     programs: Sequence[Program]
     functions: Sequence[Mapping[str, ca.Function]]
     margins: ca.Function
-    wishes: SteppedRoutes
+    options: SteppedRoutes
     outputs: Sequence[Quantity]
 
     @property
@@ -103,7 +103,7 @@ class Routes:
         """Return what the kernel needs to know."""
         programs = self.programs
         return {
-            "formulations": len(self.wishes.formulations),
+            "formulations": len(self.options.formulations),
             "size": max(program.state_size for program in programs),
             "instants": max(len(program.start_instants) for program in programs),
             "equations": max(len(program.equations) for program in programs),
@@ -124,7 +124,7 @@ class Routes:
         }
 
 
-def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> InverseModel:
+def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> InverseModel:
     """Return an inverse model that offers routes to choose from.
 
     Parameters
@@ -133,7 +133,7 @@ def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> Inve
         Of a scene whose inputs do not depend on the past.
     scene : Scene
         That scene.
-    wishes : SteppedRoutes
+    options : SteppedRoutes
         What is to be offered.
 
     Raises
@@ -143,11 +143,11 @@ def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> Inve
     """
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    routes = _compiled(scene, wishes, made)
+    routes = _compiled(scene, options, made)
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),
-        choices=(*wishes.choices, *made.choices),
+        choices=(*options.choices, *made.choices),
         own={**made.own, "routes": routes.own()},
         functions={**made.functions, "margins": routes.margins},
         elsewhere=routes.all_functions,
@@ -156,19 +156,19 @@ def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> Inve
     )
 
 
-def _compiled(scene: Scene, wishes: SteppedRoutes, made: InverseModel) -> Routes:
+def _compiled(scene: Scene, options: SteppedRoutes, made: InverseModel) -> Routes:
     identifier, outputs, orders = made.identifier, made.outputs, made.mathematics.orders
     programs, functions = [], []
-    for k, (model, name) in enumerate(product(wishes.models, wishes.formulations)):
-        program = program_of(Problem.of(scene, model), wishes.formulations[name], wishes.method)
+    for k, (model, name) in enumerate(product(options.models, options.formulations)):
+        program = program_of(Problem.of(scene, model), options.formulations[name], options.method)
         if program.nodes != (1.0,):
             raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
         programs.append(program)
         functions.append({} if k == 0 else _functions(program, f"{identifier}_route_{k}", outputs, orders))
-    problem = Problem.of(scene, wishes.models[0])
+    problem = Problem.of(scene, options.models[0])
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
     margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{identifier}_margins")
-    return Routes(programs, functions, margins, wishes, outputs)
+    return Routes(programs, functions, margins, options, outputs)
 
 
 def _path(program: Program, columns: int) -> ca.MX:

@@ -136,7 +136,7 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "choices": model.choices,
         "limits": model.limits,
         "timed": model.timed,
-        "judged_late": model.judged_late,
+        "deferred_refusals": model.deferred_refusals,
         "arrays": model.variables,
         "scratch": scratch_of([*model.functions.values(), *model.elsewhere]),
         "numbers": [row for variable in model.variables for row in _numbers(variable)],

@@ -133,7 +133,7 @@ def libraries(
     identifier: str,
     targets: Sequence[str],
     fmi: int,
-    tell: Progress = lambda _: None,
+    progress: Progress = lambda _: None,
     large: Collection[str] = (),
 ) -> dict[str, bytes]:
     """Build the shared libraries of an FMU; what was compiled before, on this machine, is kept.
@@ -151,7 +151,7 @@ def libraries(
         whose libraries run on older systems too.
     fmi : int
         Version of FMI.
-    tell : callable
+    progress : callable
         Told what is being built.
     large : collection of str
         Files that would take a minute to be made as fast as can be.
@@ -174,7 +174,7 @@ def libraries(
         for name in targets:
             target = TARGETS[name]
             compiler = _Compiler(Path(folder), target, _command(target, cross), () if cross else own_options())
-            tell(f"compiling for {name}")
+            progress(f"compiling for {name}")
             objects = pool.map(partial(compiler.object_of, sources=sources, large=large), files)
             place = f"{target.folder(fmi)}/{identifier}.{target.ending}"
             found.setdefault(place, []).append(compiler.linked(list(objects)))

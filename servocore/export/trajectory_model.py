@@ -42,7 +42,7 @@ _ROWS = 256  # at least, of a path that is no polynomial
 
 
 @dataclass(frozen=True)
-class TrajectoryWishes:
+class TrajectoryOptions:
     """What an exported trajectory shall play.
 
     Attributes
@@ -66,7 +66,7 @@ class TrajectoryWishes:
     offers_file: bool = False
 
 
-def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryWishes | None = None) -> NativeModel:
+def trajectory_model(scene: Scene, model: str | None = None, options: TrajectoryOptions | None = None) -> NativeModel:
     """Compile the time laws for a scene's path, and bake in a path where it is no line by one of them.
 
     Parameters
@@ -75,7 +75,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
         Its own path gives the start values of the parameters.
     model : str, optional
         Model of the scene, which says how many derivatives its inputs need; its smallest when not given.
-    wishes : TrajectoryWishes, optional
+    options : TrajectoryOptions, optional
         What shall be played in place of the scene's own path.
 
     Raises
@@ -85,18 +85,18 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     InvalidSetting
         If there is no such profile.
     """
-    wishes = wishes or TrajectoryWishes()
+    options = options or TrajectoryOptions()
     problem = Problem.of(scene, model)
     orders, servo = problem.array.reference_order + 1, problem.system.outputs
     line = _line(scene.reference)
-    baked = wishes.path if wishes.path is not None or line is not None else scene.reference
+    baked = options.path if options.path is not None or line is not None else scene.reference
     if baked is not None and baked.dimension != len(servo):
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
     require_feasible(replace(problem, reference=baked or scene.reference))
-    identifier = wishes.identifier or identifier_of(f"{scene.name}_trajectory")
-    profile = wishes.profile or (FROM_FILE if line is None or baked is not None else line.law)
-    variables = _variables(scene, servo, orders, line, replace(wishes, profile=profile))
-    choice = _choice(baked is not None or wishes.offers_file, profile)
+    identifier = options.identifier or identifier_of(f"{scene.name}_trajectory")
+    profile = options.profile or (FROM_FILE if line is None or baked is not None else line.law)
+    variables = _variables(scene, servo, orders, line, replace(options, profile=profile))
+    choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run begins at zero where the path lets it
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
@@ -166,15 +166,15 @@ def _choice(has_path: bool, profile: str) -> Choice:
 
 
 def _variables(
-    scene: Scene, servo: Sequence[Quantity], orders: int, line: _Line | None, wishes: TrajectoryWishes
+    scene: Scene, servo: Sequence[Quantity], orders: int, line: _Line | None, options: TrajectoryOptions
 ) -> tuple[Variable, ...]:
     path = scene.reference
     ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
     variables = rows.path_variables(servo, scene.tracked, orders, None, "")
     begin = line.start_time if line is not None else 0.0
-    ramp = line.ramp if line is not None and line.law == wishes.profile else 0.0
+    ramp = line.ramp if line is not None and line.law == options.profile else 0.0
     settings = rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp))
-    return rows.placed([*variables, *(rows.with_starts(each, wishes.start) for each in settings)])
+    return rows.placed([*variables, *(rows.with_starts(each, options.start) for each in settings)])
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------

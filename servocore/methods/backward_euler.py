@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation, Orders, Start, backward_differences
+from servocore.methods.base import Discretization, Orders, Start, backward_differences
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class BackwardEuler:
         """Return the orders of convergence on a form of the given index."""
         return Orders(1, 1, 1)
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step of (31)."""
         # One instant more where the first velocity has to be a difference quotient, as in all later steps.
         return backward_differences(dae, [1.0, -1.0], Start.of(dae, 2 if dae.index > 1 else 1))

@@ -74,11 +74,11 @@ class Start:
 
 
 UNNEEDED = ca.SX()
-"""Default of what a `Discretisation` can do without."""
+"""Default of what a `Discretization` can do without."""
 
 
 @dataclass(frozen=True, eq=False)
-class Discretisation:
+class Discretization:
     """One time step of a method on a `Dae`: a square system, and how the state of the step moves on.
 
     Parameters
@@ -156,7 +156,7 @@ class Method(Protocol):
             Of positions, velocities and forces.
         """
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step.
 
         Parameters
@@ -166,7 +166,7 @@ class Method(Protocol):
 
         Returns
         -------
-        Discretisation
+        Discretization
             With the symbols of one step.
         """
 
@@ -205,7 +205,7 @@ def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     return history
 
 
-def instantaneous(dae: Dae) -> Discretisation:
+def instantaneous(dae: Dae) -> Discretization:
     """Return the one discretization of a `Dae` without differential states: its equations, at the new instant."""
     reference, (gamma,) = dae.reference_symbols(1)
     old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), Start.of(dae)
@@ -213,7 +213,7 @@ def instantaneous(dae: Dae) -> Discretisation:
     return on_history(dae, old, residual, h=h, reference=reference, nodes=(1.0,), start=start, first=first)
 
 
-def backward_differences(dae: Dae, alpha: list[float], start: Start) -> Discretisation:
+def backward_differences(dae: Dae, alpha: list[float], start: Start) -> Discretization:
     """Return one step of H(x1) (sum_i alpha_i x_(1-i)) = h f(x1, z1, t1), 0 = h(x1, z1, t1)."""
     size_x, h = dae.x.numel(), ca.SX.sym("h")
     # One column more than the formula needs serves to extrapolate the first guess with its order.
@@ -236,7 +236,7 @@ def on_history(
     nodes: tuple[float, ...],
     start: Start,
     first: ca.SX,
-) -> Discretisation:
+) -> Discretization:
     """Return one step of a method whose state is the unknowns at equidistant instants, the newest first.
 
     First guess, change of step and dense output come from the polynomial through these instants.
@@ -250,7 +250,7 @@ def on_history(
     residual : casadi.SX
         Equations of the step, in the unknowns, history, reference and h.
     h, reference, nodes, start
-        See `Discretisation`.
+        See `Discretization`.
     first : casadi.SX
         The history at the initial time.
     """
@@ -267,7 +267,7 @@ def on_history(
         unknown_scale=unknown_scale,
         residual_scale=residual_scale,
     )
-    return Discretisation(
+    return Discretization(
         equations=equations,
         state=ca.vec(history),
         next_state=ca.vertcat(unknowns, ca.vec(history[:, :-1])),

@@ -9,7 +9,7 @@ from numbers import Integral
 
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting, require_kind
-from servocore.methods.base import Discretisation, Orders, Start, backward_differences
+from servocore.methods.base import Discretization, Orders, Start, backward_differences
 
 
 def coefficients(order: int) -> tuple[Fraction, ...]:
@@ -62,7 +62,7 @@ class BDF:
         """Return the orders of convergence on a form of the given index."""
         return Orders(self.order, self.order, self.order)
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step."""
         alpha = [float(coefficient) for coefficient in coefficients(self.order)]
         # k + 1 instants make the history; differencing the velocities at each of them takes k more.

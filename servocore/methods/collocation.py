@@ -13,7 +13,7 @@ from numpy.polynomial import Legendre
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting, require_kind
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Discretisation, Orders, Start
+from servocore.methods.base import Discretization, Orders, Start
 from servocore.numerics.interpolation import Array, lagrange
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem
@@ -88,7 +88,7 @@ class _Collocation:
         """Name on command lines and in tables."""
         return f"{self.family}{self.stages}"
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step."""
         return _discretize(dae, self.tableau)
 
@@ -123,11 +123,11 @@ class RadauIIA(_Collocation):
             return Orders(s + 4 - index, s + 3 - index, s + 2 - index)
         return Orders(s, s, s - 1)
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step; with one stage they are those of backward Euler."""
         if self.stages == 1:
-            return BackwardEuler().discretise(dae)
-        return super().discretise(dae)
+            return BackwardEuler().discretize(dae)
+        return super().discretize(dae)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Gauss(_Collocation):
         return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4, damped=False)
 
 
-def _discretize(dae: Dae, method: Tableau) -> Discretisation:
+def _discretize(dae: Dae, method: Tableau) -> Discretization:
     """Discretize by stage values; the state is the unknowns at the end of the last step and at its stages."""
     s, size_x = len(method.c), dae.x.numel()
     size = size_x + dae.z.numel()
@@ -187,7 +187,7 @@ def _discretize(dae: Dae, method: Tableau) -> Discretisation:
     end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
     if method.c[-1] == 1.0:
         end = unknowns[:, -1]
-    return Discretisation(
+    return Discretization(
         equations=equations,
         state=state,
         next_state=ca.vertcat(end, ca.vec(unknowns)),

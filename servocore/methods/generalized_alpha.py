@@ -8,7 +8,7 @@ import casadi as ca
 
 from servocore.dae import Dae
 from servocore.errors import InvalidModel, InvalidSetting, require_real
-from servocore.methods.base import Discretisation, Orders, Start
+from servocore.methods.base import Discretization, Orders, Start
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -53,7 +53,7 @@ class GeneralizedAlpha:
         """Return the orders of convergence on a form of the given index."""
         return Orders(2, 2, 2, damped=self.rho < 1.0)
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step; raises `InvalidModel` if x is not made of pairs (q, v)."""
         places_q, places_v = _pairs(dae)
         n, size_z = len(places_q), dae.z.numel()
@@ -91,7 +91,7 @@ class GeneralizedAlpha:
         back = (1 - fraction) * h
         # a approximates v_dot at an instant beside the state's own; at the start only v_dot itself is known.
         first, rate_first = start.values[:, 0], start.rates[places_v]
-        return Discretisation(
+        return Discretization(
             equations=equations,
             state=old,
             next_state=ca.vertcat(q1, v1, dae.z, a1, rate1),

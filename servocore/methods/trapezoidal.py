@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation, Orders, Start, on_history
+from servocore.methods.base import Discretization, Orders, Start, on_history
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Trapezoidal:
             return Orders(5 - index, 4 - index, 3 - index, damped=False)
         return Orders(2, 2, 2, damped=False)
 
-    def discretise(self, dae: Dae) -> Discretisation:
+    def discretize(self, dae: Dae) -> Discretization:
         """Return the equations of one step."""
         size_x, h, start = dae.x.numel(), ca.SX.sym("h"), Start.of(dae)
         history = ca.SX.sym("past", size_x + dae.z.numel(), 2)

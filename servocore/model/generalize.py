@@ -1,4 +1,4 @@
-"""`generalise`: the same system in generalized coordinates, section 3.1 of the paper."""
+"""`generalize`: the same system in generalized coordinates, section 3.1 of the paper."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from servocore.model.system import DERIVED, MechanicalSystem
 from servocore.numerics.expressions import as_expression
 
 
-def generalise(
+def generalize(
     system: MechanicalSystem,
     coordinates: Coordinates,
     mapping: ca.SX,

@@ -263,7 +263,7 @@ class Scene:
         >>> import servocore as sc
         >>> crane = sc.scenes.rotary_crane()
         >>> crane = crane.with_limits(F=60, M_w=(-104, -92), swing="5 deg", **{"s.rate": 1.2, "F.rate": 200})
-        >>> sc.solve(crane, step=0.1).margins["F"].left > 0
+        >>> sc.solve(crane, step=0.1).margins["F"].slack > 0
         True
         """
         model = self.model()

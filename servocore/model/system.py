@@ -105,7 +105,7 @@ class MechanicalSystem:
         Symbol of the time in s, if `potential`, `force`, `constraints`, `guess` or observables hold it. It becomes the
         last row of `gamma`, and home is then the time zero.
     reactions : mapping of Quantity to casadi.Function
-        What takes forces of constraints that `generalise` left out, of (q, v, v_dot, u, force on the output, p).
+        What takes forces of constraints that `generalize` left out, of (q, v, v_dot, u, force on the output, p).
 
     Attributes
     ----------

@@ -166,7 +166,7 @@ def _free(
     clearance = space.clearance(reference, gravity_of(corners[0]))
     if clearance < 0.0:
         raise PlanningFailed(
-            f"{scene.name}: on the way that was found not all of {', '.join(space.parts)} keeps clear of the bodies"
+            f"{scene.name}: on the path that was found {', '.join(space.clearance_of)} do not keep clear of the bodies"
         )
     try:
         line = task_along(curve, corners, length)

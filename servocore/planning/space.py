@@ -29,23 +29,23 @@ class Space:
     ----------
     keep_out : tuple of Sphere or Box
         Bodies.
-    parts : tuple of str
+    clearance_of : tuple of str
         What keeps clear of them: ``load``, ``rope`` (from the load to the trolley), ``bridge`` (from the origin to the
         trolley). Rope and bridge are those of a load that hangs from a trolley at height zero.
     """
 
     keep_out: tuple[Obstacle, ...] = ()
-    parts: tuple[str, ...] = ("load", "rope")
+    clearance_of: tuple[str, ...] = ("load", "rope")
 
     def __post_init__(self) -> None:
         if not all(isinstance(body, Sphere | Box) for body in self.keep_out):
             raise InvalidSetting("what a plan keeps out of must be a tuple of Sphere and Box")
-        for part in self.parts:
+        for part in self.clearance_of:
             if part not in _PARTS:
                 raise InvalidSetting(f"{part!r} is no part that can keep clear; there are {', '.join(_PARTS)}")
 
     @classmethod
-    def of_texts(cls, texts: Iterable[str], dimension: int, parts: str | None = None) -> Space:
+    def of_texts(cls, texts: Iterable[str], dimension: int, clearance_of: str | None = None) -> Space:
         """Return the space that texts describe, such as ``sphere 1 2 -3 0.5`` or ``box 1 2 -3 0.4 3 1.2``.
 
         Parameters
@@ -54,7 +54,7 @@ class Space:
             A body each: its kind, its centre, then a radius or half sizes; m.
         dimension : int
             How many coordinates a centre has.
-        parts : str, optional
+        clearance_of : str, optional
             What keeps clear, with commas between: ``load,rope,bridge``.
 
         Returns
@@ -68,7 +68,11 @@ class Space:
             If a text is no body, or there is no such part.
         """
         bodies = tuple(_obstacle(text, dimension) for text in texts)
-        return cls(bodies) if parts is None else cls(bodies, tuple(part.strip() for part in parts.split(",")))
+        return (
+            cls(bodies)
+            if clearance_of is None
+            else cls(bodies, tuple(part.strip() for part in clearance_of.split(",")))
+        )
 
     def require(self, system: MechanicalSystem, *, hangs: bool) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
@@ -84,10 +88,10 @@ class Space:
         for body in self.keep_out:
             if len(body.centre) != dimension:
                 raise InvalidSetting(f"{body} has not the {dimension} dimensions of {system.name}")
-        if self.keep_out and not hangs and set(self.parts) - {"load"}:
+        if self.keep_out and not hangs and set(self.clearance_of) - {"load"}:
             raise InvalidSetting(
                 f"{system.name} has no rope that is known to hang from a trolley at height zero, nor a bridge: plan"
-                " with parts=('load',)"
+                " with clearance_of=('load',)"
             )
 
     def thickened(self, size: float) -> Space:
@@ -127,7 +131,7 @@ class Space:
                     where = f"{distance:.3g} m from {body}, within the rounded body that plans keep out of"
                 at = ", ".join(f"{coordinate:.4g}" for coordinate in place)
                 raise InvalidReference(
-                    f"{name}: no way keeps clear: at rest at ({at}) a point of {', '.join(self.parts)} is {where}"
+                    f"{name}: no path is clear: at rest at ({at}) a point of {', '.join(self.clearance_of)} is {where}"
                 )
 
     def rows(self, gamma: ca.SX, parameters: Parameters) -> ca.SX:
@@ -145,7 +149,7 @@ class Space:
         casadi.SX, shape (rows,)
             Numbers without unit.
         """
-        if not self.keep_out or not self.parts:
+        if not self.keep_out or not self.clearance_of:
             return ca.SX(0, 1)
         gravity = parameters["gravity"] if "gravity" in parameters.names else ca.SX(0)
         segments = self._segments(gamma[:, 0], gamma[:, 2], gravity)
@@ -189,14 +193,14 @@ class Space:
         """
         last = load.shape[0] - 1
         place = [load[k] for k in range(last + 1)]
-        if not set(self.parts) - {"load"}:
-            return [(_column(place), _column(place))] if self.parts else []
+        if not set(self.clearance_of) - {"load"}:
+            return [(_column(place), _column(place))] if self.clearance_of else []
         slope = -place[last] / (gravity + acceleration[last])
         trolley = _column([*(place[k] + slope * acceleration[k] for k in range(last)), 0.0 * place[last]])
-        segments = [(_column([0.0 * x for x in place]), trolley)] if "bridge" in self.parts else []
-        if "rope" in self.parts:  # it ends at the load
+        segments = [(_column([0.0 * x for x in place]), trolley)] if "bridge" in self.clearance_of else []
+        if "rope" in self.clearance_of:  # it ends at the load
             return [(_column(place), trolley), *segments]
-        return [(_column(place), _column(place)), *segments] if "load" in self.parts else segments
+        return [(_column(place), _column(place)), *segments] if "load" in self.clearance_of else segments
 
 
 def _column(rows: list[Any]) -> Any:

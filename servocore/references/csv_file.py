@@ -116,7 +116,7 @@ def samples_or_waypoints(
     return _path_of(table, tolerance, rest_order), None
 
 
-def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None = None) -> str:
+def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None = None) -> str:
     """Return a path as the text of a file that `from_csv` reads: positions and four derivatives.
 
     Of a path with fewer continuous derivatives it has those alone, for no row holds two values at a jump; `from_csv`
@@ -144,7 +144,7 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None =
         If there are more or fewer names than components, two are the same, or `each` is not a whole number of one or
         more.
     """
-    require_kind(path, Reference, "what csv_of is given", "a Reference", InvalidReference)
+    require_kind(path, Reference, "what path_to_csv is given", "a Reference", InvalidReference)
     if len(columns) != path.dimension:
         raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
     if len({"time", *columns}) <= len(columns):

@@ -34,7 +34,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -143,7 +143,7 @@ def generalized() -> MechanicalSystem:
     rope = length * hanging_load.rope_beside(along, inside, outside)
     tip = ca.vertcat(p["foot_offset"] * along, 0) + p["boom_length"] * boom
     column, raised, hanging, _ = ca.vertsplit(_hanging(gamma, p), [0, 2, 5, 6, 9])
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(along, boom, length, tip + rope),

@@ -66,7 +66,7 @@ def _is_flexible(effects: frozenset[str]) -> bool:
 
 def _offset(p: Parameters, effects: frozenset[str]) -> tuple[ca.SX, ca.SX]:
     """Return how far to the side of the trolley, and how far below the rail, the rope leaves it."""
-    return (p["exit_side"], p["exit_drop"]) if "rope exit" in effects else (ca.SX(0), ca.SX(0))
+    return (p["exit_side"], p["exit_drop"]) if "sheave offset" in effects else (ca.SX(0), ca.SX(0))
 
 
 def exit_height(p: Parameters, effects: frozenset[str]) -> ca.SX:
@@ -197,7 +197,7 @@ class SlewingBridge:
         place = exit_[:2]
         s = ca.sqrt(ca.sumsqr(place) - side**2)
         d = place / s  # each product more in this chain shows in the time of an exact inversion
-        if "rope exit" in effects:
+        if "sheave offset" in effects:
             x, y = place[0], place[1]
             # exit = s d + side (-d_y, d_x), as complex numbers (s + i side) d
             d = ca.vertcat(s * x + side * y, s * y - side * x) / ca.sumsqr(place)

@@ -54,7 +54,7 @@ WIND = Effect(
     includes=("air drag",),
 )
 ROPE_EXIT = Effect(
-    "rope exit",
+    "sheave offset",
     "The rope leaves the trolley at a fixed point beside its centre and below the rail; a sheave of no radius, a"
     " modelling assumption.",
     (
@@ -73,10 +73,10 @@ def hook(sling: float) -> Effect:
     )
 
 
-def rigid_load(centre: float, gyration: float) -> Effect:
+def load_inertia(centre: float, gyration: float) -> Effect:
     """Return the effect of a load that is a rigid body, below the hook by `centre`, with a radius of gyration in m."""
     return Effect(
-        "rigid load",
+        "load inertia",
         "The load is a rigid body below the hook; the path is that of its centre of oscillation, k^2/a below its centre"
         " of mass (Huygens 1673), where an equimomental pair of points leaves no internal dynamics.",
         (
@@ -88,10 +88,10 @@ def rigid_load(centre: float, gyration: float) -> Effect:
     )
 
 
-def heavy_rope(lumps: int, piece: float) -> Effect:
+def rope_mass_effect(lumps: int, piece: float) -> Effect:
     """Return the effect of a rope's mass in a number of lumps; `piece` is the length they stand for, in m."""
     return Effect(
-        "heavy rope" if lumps == 1 else f"heavy rope {lumps}",
+        "rope mass" if lumps == 1 else f"rope mass {lumps}",
         f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material, what is paid"
         " out above weighs on the winch, wound up it belongs to the trolley: modelling assumptions.",
         (
@@ -148,8 +148,8 @@ class Crane:
             known[own] for effect in added for own in known[effect].includes
         }
         names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
-        if sum(label.startswith("heavy rope") for label in names) > 1:
-            raise InvalidModel(f"{self.name}: choose one number of lumps for the heavy rope")
+        if sum(label.startswith("rope mass") for label in names) > 1:
+            raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
         declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
         changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
         name = f"{self.name} with {changes}" if changes else self.name
@@ -171,12 +171,12 @@ def crane_effects(
     own : sequence of Effect
         Friction and the flexible part; the others all cranes share.
     rope : float
-        Length in m that the lumps of a heavy rope stand for; the rope must stay longer.
+        Length in m that the lumps of a rope mass stand for; the rope must stay longer.
     sling : float
-        Length in m below the hook; a rigid load is as long.
+        Length in m below the hook; a load inertia is as long.
     """
-    ropes = (heavy_rope(count + 1, rope) for count in range(MOST_LUMPS))
-    loads = (hook(sling), rigid_load(sling, sling / 2))
+    ropes = (rope_mass_effect(count + 1, rope) for count in range(MOST_LUMPS))
+    loads = (hook(sling), load_inertia(sling, sling / 2))
     declared = (ELASTIC_ROPE, *ropes, WINCH_INERTIA, AIR_DRAG, WIND, *loads, *own, ROPE_EXIT)
     measured = tuple(quantity.name for quantity in (*rails, ROPE))
     hanging = tuple(quantity.name for quantity in overhang(crane.outputs))

@@ -69,7 +69,7 @@ def overhang(outputs: Sequence[Quantity]) -> tuple[Quantity, ...]:
 def lumps_of(effects: frozenset[str]) -> int:
     """Return how many lumps stand for the rope's mass: 0 for a rope without mass."""
     counts = [
-        int(effect.removeprefix("heavy rope").strip() or 1) for effect in effects if effect.startswith("heavy rope")
+        int(effect.removeprefix("rope mass").strip() or 1) for effect in effects if effect.startswith("rope mass")
     ]
     return max(counts, default=0)
 
@@ -78,7 +78,7 @@ def _chain(effects: frozenset[str], p: Parameters) -> Chain:
     """Return load, hook and lumps with their links."""
     names: list[str] = []
     masses, links = [p["load_mass"]], []
-    if "rigid load" in effects:
+    if "load inertia" in effects:
         a, body = p["body_centre"], p["load_mass"] - p["hook_mass"]
         length = a + p["body_gyration"] ** 2 / a  # the centre of oscillation, Huygens: an equimomental pair of points
         names, links = ["hook"], [length]

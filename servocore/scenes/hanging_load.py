@@ -14,7 +14,7 @@ from operator import add
 import casadi as ca
 import numpy as np
 
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
@@ -95,7 +95,7 @@ def swinging(
     in_plane = ca.cos(across) if count == 2 else 1  # of the first rail and the vertical
     rope = length * ca.vertcat(ca.sin(along) * in_plane, ca.sin(across), -ca.cos(along) * in_plane)
     trolley_there, rope_length, direction = suspension(gamma, base.parameters)
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(trolley, length, ca.vertcat(trolley, 0) + rope),

@@ -37,7 +37,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.drawing import Part
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
@@ -93,7 +93,7 @@ def generalized() -> MechanicalSystem:
     base = points()
     coordinates = Coordinates(CAR, SLIDE)
     x, s = ca.vertsplit(coordinates.q)
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(x, s, x + s * ca.cos(base.parameters["inclination"])),

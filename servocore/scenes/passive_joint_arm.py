@@ -39,7 +39,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -127,7 +127,7 @@ def generalized() -> MechanicalSystem:
     p = base.parameters
     first, second = (ca.vertcat(ca.cos(angle), ca.sin(angle)) for angle in (a, a + b))
     centre = p["first_length"] * first + p["second_centre"] * second
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(first, centre, second, a, b),

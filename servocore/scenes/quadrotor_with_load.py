@@ -30,7 +30,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -113,7 +113,7 @@ def generalized() -> MechanicalSystem:
     above, thrust = flown(gamma, p)
     # Without multipliers the tension follows from the load's prescribed acceleration.
     kept = {quantity: base.observables[quantity] for quantity in (FRONT, REAR)}
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(place, ca.sin(pitch), ca.cos(pitch), load),

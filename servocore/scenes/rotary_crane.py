@@ -28,7 +28,7 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.model.drawing import Part
 from servocore.model.effects import NO_EFFECTS
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -96,7 +96,7 @@ def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     rope = rope_length * hanging_load.rope_beside(along, alpha, beta)
     load = rope + ca.vertcat(s * along, 0)
     start = base.gamma
-    return generalise(
+    return generalize(
         base,
         coordinates,
         ca.vertcat(along, s * along, s, rope_length, load),

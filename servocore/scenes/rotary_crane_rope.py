@@ -8,7 +8,7 @@ r"""The rotary crane on a flexible rope: a plant for `EnergyMomentum`, with as m
 
 The elements are an `ElasticRope`, from node 0 to the load. Hoisting changes the length above them only: nodes that slid
 along the rope would make the mass matrix depend on the configuration. Rope that is wound up belongs to the trolley.
-With N to infinity it is what the effects ``heavy rope``, ``heavy rope 2``, ... with ``elastic rope`` approach by lumps.
+With N to infinity it is what the effects ``rope mass``, ``rope mass 2``, ... with ``elastic rope`` approach by lumps.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ def _by_runs(
     for halvings in range(_MOST_HALVINGS):
         division = 2**halvings
         count = (len(t) - 1) * division
-        if total + count > control.most_steps:
-            raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
+        if total + count > control.max_steps:
+            raise IntegrationFailed(f"{program.name}: {control.max_steps} steps are not enough")
         total += count
         done = run_steps(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), progress)
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
@@ -181,7 +181,7 @@ class StepControl:
 
     def require_possible(self, now: Reached, h: float) -> None:
         """Raise `IntegrationFailed` if too many steps were needed, or one too small to change the time."""
-        if now.steps + now.rejected > self.control.most_steps or h < 1e-12 * max(1.0, abs(now.time)):
+        if now.steps + now.rejected > self.control.max_steps or h < 1e-12 * max(1.0, abs(now.time)):
             raise IntegrationFailed(
                 f"{self.program.name}: the tolerance rtol = {self.control.rtol:g}, atol = {self.control.atol:g} asked"
                 f" for steps of {h:.2g} s at t = {now.time:.6g} s, {now.steps} steps after the start; a method of"
@@ -240,13 +240,13 @@ def _steps(control: StepControl, now: Reached, h: float, parts: int) -> Run | No
     program, problem, part = control.program, control.problem, h / parts
     # Its history is spaced by the last step; on index one interpolation of it costs no order.
     state = program.rescaled(now.state, part / now.spacing)
-    iterations, factorisations, residual = 0, 0, 0.0
+    iterations, factorizations, residual = 0, 0, 0.0
     for k in range(parts):
         times = now.time + k * part + part * np.array(program.nodes)
         state, report = program.advance(state, problem.reference.jet(times, program.order), part, problem.p)
         if not report.converged:
             return None
         iterations += report.newton_iterations
-        factorisations += report.factorisations
+        factorizations += report.factorizations
         residual = max(residual, report.residual)
-    return Run(state[:, None], iterations, factorisations, residual)
+    return Run(state[:, None], iterations, factorizations, residual)

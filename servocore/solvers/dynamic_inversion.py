@@ -108,7 +108,7 @@ class DynamicInversion:
         if problem.flat:
             raise InvalidModel(f"{scene.name} has no internal dynamics: ExactInversion computes its inputs")
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-            raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with BoundaryValue bounds them")
+            raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)

@@ -119,9 +119,9 @@ def _at_every_instant(
     good = np.isfinite(residuals[0])
     if not good.all():
         states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
-    iterations, factorisations = counts.sum(axis=1).round()
+    iterations, factorizations = counts.sum(axis=1).round()
     worst = float(np.max(residuals[0, good], initial=0.0))
-    return Run(states, int(iterations), int(factorisations), worst), (observed[0], observed[1]) if observed else None
+    return Run(states, int(iterations), int(factorizations), worst), (observed[0], observed[1]) if observed else None
 
 
 def _all_results(

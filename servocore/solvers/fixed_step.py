@@ -25,7 +25,6 @@ from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.branch_continuation import system_jacobians
 from servocore.solvers.exact_inversion import NATIVE_FROM, exact_values, input_evaluation
 from servocore.solvers.fixed_step_loop import (
@@ -39,6 +38,7 @@ from servocore.solvers.fixed_step_loop import (
 )
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.route import JudgedRoute
+from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 
@@ -69,7 +69,7 @@ class Stepped(JudgedRoute):
         if problem.flat:
             return exact_values(problem)
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-            return BetterSolver(BoundaryValue().run, True, "the bounded inversion")
+            return BetterSolver(StableInversion().run, True, "the bounded inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
         run = StateSelection(form, _BETTER_METHOD).run
         return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")

@@ -119,9 +119,9 @@ def advance_chunk(
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
         return _one_by_one(problem, program, t, step, state)
-    iterations, factorisations = counts[:, :good].sum(axis=1)
+    iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
-    return Run(states, round(iterations), round(factorisations), float(worst[:good].max(initial=0.0))), good == used
+    return Run(states, round(iterations), round(factorizations), float(worst[:good].max(initial=0.0))), good == used
 
 
 def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state: Array) -> tuple[Run, bool]:

@@ -28,7 +28,7 @@ class Run:
     ----------
     states : ndarray, shape (size, N + 1)
         The first column is the consistent start.
-    newton_iterations, factorisations : int
+    newton_iterations, factorizations : int
         Totals.
     worst_residual : float
         Largest of all steps.
@@ -36,7 +36,7 @@ class Run:
 
     states: Array
     newton_iterations: int
-    factorisations: int
+    factorizations: int
     worst_residual: float
 
 
@@ -45,7 +45,7 @@ def joined_runs(parts: list[Run]) -> Run:
     return Run(
         np.hstack([part.states for part in parts]),
         sum(part.newton_iterations for part in parts),
-        sum(part.factorisations for part in parts),
+        sum(part.factorizations for part in parts),
         max(part.worst_residual for part in parts),
     )
 
@@ -148,7 +148,7 @@ def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Sta
     return Statistics(
         steps=len(inputs) - 1,
         newton_iterations=sum(segment.run.newton_iterations for segment in segments),
-        factorisations=sum(segment.run.factorisations for segment in segments),
+        factorizations=sum(segment.run.factorizations for segment in segments),
         worst_residual=max(segment.run.worst_residual for segment in segments),
         servo_violation=servo,
         servo_rate_violation=servo_rate,

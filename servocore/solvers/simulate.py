@@ -132,7 +132,7 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     statistics = replace(
         known.statistics,
         newton_iterations=motion.iterations,
-        factorisations=motion.iterations,
+        factorizations=motion.iterations,
         worst_residual=motion.worst,
     )
     return replace(
@@ -241,7 +241,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     statistics = Statistics(
         steps=steps,
         newton_iterations=0,
-        factorisations=evaluations,
+        factorizations=evaluations,
         worst_residual=0.0,
         servo_violation=float(deviation.max()),
         servo_rate_violation=float(rate_deviation.max()),

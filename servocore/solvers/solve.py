@@ -227,6 +227,6 @@ def recommended(problem: Problem) -> tuple[Method | Route, str]:
     advice = f"{kind}: {ADVICE[kind]}"
     if kind != NON_MINIMUM_PHASE:
         return method, advice
-    from servocore.solvers.boundary_value import BoundaryValue  # noqa: PLC0415 - few scenes need it
+    from servocore.solvers.stable_inversion import StableInversion  # noqa: PLC0415 - few scenes need it
 
-    return BoundaryValue(), advice
+    return StableInversion(), advice

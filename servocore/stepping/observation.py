@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation
+from servocore.methods.base import Discretization
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
@@ -29,7 +29,7 @@ def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
 def compile_observation(
     system: MechanicalSystem,
     dae: Dae,
-    step: Discretisation,
+    step: Discretization,
     known: list[tuple[Quantity, ca.SX]],
     order: int,
 ) -> ca.Function:

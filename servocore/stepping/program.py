@@ -16,7 +16,7 @@ from servocore.dae import Dae
 from servocore.errors import IntegrationFailed
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Discretisation, Method, errs_less_with_smaller_steps, instantaneous
+from servocore.methods.base import Discretization, Method, errs_less_with_smaller_steps, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, call_of
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
@@ -44,7 +44,7 @@ class StepReport:
     ----------
     converged : bool
         False if Newton's method failed; the state is then NaN.
-    newton_iterations, factorisations : int
+    newton_iterations, factorizations : int
         Iterations of the slowest block; factorizations of all blocks.
     residual : float
         Largest residual of all equations at the solution, scaled by the step size to the level of accelerations.
@@ -52,7 +52,7 @@ class StepReport:
 
     converged: bool
     newton_iterations: int
-    factorisations: int
+    factorizations: int
     residual: float
 
 
@@ -71,7 +71,7 @@ class Program:
         Of the system, with the states that the formulation names.
     dae, reduced : Dae
         What is stepped, and the reduced form of the same array.
-    discretization : Discretisation
+    discretization : Discretization
         The equations of a step.
     start_order : int
         Highest derivative of the reference that start and observation take.
@@ -85,7 +85,7 @@ class Program:
     array: DerivativeArray
     dae: Dae
     reduced: Dae
-    discretization: Discretisation
+    discretization: Discretization
     start_order: int
     smaller_steps_help: bool
     follow_branch: bool
@@ -367,7 +367,7 @@ def _program(resolved: ResolvedSystem, formulation: Formulation, method: Method,
         array=array,
         dae=dae,
         reduced=resolved.dae(Reduced(states=array.named_states)),
-        discretization=method.discretise(dae) if stepped else instantaneous(dae),
+        discretization=method.discretize(dae) if stepped else instantaneous(dae),
         start_order=max(array.reference_order, dae.reference_order, 2),
         smaller_steps_help=stepped and errs_less_with_smaller_steps(method, dae.index),
         follow_branch=follow_branch,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation
+from servocore.methods.base import Discretization
 from servocore.methods.collocation import RadauIIA
 from servocore.numerics.square_systems import compile_solver
 from servocore.structure.derivative_array import DerivativeArray
@@ -20,7 +20,7 @@ _BACKWARDS = RadauIIA(4)
 """Carries internal dynamics back before the initial time, at order seven."""
 
 
-def compile_step(step: Discretisation) -> ca.Function:
+def compile_step(step: Discretization) -> ca.Function:
     """Compile (state, gamma, h, p) -> (state, counts, residual)."""
     solver = compile_solver("sc_solve", step.equations, [step.next_state])
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
@@ -51,7 +51,7 @@ def compile_pointwise_step(start: ca.Function) -> ca.Function:
     return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
 
 
-def compile_guess_residual(step: Discretisation) -> ca.Function:
+def compile_guess_residual(step: Discretization) -> ca.Function:
     """Compile (state, gamma, h, p) -> residual of every equation at the first guess."""
     equations = step.equations
     # At the guess, not at the last iterate: where Newton's method has blown up all equations look alike.
@@ -60,7 +60,7 @@ def compile_guess_residual(step: Discretisation) -> ca.Function:
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
 
 
-def _with_step_arguments(name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:
+def _with_step_arguments(name: str, step: Discretization, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:
     """Give a function of the flat givens the arguments (state, gamma, h, p)."""
     state = ca.MX.sym("state", step.state.numel())
     gamma = ca.MX.sym("gamma", *step.reference.shape)
@@ -69,7 +69,7 @@ def _with_step_arguments(name: str, step: Discretisation, evaluate: Callable[[ca
     return ca.Function(name, [state, gamma, h, p], evaluate(ca.vertcat(state, ca.vec(gamma), h, p)))
 
 
-def start_instants(array: DerivativeArray, step: Discretisation) -> tuple[float, ...]:
+def start_instants(array: DerivativeArray, step: Discretization) -> tuple[float, ...]:
     """Instants, in steps from the initial time, at which `compile_start` needs the reference."""
     if not array.states:
         return step.start.instants
@@ -78,7 +78,7 @@ def start_instants(array: DerivativeArray, step: Discretisation) -> tuple[float,
 
 
 def compile_start(
-    array: DerivativeArray, inverse: Inversion, dae: Dae, reduced: Dae, step: Discretisation, order: int
+    array: DerivativeArray, inverse: Inversion, dae: Dae, reduced: Dae, step: Discretization, order: int
 ) -> ca.Function:
     """Compile (gamma (m, (order + 1) * instants), h, p) -> (first state, counts, residual).
 
@@ -92,7 +92,7 @@ def compile_start(
 
 
 def compile_restart(
-    array: DerivativeArray, inverse: Inversion, dae: Dae, reduced: Dae, step: Discretisation, order: int
+    array: DerivativeArray, inverse: Inversion, dae: Dae, reduced: Dae, step: Discretization, order: int
 ) -> ca.Function:
     """Compile (unknowns of the array now, gamma as for `compile_start`, h, p) -> first state.
 
@@ -128,7 +128,7 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     """Integrate the reduced form from the initial time backwards, one step of the method at a time."""
     if not jets:
         return []
-    step = _BACKWARDS.discretise(dae)
+    step = _BACKWARDS.discretize(dae)
     solve = compile_solver("sc_backwards", step.equations, [step.next_state])
     entries = (*array.states, *array.determined)
     to_dae = [array.unknowns.index(entry) for entry in entries]

@@ -12,7 +12,7 @@ from servocore.errors import InvalidModel, ServocoreError
 from servocore.formulations.projected import Projected
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Discretisation, instantaneous
+from servocore.methods.base import Discretization, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
@@ -104,7 +104,7 @@ def _expression(problem: Problem) -> ca.Function:
 def _stepping(problem: Problem, state: ca.SX, orders: int) -> tuple[dict[str, str], dict[str, Any]]:
     """Return the functions of the projected form by backward Euler as JavaScript, and the sizes that stepping needs."""
     system, dae = problem.system, problem.dae(Projected())
-    step = METHOD.discretise(dae)
+    step = METHOD.discretize(dae)
     path, p = system.gamma[:, :orders], system.p
     places = [problem.array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
     read = compile_observation(system, dae, step, observed(system), orders - 1)
@@ -132,7 +132,7 @@ def _stepping(problem: Problem, state: ca.SX, orders: int) -> tuple[dict[str, st
     return functions, sizes
 
 
-def _blocks(step: Discretisation) -> list[tuple[list[int], list[int], bool]]:
+def _blocks(step: Discretization) -> list[tuple[list[int], list[int], bool]]:
     """Return rows, columns and whether they are linear, of the blocks of a step in the order of their solution."""
     equations = step.equations
     pattern = ca.jacobian_sparsity(equations.residual, equations.unknowns)

@@ -15,7 +15,7 @@ import numpy as np
 from outside.systems import Outsider, named, symbols
 
 import servocore as sc
-from servocore.model.generalize import generalise
+from servocore.model.generalize import generalize
 from servocore.scenes import jets
 
 GRAVITY = 9.81
@@ -329,6 +329,6 @@ def mixed_rods() -> sc.MechanicalSystem:
     plain, n = rods(2, "pivot"), 4
     mixing = np.eye(n) + 0.3 * np.sin(1.0 + np.arange(n * n)).reshape(n, n)
     coordinates = sc.Coordinates(*named("w_1 w_2 w_3 w_4"))
-    return generalise(
+    return generalize(
         plain, coordinates, ca.mtimes(mixing, coordinates.q), guess=ca.mtimes(np.linalg.inv(mixing), plain.guess)
     )

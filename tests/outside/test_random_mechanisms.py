@@ -99,4 +99,4 @@ def test_a_mechanism_by_chance_is_solved_right_warned_of_or_refused(first: int) 
 def test_a_bounded_motion_is_refused_where_stability_changes_along_the_path() -> None:
     mechanism = Mechanism.by_chance(91)
     with pytest.raises(sc.IntegrationFailed, match=r"\d grow at the start of the path and \d at its end"):
-        sc.solve(mechanism.scene(), None, sc.BoundaryValue(), step=mechanism.duration / 200)
+        sc.solve(mechanism.scene(), None, sc.StableInversion(), step=mechanism.duration / 200)

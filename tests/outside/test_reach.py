@@ -24,10 +24,11 @@ from outside.reach_systems import (
 from outside.systems import LOOP, Outsider, named, symbols
 
 import servocore as sc
+from servocore.analysis import StructureReport
 from servocore.numerics.step_operations import evaluate
 
 
-def assert_exact(outsider: Outsider, index: int, tolerance: float = 1e-10) -> sc.StructureReport:
+def assert_exact(outsider: Outsider, index: int, tolerance: float = 1e-10) -> StructureReport:
     """Flat with this index, and all inputs right at all instants."""
     report = sc.analyse(outsider.scene)
     assert (report.classification, report.index, report.internal_degrees_of_freedom) == ("flat", index, 0), str(report)

@@ -179,7 +179,7 @@ def test_what_knows_no_time_says_so() -> None:
     with pytest.raises(sc.InvalidModel, match="hold the time, which SUNDIALS is not given; RadauIIA is"):
         sc.solve(timed.pendulum_in_the_wind().scene, None, sc.Sundials())
     with pytest.raises(sc.InvalidModel, match="begins and ends at rest, but the equations of cart in the wind hold"):
-        sc.solve(timed.pendulum_in_the_wind().scene, None, sc.BoundaryValue())
+        sc.solve(timed.pendulum_in_the_wind().scene, None, sc.StableInversion())
 
 
 def test_a_coordinate_that_is_called_as_a_rate_is_told_from_it() -> None:

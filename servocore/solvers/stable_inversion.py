@@ -43,7 +43,7 @@ _AT_REST = 1e-9
 
 
 @dataclass(frozen=True)
-class BoundaryValue(JudgedRoute):
+class StableInversion(JudgedRoute):
     """Bounded inversion by Gauss collocation over a horizon longer than the path, or over one period of it.
 
     A path that comes back to where it began, with all derivatives that enter, counts as one period (or several) of a
@@ -88,7 +88,7 @@ class BoundaryValue(JudgedRoute):
         if problem.start:
             raise InvalidSetting("a bounded inversion finds its own initial values; the start is given in vain")
         if adaptive:
-            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to StableInversion")
 
     def better(self, _: Problem) -> BetterSolver:
         """Return one with more stages, to a smaller tolerance, over the longer horizon that it needs."""
@@ -172,7 +172,7 @@ class _Bounded:
         return L, R, np.concatenate([left @ self.left.states, right @ self.right.states])
 
 
-def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
+def _pose(problem: Problem, route: StableInversion) -> _Bounded:
     array, reference, name = problem.array, problem.reference, problem.system.name
     if problem.flat:
         raise InvalidSetting(f"{name} has no internal dynamics; Reduced is exact, no boundary values are needed")
@@ -221,7 +221,7 @@ def _repeats(ends: Array, duration: float) -> bool:
     return bool(moving > _AT_REST and np.abs(last - first).max() <= _AT_REST * (np.abs(first).max() + 1.0))
 
 
-def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
+def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
     """Return a grid through the start of the reference that reaches far enough beyond both ends."""
     if bounded.periodic:
         path = bounded.problem.reference
@@ -245,7 +245,7 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.
     places; values are [x at the left; stages; x at the right].
     """
     dae = resolved.dae(Reduced())
-    step = method.discretise(dae)
+    step = method.discretize(dae)
     right = ca.SX.sym("right", dae.x.numel())
     values = ca.vertcat(step.x, step.equations.unknowns, right)
     # Continuity of x as equations of their own keeps the Jacobian of the horizon banded.
@@ -361,7 +361,7 @@ def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     return values
 
 
-def _report(bounded: _Bounded, t: Array, unknowns: Array, iterations: int, route: BoundaryValue) -> Solution:
+def _report(bounded: _Bounded, t: Array, unknowns: Array, iterations: int, route: StableInversion) -> Solution:
     program = program_of(bounded.problem, Reduced(), RadauIIA(1))
     states = np.zeros((program.state_size, len(t)))
     states[: len(unknowns)] = unknowns

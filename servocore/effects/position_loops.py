@@ -1,4 +1,4 @@
-"""`Drives`: position loops that drive a plant beside the inputs that were computed for it."""
+"""`PositionLoops`: position loops that drive a plant beside the inputs that were computed for it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from servocore.numerics.compiled_calls import Array
 
 
 @dataclass(frozen=True)
-class Drives:
+class PositionLoops:
     """A position loop in every drive: u = u_S + K (y_S - y) + D (y_S' - y').
 
     The gains follow from the inertia that a drive feels where the path ends, the others being free: K is that
@@ -34,9 +34,9 @@ class Drives:
 
     def __post_init__(self) -> None:
         for what, value in (("bandwidth", self.bandwidth), ("damping", self.damping)):
-            require_real(value, f"the {what} of drives", "a number", InvalidSetting)
+            require_real(value, f"the {what} of position loops", "a number", InvalidSetting)
             if not (math.isfinite(value) and value > 0.0):
-                raise InvalidSetting(f"the {what} of drives must be positive and finite, not {value:g}")
+                raise InvalidSetting(f"the {what} of position loops must be positive and finite, not {value:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
     return tuple(each for each, _ in expressions), column
 
 
-def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, drives: Drives) -> Gains:
+def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, loops: PositionLoops) -> Gains:
     """Return the gains of drives at a configuration.
 
     Parameters
@@ -93,7 +93,7 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
         What they measure, one an input.
     q, p : ndarray
         Configuration and parameter values.
-    drives : Drives
+    loops : PositionLoops
         Bandwidth and damping.
     """
     _, y = measured_in(system, names)
@@ -106,4 +106,4 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
     if not (np.abs(accelerations) > 0.0).all():
         name = names[int((~(np.abs(accelerations) > 0.0)).argmax())]
         raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
-    return Gains(drives.bandwidth**2 / accelerations, 2 * drives.damping * drives.bandwidth / accelerations)
+    return Gains(loops.bandwidth**2 / accelerations, 2 * loops.damping * loops.bandwidth / accelerations)
