@@ -28,7 +28,7 @@ A_MOMENT = 0.3
 """Processor seconds of a case that `--quick` may take."""
 A_SECOND = 1.0
 """Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
-LONG_FIXTURES = {"client", "done", "drawings", "smoke"}
+LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
 _TAKEN, _SHARED = "processor_seconds", "shared_seconds"
