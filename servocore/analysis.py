@@ -199,7 +199,10 @@ def _unknowns_along(problem: Problem, times: Array, jets: Array) -> list[Array]:
 
     What a guess that knows nothing of the path does not solve is solved from a neighbour.
     """
-    unknowns = list(exact_unknowns(problem, times)[0].T)
+    states, by_expression = exact_unknowns(problem, times)
+    unknowns = list(states.T)
+    if by_expression:
+        return unknowns
     search, solved = call_of(inversion(problem.array).search), [bool(np.isfinite(values).all()) for values in unknowns]
     count = len(unknowns)
     for order in (range(1, count), range(count - 2, -1, -1)) if problem.flat else ():

@@ -20,13 +20,15 @@ import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
+FURTHER = Path(__file__).with_name("further_cases.txt")
+"""Cases beside the first of their functions, of little cost, that run lines which few others of `--quick` run."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
 A_MOMENT = 0.3
 """Processor seconds of a case that `--quick` may take."""
 A_SECOND = 1.0
 """Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
-LONG_FIXTURES = {"client", "done", "drawings", "smoke"}
+LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
 _TAKEN, _SHARED = "processor_seconds", "shared_seconds"
@@ -74,13 +76,21 @@ def budget_of(item: pytest.Item) -> float:
 
 
 def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
-    """Return of every test function the first case that is not listed as slow and prepares nothing for seconds."""
-    slow = set(SLOW.read_text(encoding="utf-8").splitlines())
+    """Return of every test function the first case that is not listed as slow, and those that are listed besides.
+
+    What prepares something for seconds is left out.
+    """
+    slow, further = listed(SLOW), listed(FURTHER)
     first: dict[str, pytest.Item] = {}
     for item in items:
         if item.nodeid not in slow and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            first.setdefault(function_of(item.nodeid), item)
+            first.setdefault(item.nodeid if item.nodeid in further else function_of(item.nodeid), item)
     return list(first.values())
+
+
+def listed(table: Path) -> set[str]:
+    """Return the cases of a list."""
+    return set(table.read_text(encoding="utf-8").splitlines())
 
 
 def slow_cases(taken: Mapping[str, float]) -> list[str]:
@@ -153,9 +163,8 @@ class Meter:
         if hasattr(session.config, "workerinput"):
             return
         if self.writes:
-            listed = SLOW.read_text(encoding="utf-8").splitlines() if self.quick else []
-            slow = slow_alone(self.cases) if self.quick else slow_cases(self.cases)
-            SLOW.write_text("".join(f"{case}\n" for case in sorted({*listed, *slow})), encoding="utf-8")
+            slow = {*listed(SLOW), *slow_alone(self.cases)} if self.quick else slow_cases(self.cases)
+            SLOW.write_text("".join(f"{case}\n" for case in sorted(slow)), encoding="utf-8")
         beyond = self.times is not None and over_budget(self.files, budgets(), self.times)
         if beyond and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 from click import Group
 from click.testing import CliRunner
+
+from servocore.cli.console import PatientProgress
 
 
 class CommandLine:
@@ -16,7 +19,10 @@ class CommandLine:
         self.app, self.name = app, name
 
     def __call__(self, *arguments: object) -> Any:
-        return CliRunner().invoke(self.app, list(map(str, arguments)))
+        """Run a command; none takes so long that it reports progress, however busy the machine is."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(PatientProgress, "_slow", lambda _: False)
+            return CliRunner().invoke(self.app, list(map(str, arguments)))
 
     def assert_refused(self, result: Any, *words: str) -> None:
         """One sentence with these words on the error stream, nothing else, and exit code 2."""

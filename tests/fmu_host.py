@@ -51,7 +51,7 @@ def fmu_file(name: str = "RotaryCrane") -> Path:
 
 
 @contextmanager
-def only_one(sign: Path, seconds: float = 300.0) -> Iterator[None]:
+def only_one(sign: Path, seconds: float = 900.0) -> Iterator[None]:
     """Wait until no other process holds the sign; making a folder either succeeds or finds it made."""
     until = time.monotonic() + seconds
     while True:
@@ -158,7 +158,7 @@ def follow(host: Host, reference: sc.Reference, times: Array, *, at: str = "star
 
 
 def in_a_process(
-    code: str, *arguments: str | Path, seconds: float = 120.0, **environment: str
+    code: str, *arguments: str | Path, seconds: float = 600.0, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Run code that may crash; it finds this module on its path."""
     return subprocess.run(

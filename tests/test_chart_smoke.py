@@ -266,7 +266,16 @@ def test_a_solver_that_fails_dies_or_hangs_has_a_row_with_its_message() -> None:
 
     def candidate(run: Callable[[], None] | Callable[[], dict[str, Array]]) -> Candidate:
         prepared = Prepared(run, lambda found: Answer(found, 0.0))
-        return Candidate(problem, "peer", "model", "reduced", "method", "setting", lambda: prepared, limit=1.0)
+        return Candidate(
+            problem,
+            "peer",
+            "model",
+            "reduced",
+            "method",
+            "setting",
+            lambda: prepared,
+            limit=1.0 if run is hang else 60.0,
+        )
 
     def die() -> None:
         import os

@@ -241,7 +241,7 @@ def assert_as_in_the_library(found: Mapping[str, Array]) -> None:
 def in_node(folder: Path, script: str) -> str:
     """Run a module in Node, in a folder; return what it prints."""
     (folder / "main.mjs").write_text(script, encoding="utf-8")
-    done = subprocess.run(["node", "main.mjs"], cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(["node", "main.mjs"], cwd=folder, capture_output=True, text=True, timeout=600, check=True)
     return done.stdout
 
 
@@ -338,7 +338,7 @@ def test_a_browser_gives_the_numbers_of_the_library(tmp_path: Path) -> None:
         command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=10000",
                    f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
                    f"http://127.0.0.1:{server.server_port}/index.html"]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
         server.shutdown()
     assert_as_in_the_library(json.loads(done.stdout.split('id="found">')[1].split("</pre>")[0]))
 

@@ -209,7 +209,7 @@ class Stepped(Witness):
         self.wanted = {name: solution[name][::parts] for name in OUTPUTS}
 
     def start(self, host: Host) -> None:
-        host.set(**self.settings, input_time="end").start(self.jets[0])  # type: ignore[arg-type]
+        host.set(**self.settings, input_time="end").start(self.jets[0])  # type: ignore[arg-type]  # of numbers and texts
         self.compare(host)
 
     def compare(self, host: Host) -> None:

@@ -160,7 +160,7 @@ def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(
 def test_a_folder_that_a_failed_build_made_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import crane_fmu.build.fmu as building
 
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise IntegrationFailed("no")
 
     monkeypatch.setattr(building, "native_fmu", fails)

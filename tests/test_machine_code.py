@@ -293,13 +293,13 @@ def test_a_compiler_that_starts_while_the_process_ends_is_ended_too(tmp_path: Pa
 
     processes.running = Late()
     begin = time.monotonic()
-    assert processes.run(["sleep", "60"], tmp_path)[0] != 0
-    assert time.monotonic() - begin < 50
+    assert processes.run(["sleep", "600"], tmp_path)[0] != 0
+    assert time.monotonic() - begin < 500
 
 
 def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
     slow = tmp_path / "slowcc"
-    slow.write_text('#!/bin/sh\necho $$ > "$0.new"; mv "$0.new" "$0.pid"\nexec sleep 60\n')
+    slow.write_text('#!/bin/sh\necho $$ > "$0.new"; mv "$0.new" "$0.pid"\nexec sleep 600\n')
     slow.chmod(0o755)
     code = (
         "import time, numpy as np, casadi as ca; from servocore.numerics.vectorized import Vectorized\n"
@@ -313,9 +313,7 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
         "SERVOCORE_CACHE": str(tmp_path / "cache"),
         "SERVOCORE_MACHINE_CODE": "",
     }
-    begin = time.monotonic()
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=50)
-    assert time.monotonic() - begin < 50
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=500)
     running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
     assert not running.exists()
 
@@ -414,7 +412,7 @@ def test_the_longest_unused_go_when_there_is_no_more_room(
 def test_processes_that_build_the_same_do_not_meet(own_cache: code_cache.CodeCache) -> None:
     code = f"from servocore.numerics.machine_code import Build, built\nprint(built(Build({SOURCE!r}, 'an answer')))"
     running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    found = {each.communicate(timeout=60)[0].strip() for each in running}
+    found = {each.communicate(timeout=600)[0].strip() for each in running}
     assert [str(each) for each in own_cache.contents()] == sorted(found)
     assert not list(own_cache.folder.glob("*.part"))
 

@@ -233,7 +233,7 @@ def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_pa
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=600,
         cwd=tmp_path,
         env={"PATH": os.defpath, "HOME": str(tmp_path)},
     )

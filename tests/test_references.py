@@ -442,7 +442,7 @@ from servocore.references.rest_to_rest import rest_to_rest
 rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
     room = Path(__file__).resolve().parents[1] / "servocore"
-    subprocess.run([sys.executable, "-c", script, str(room)], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", script, str(room)], check=True, timeout=600)
 
 
 # Stretches -----------------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def run(folder: Path, *, given: str | None = None, location: str | None = None) 
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=600,
         env={"PATH": os.defpath},
     )
 

@@ -187,12 +187,12 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path, name: str
 
 
 DRIVER = """
-import numpy as np, servocore as sc, time
+import numpy as np, servocore as sc, sys
 varied = {"load_mass": np.linspace(50.0, 150.0, 7), "duration": np.array([10.0, 14.0, 20.0])}
 
 def tell(*_):
     print("block", flush=True)
-    time.sleep(0.3)
+    sys.stdin.readline()
 
 sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tell)
 """
@@ -200,12 +200,14 @@ sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tel
 
 @pytest.mark.nightly
 def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path: Path) -> None:
-    driver = subprocess.Popen([sys.executable, "-c", DRIVER], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    for _ in range(2):
-        assert present(driver.stdout).readline() == "block\n"
-    driver.kill()
-    driver.wait()
-    present(driver.stdout).close()
+    command = [sys.executable, "-c", DRIVER]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+    ) as driver:
+        present(driver.stdin).write("go on once\n")
+        for _ in range(2):
+            assert present(driver.stdout).readline() == "block\n"
+        driver.kill()
     seen = []
     found = sc.sweep(
         CRANE, VARIED, store=tmp_path / "s.zarr", chunk=3, resume=True, progress=lambda done, _: seen.append(done)
@@ -221,9 +223,10 @@ def test_processes_compute_the_same_digits() -> None:
 
 
 def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, varied = tmp_path / "s.zarr", {"load_mass": np.linspace(50.0, 150.0, 60)}  # more than are under way at once
+    monkeypatch.setattr(worker_pools.Pool, "ahead", 2)  # or a worker may have computed all before it is killed
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
 
         def kill(*_: object) -> None:

@@ -152,11 +152,11 @@ def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:
     And whether the expression gives all of them, so that Newton's method was not asked.
     """
     inverse, jets = inversion(problem.array), problem.reference.jet(t, problem.array.reference_order)
-    for function in (inverse.expression, inverse.function):
-        if function is not None:
-            states, _, residual = at_instants(function, jets=jets, p=problem.p)
-            if function is inverse.expression and (residual < LARGEST_RESIDUAL).all():
-                return states, True
+    if inverse.expression is not None:
+        states, _, residual = at_instants(inverse.expression, jets=jets, p=problem.p)
+        if (residual < LARGEST_RESIDUAL).all():
+            return states, True
+    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)  # compiled where it is needed
     return np.where(np.isfinite(residual), states, np.nan), False
 
 
