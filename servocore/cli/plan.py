@@ -110,8 +110,8 @@ def _require_a_path_file(scene: Scene, model: str | None) -> None:
     needed, written = Problem.of(scene, model).array.reference_order, len(PREFIXES) - 1
     if needed > written:
         raise InvalidSetting(
-            f"--write-path: a file holds {written} derivatives of a path, and {scene.name} needs {needed}, or inputs are"
-            " wrong"
+            f"--write-path: a file holds {written} derivatives of a path, and {scene.name} needs {needed}, or inputs"
+            " are wrong"
         )
 
 
