@@ -252,7 +252,7 @@ WRONG = [
     ("servocore export cars --from 0 --to 1 --duration 2 -o x.fmu", "--from belongs to --trajectory"),
     ("servocore export cars", "name the file to write with -o FILE.fmu"),
     ("servocore export cars --c d --targets host", "name it with -o FILE.fmu"),
-    ("servocore effects cars --open-loop --bandwidth 3", "--open-loop has no drives whose bandwidth"),
+    ("servocore effects cars --open-loop --bandwidth 3", "--open-loop excludes --bandwidth"),
     # tolerances and deviations
     ("crane-fmu feedforward --reference path.csv --tolerance 1kg", "write it as in --tolerance 1mm"),
     ("crane-fmu feedforward --reference path.csv --tolerance wide", "write it as in --tolerance 1mm"),

@@ -73,7 +73,7 @@ CHECKS: dict[type, Callable[[Any], object]] = {
     Computation: lambda how: (how.require(20.0), how.accuracy()),
     Freedom: lambda freedom: (freedom.space(3), factors_of_texts(freedom.robust)),
     Cases: lambda cases: cases.varied(),
-    Question: lambda question: (question.allowed("m"), question.drives()),
+    Question: lambda question: (question.allowed("m"), question.loops()),
     Products: lambda products: products.require_apart(),
 }
 """What looks at values that a command reads once it has begun."""
