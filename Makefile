@@ -14,7 +14,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test quick versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects levels pictures docs clean
+.PHONY: help demo test quick versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects levels pictures docs dist clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -110,6 +110,10 @@ docs: $(INSTALLED)  ## write the site with API reference and gallery to build/do
 	$(BIN)/python docs/run_notebooks.py
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b doctest -d build/docs/.doctrees docs build/doctest
 	@echo "The site is build/docs/index.html."
+
+dist: $(INSTALLED)  ## build wheel and source distribution into dist/
+	rm -rf dist
+	$(RUN) build --outdir dist .
 
 levels: $(INSTALLED)  ## measure what the models of every scene cost, into docs/model-levels.md (two minutes)
 	$(RUN) benchmarks.levels --page docs/model-levels.md --csv docs/model-levels.csv
