@@ -59,7 +59,6 @@ typedef struct {
     int64_t choices[N_CHOICES];   /* by the numbers of their items, from 1 on */
     int64_t due;                  /* whether outputs have yet to be computed from the inputs */
     int64_t steps;                /* taken so far */
-    int64_t warned;               /* what was told that is told once, a bit each */
     int64_t judged;               /* whether all parameters and choices are known to be legal */
     double inputs[AT_LEAST_1(N_INPUTS)];
     double heard[AT_LEAST_1(N_INPUTS)]; /* the inputs that the last outputs were computed from */
@@ -92,7 +91,8 @@ struct Instance {
     Reporter report;
     void *environment;            /* what the host wants back with a message */
     void (*logger)(void);         /* of the host, of a type that its version of FMI knows */
-    int told[4];                  /* which outcomes it wants to be told */
+    int logged[4];                /* which outcomes the host wants to be logged */
+    int warned;                   /* warnings issued once per instance, one bit each: a rollback does not repeat them */
     char *name;
 };
 
@@ -119,7 +119,7 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
 {
     static const char begin[] = "the initialization failed: ";
     const int fails = instance->failure != NULL && outcome > WARNING;
-    const int tells = instance->report != NULL && instance->told[outcome];
+    const int tells = instance->report != NULL && instance->logged[outcome];
     char message[LONGEST_MESSAGE];
     va_list values;
     if (!fails && !tells) return outcome;
@@ -173,12 +173,12 @@ static Outcome set_logging(Instance *instance, int on, size_t count, const char 
         int known = all;
         for (int outcome = 0; outcome < 4; outcome++)
             if (all || strcmp(categories[k], CATEGORY[outcome]) == 0) {
-                instance->told[outcome] = on;
+                instance->logged[outcome] = on;
                 known = 1;
             }
         if (!known) return say(instance, ERROR, "there is no logger category %.100s", categories[k]);
     }
-    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->logged[outcome] = on;
     return GOOD;
 }
 
@@ -188,6 +188,7 @@ static void reset(Instance *instance)
 {
     State *state = &instance->state;
     memset(state, 0, sizeof *state);
+    instance->warned = 0;
     state->stamp = STAMP;
     state->phase = INSTANTIATED;
     for (size_t k = 0; k < N_CHOICES; k++) state->choices[k] = CHOICES[k].start;
@@ -220,7 +221,7 @@ static Instance *new_instance(const char *name, const char *refusal, const char 
         instance->report = logger == NULL ? NULL : report;
         instance->logger = logger;
         instance->environment = environment;
-        for (int k = 0; k < 4; k++) instance->told[k] = 1;
+        for (int k = 0; k < 4; k++) instance->logged[k] = 1;
         reset(instance);
         if (refusal == NULL) return instance;
         say(instance, ERROR, refusal, MODEL_NAME);

@@ -224,15 +224,15 @@ static void judge_estimates(Instance *instance)
 /* Tell once that there are too few samples, and once that they are too rough. */
 static Outcome remark_estimates(Instance *instance, double time)
 {
-    State *state = &instance->state;
+    const State *state = &instance->state;
     const Work *scratch = &instance->scratch;
     const size_t order = ORDERS_TOLD(state) - 1;
-    if (!(scratch->known > 0.0) && !(state->warned >> 4 & 1)) {
-        state->warned |= 1 << 4;
+    if (!(scratch->known > 0.0) && !(instance->warned >> 4 & 1)) {
+        instance->warned |= 1 << 4;
         return say(instance, WARNING, UNKNOWN[order], time);
     }
-    if (scratch->worth[1] > scratch->worth[2] && !(state->warned >> 5 & 1)) {
-        state->warned |= 1 << 5;
+    if (scratch->worth[1] > scratch->worth[2] && !(instance->warned >> 5 & 1)) {
+        instance->warned |= 1 << 5;
         return say(instance, WARNING, ROUGH[order], time, scratch->error, scratch->worth[1], scratch->worth[0]);
     }
     return GOOD;
@@ -274,17 +274,17 @@ static size_t contradicted(const State *state, const double *told)
 /* Tell once if a path moves where derivatives that should be connected say that it does not; refuse a second such step. */
 static Outcome require_agreement(Instance *instance, double time)
 {
-    State *state = &instance->state;
+    const State *state = &instance->state;
     const size_t top = ORDERS_TOLD(state) - 1, k = contradicted(state, instance->told_inputs);
     const int again = state->now.is_odd;
     char above[LONGEST_MESSAGE / 4] = "";
     instance->work.is_odd = k < ORDERS;
-    if (k == ORDERS || (!again && state->warned & 1)) return GOOD;
+    if (k == ORDERS || (!again && instance->warned & 1)) return GOOD;
     for (size_t j = k + 1; j <= top; j++) {
         const size_t length = strlen(above);
         snprintf(above + length, sizeof above - length, "%s%s", j > k + 1 ? " and " : "", ORDER_NAMES[j]);
     }
-    state->warned |= again ? 0 : 1;
+    instance->warned |= again ? 0 : 1;
     return say(instance, again ? DISCARD : WARNING, "at t = %.6g s the " FOLLOWER "'s %s changes, but its %s %s zero: connect what"
                " is missing" OR_ESTIMATED "%s", time, ORDER_NAMES[k], above, top - k > 1 ? "stay" : "stays", ORDER_NAMES[k],
                again ? "" : "; the outputs are those of a " FOLLOWER " that stands still, and the next such step is refused");
@@ -322,8 +322,8 @@ static Outcome left_out(Instance *instance, int topic, const char *format, doubl
     Moment *work = &instance->work;
     work->remembers = 0;
     within_limits(instance, work->outputs);
-    if (instance->state.warned >> topic & 1) return GOOD;
-    instance->state.warned |= (int64_t)1 << topic; /* a step that is refused later keeps it said */
+    if (instance->warned >> topic & 1) return GOOD;
+    instance->warned |= 1 << topic;
     return say(instance, WARNING, format, time, value, limit);
 }
 
