@@ -23,27 +23,18 @@ step, or 1 rad in another, and for the gains alone."""
 
 
 def advance(system: sc.MechanicalSystem) -> ca.Function:
-    """Return (whether the step is short, state, u, u_dot, d, p, h) -> state under inputs that run linearly."""
-    x, h = ca.SX.sym("x", STATES), ca.SX.sym("h")
-    u, slope, d = (ca.SX.sym(name, DRIVES) for name in ("u", "u_dot", "d"))
-    p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
+    """Return (whether the step is short, state, u, u_dot, d, p, h) -> state after h under inputs u + u_dot t."""
+    slope, d = (ca.SX.sym(name, DRIVES) for name in ("u_dot", "d"))
+    right = system.C.T @ d - system.bias - system.input_matrix.T @ system.u
     v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
-    rate = ca.Function(
-        "rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)], {"cse": True}
-    )
-    inputs = [u + slope * (k * h / 2) for k in range(3)]
-    first = rate(x, inputs[0], d, p)
-    second = rate(x + h / 2 * first, inputs[1], d, p)
-    third = rate(x + h / 2 * second, inputs[1], d, p)
-    fourth = rate(x + h * third, inputs[2], d, p)
-    after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-    step = ca.Function("runge_kutta", [x, u, slope, d, p, h], [after], {"cse": True})
-    state, u_begin, u_dot, *others, whole = given = step.mx_in()
-    half = step(state, u_begin, u_dot, *others, whole / 2)
-    twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
-    short, other = (
-        ca.Function(f"advance_{name}", given, [each]) for name, each in (("short", step(*given)), ("other", twice))
-    )
+    moving, fixed = ca.vertcat(system.q, system.v, system.u), ca.vertcat(slope, d, system.p)
+    rate = ca.Function("rate", [moving, fixed], [ca.vertcat(system.v, v_dot, slope)], {"cse": True})
+    step = ca.simpleRK(rate, 1).expand("runge_kutta", {"cse": True})
+    sizes = {"x": STATES, "u": DRIVES, "u_dot": DRIVES, "d": DRIVES, "p": system.p.numel(), "h": 1}
+    *_, h = given = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    begin, constant = ca.vertcat(*given[:2]), ca.vertcat(*given[2:-1])
+    ends = {"short": step(begin, constant, h), "other": step(step(begin, constant, h / 2), constant, h / 2)}
+    short, other = (ca.Function(f"advance_{name}", given, [end[:STATES]]) for name, end in ends.items())
     return ca.Function.if_else("advance", short, other)
 
 
