@@ -1,4 +1,4 @@
-"""`export_c`: a scene's inverse model as C source for hosts that know nothing of FMI."""
+"""`export_c`: a scene's inverse model as C source for hosts without FMI."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler, compile_in
 from servocore.numerics.square_systems import MAX_ITERATIONS
 
-_NAMES = ("main.c", "CMakeLists.txt", "README.md")  # beside those that the scene's name gives
-_CALLED = ("quick", "begin", "advance")  # what there is of it; derivatives are left to the FMU
+_NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
+_CALLED = ("quick", "begin", "advance")  # those of them that exist; only FMUs have derivatives
 
 
 def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> Path:
@@ -28,7 +28,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     scene : Scene
         With its parameter values.
     folder : str or Path
-        A new folder, or one that has C source of this scene, which is written over.
+        A new folder, or one with C source of this scene, which is overwritten.
     model : str, optional
         Model of the scene; its smallest when not given.
 
@@ -42,7 +42,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     InvalidModel, InvalidReference
         As `export_fmu`.
     InvalidSetting
-        If the folder cannot be written, or has files of these names that are not from here.
+        If the folder cannot be written, or contains other files of these names.
     """
     place = Path(folder)
     require_folder(scene, place)
@@ -53,7 +53,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
 
 
 def require_folder(scene: Scene, place: Path) -> None:
-    """Raise `InvalidSetting` if C source of a scene cannot be written there, or files of others would be lost."""
+    """Raise `InvalidSetting` if C source of a scene cannot be written there, or other files would be overwritten."""
     require_writable(place, place)
     if not place.parent.exists():
         raise InvalidSetting(f"cannot write {place}: there is no folder {place.parent}; make it first")
@@ -97,13 +97,13 @@ def c_files(model: InverseModel) -> dict[str, str]:
 
 
 def _path_functions() -> str:
-    """Return what joins two instants, without the lines that make it a header."""
+    """Return the functions in `path.h`, without the lines that make it a header."""
     text = (SHARED / "path.h").read_text(encoding="utf-8")
     return text[text.index("/* Continue a path") : text.rindex("#endif")].rstrip()
 
 
 def _blocks(source: str) -> int:
-    """Count the systems that Newton's method is used for; each has a quick and a careful loop."""
+    """Count the systems solved by Newton's method; each has a fast and a damped loop."""
     return source.count("casadi_newton(&") // 2
 
 
@@ -120,7 +120,7 @@ def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
 
 
 def _stack(files: dict[str, str], file: str) -> str:
-    """Measure the stack: the sum over all functions is never exceeded, for none calls itself."""
+    """Measure the stack; the sum over all functions is an upper bound, since none is recursive."""
     try:
         command = c_compiler()
         with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
@@ -131,5 +131,5 @@ def _stack(files: dict[str, str], file: str) -> str:
             (usage,) = Path(folder).glob("*.su")
             sizes = [int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines()]
     except (InvalidSetting, OSError, ValueError, IndexError):
-        return "not measured: there was no compiler that tells"
+        return "not measured: no compiler that reports it was found"
     return f"at most {sum(sizes)} bytes, measured with `{' '.join(command)} -O2`"

@@ -40,7 +40,7 @@ def tangent_of_step(
     givens, after : casadi.MX
         Of the step's equations, and the next state that belongs to them: expressions of the arguments.
     results : callable
-        Next state -> what else is differentiated, expressions of it and the arguments.
+        Next state -> further differentiated results, expressions of it and the arguments.
     """
     equations = step.equations
     directions = [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]

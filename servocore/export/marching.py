@@ -33,7 +33,7 @@ class Marching:
     instants : tuple of float
         Where a start has to know the path, in steps from the start: the start itself, and instants before it.
     state_size : int
-        Numbers that a step hands to the next.
+        Numbers kept from step to step.
     """
 
     functions: Mapping[str, ca.Function]

@@ -1,4 +1,4 @@
-"""`SteppedRoutes`: what an exported inverse model offers beside the exact inversion of every instant."""
+"""`SteppedRoutes`: formulations and methods of an exported inverse model besides the exact inversion."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from servocore.problem import Problem
 from servocore.stepping.observation import compile_margins
 from servocore.stepping.program import Program, program_of
 
-_FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history of it
+_FULL_DERIVATIVES = 3  # of the path: steps that use these need no history of it
 
 
 @dataclass(frozen=True)
 class SteppedRoutes:
-    """Models and formulations that a host may choose; the first of each, together, are the exact inversion.
+    """Models and formulations for a host to choose; the first model with the first formulation is inverted exactly.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class SteppedRoutes:
     formulations : mapping of str to Formulation
         By name; the reduced one comes first.
     method : Method
-        What takes their steps; its steps have one node, their end.
+        The method of their steps; it has one node, the end of the step.
     """
 
     models: tuple[str, ...]
@@ -44,7 +44,7 @@ class SteppedRoutes:
 
     @property
     def choices(self) -> tuple[Choice, Choice]:
-        """What the host chooses."""
+        """The parameters of the choice."""
         models = tuple((name, f"the model {name}") for name in self.models)
         formulations = tuple((name, f"the {name} equations") for name in self.formulations)
         return (
@@ -66,11 +66,11 @@ class Routes:
         (state, residual), ``step``, (state, path, h, p) -> (state, outputs, residual), and ``guess``, (state, path, h,
         p) -> residuals of all equations at the first guess. None for the exact inversion.
     margins : casadi.Function
-        (path, p) -> how far each limit is.
+        (path, p) -> margins of the limits.
     options : SteppedRoutes
-        What they were made for.
+        The models, formulations and method.
     outputs : sequence of Quantity
-        What they compute.
+        Computed quantities.
     """
 
     programs: Sequence[Program]
@@ -81,16 +81,16 @@ class Routes:
 
     @property
     def all_functions(self) -> tuple[ca.Function, ...]:
-        """Of all routes."""
+        """The functions of all routes."""
         return tuple(function for functions in self.functions for function in functions.values())
 
     def sources(self, identifier: str) -> dict[str, str]:
-        """Return headers and C sources by file name: a pair for each route, for they are large.
+        """Return headers and C sources by file name: a pair for each route, since they are large.
 
         Parameters
         ----------
         identifier : str
-            What names in C begin with.
+            Prefix of names in C.
         """
         files = {}
         for k, functions in enumerate(self.functions):
@@ -100,7 +100,7 @@ class Routes:
         return files
 
     def own(self) -> dict[str, Any]:
-        """Return what the kernel needs to know."""
+        """Return values for the templates of the sources, by name."""
         programs = self.programs
         return {
             "formulations": len(self.options.formulations),
@@ -125,7 +125,7 @@ class Routes:
 
 
 def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> InverseModel:
-    """Return an inverse model that offers routes to choose from.
+    """Return an inverse model with a choice of routes.
 
     Parameters
     ----------
@@ -134,12 +134,12 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     scene : Scene
         That scene.
     options : SteppedRoutes
-        What is to be offered.
+        The routes.
 
     Raises
     ------
     InvalidModel
-        If the inputs are stepped, there are limits on what moves, or a step of a route has other nodes than its end.
+        If the inputs are stepped, there are limits of the motion, or a step of a route has other nodes than its end.
     """
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
@@ -176,7 +176,7 @@ def _path(program: Program, columns: int) -> ca.MX:
 
 
 def _padded(program: Program, path: ca.MX) -> ca.MX:
-    """Return a path with as many derivatives as the program takes; no result depends on those that are zeros."""
+    """Return a path padded with zeros to the derivatives of the program; no result depends on the zeros."""
     missing = program.start_order + 1 - path.shape[1]
     return path[:, : program.start_order + 1] if missing <= 0 else ca.horzcat(path, ca.MX.zeros(path.shape[0], missing))
 

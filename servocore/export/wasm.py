@@ -30,8 +30,7 @@ SECTION = "servocore"
 """Name of the section of a module that describes it."""
 
 _INVERTING = ("quick", "begin")
-# For size: what there is to gain by speed is in the mathematics, where compilers find nothing to gain.
-# Features are named, else a compiler takes those that are new: browsers have had these since 2021, and without them a
+# Optimized for size: compilers cannot speed up the mathematics. The features are in browsers since 2021; without them a
 # step of marching takes up to a third longer.
 _OPTIONS = ("-target", "wasm32-wasi", "-mcpu=mvp+bulk_memory+nontrapping_fptoint", "-mexec-model=reactor", "-Os",
             "-ffp-contract=off", "-w", "-Wl,--strip-all", "-Wl,--export=__heap_base")  # fmt: skip
@@ -39,7 +38,7 @@ _VERDICTS = (
     "fine",
     "the path is not finite",
     "the equations are not solved",
-    "the solution is another one than the one wanted",
+    "the solution is on another branch than the intended one",
 )
 
 
@@ -49,7 +48,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     Parameters
     ----------
     scene : Scene
-        With its parameter values, which are what the module takes when it is told none.
+        With its parameter values, the defaults of the module.
     path : str or Path
         The file; the loader has its name with the suffix ``.mjs``.
     model : str, optional
@@ -79,7 +78,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
 
 
 def require_module(path: str | Path) -> Path:
-    """Return where a module goes; raises `InvalidSetting` if it cannot be made or written there."""
+    """Return the file of a module; raises `InvalidSetting` if it cannot be built or written there."""
     file = Path(path)
     if file.suffix != ".wasm":
         raise InvalidSetting(f"cannot write {file}: the name of a WebAssembly module ends with .wasm")
@@ -90,7 +89,7 @@ def require_module(path: str | Path) -> Path:
 
 
 def loader_beside(file: Path) -> Path:
-    """Return where the loader of a module goes."""
+    """Return the file of the loader of a module."""
     return file.with_suffix(".mjs")
 
 
@@ -114,7 +113,7 @@ def wasm_module(scene: Scene, model: str | None = None) -> bytes:
 
 
 def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
-    """Return what a module says of itself: names, units and values in the order in which it takes and gives them."""
+    """Return the description of a module: names, units and values in the order of its arguments and results."""
     return {
         "title": model.title,
         "model": model.model,
@@ -132,13 +131,13 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
 
 
 def custom_section(name: str, content: bytes) -> bytes:
-    """Return a section that engines hand to who asks for it by name, and pass over otherwise."""
+    """Return a custom section, which engines ignore and JavaScript can read by its name."""
     body = _counted(name.encode()) + content
     return b"\0" + _counted(body)
 
 
 def _counted(content: bytes) -> bytes:
-    """Put the length before some bytes, seven bits a byte, the lowest first."""
+    """Return bytes after their length in LEB128."""
     length, encoded = len(content), bytearray()
     while length > 127:
         encoded.append(length & 127 | 128)
