@@ -2,7 +2,7 @@
    other to the library in C that PythonFMU's slave hands its calls to: no Python is needed there.
 
    PythonFMU's binary undoes no escape of an address but %20 and trusts every pointer. This one undoes all escapes,
-   compares the GUID, tells the host's logger in a sentence why an instance cannot be made, and refuses null pointers.
+   compares the GUID, logs the reason if an instance cannot be made, and refuses null pointers.
    shim_config.h is written at build: FMU_GUID, REAL_BINARY (PythonFMU's, a file name) and LIBRARY (the path from the
    folder of this binary). */
 
@@ -40,7 +40,7 @@ static char not_loaded[LONGEST]; /* why the library behind is not there */
 #define SAY(text, ...) snprintf(text, LONGEST, __VA_ARGS__)
 
 /* The logger takes a format: percent signs are doubled. */
-static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, const char *text) {
+static void report(const fmi2CallbackFunctions *functions, fmi2String instance, const char *text) {
     char escaped[2 * LONGEST + 1];
     size_t k = 0;
     for (; *text && k < 2 * LONGEST - 1; text++) {
@@ -96,7 +96,7 @@ static int is_utf8(const char *text) {
     return 1;
 }
 
-/* --- what the host says ------------------------------------------------------------------------------------------- */
+/* --- calls of the host ------------------------------------------------------------------------------------------- */
 
 /* Equal to FMU_GUID, which has braces, but for braces. */
 static int is_ours(const char *guid) {
@@ -156,7 +156,7 @@ fmi2Component fmi2Instantiate(fmi2String instance, fmi2Type type, fmi2String gui
         SAY(why, "the host's description of the FMU has the GUID %s, its binary %s", guid ? guid : "", FMU_GUID);
     else if (plain_location(location ? location : "", plain, why) && real.Instantiate)
         return real.Instantiate(instance, type, FMU_GUID, plain, functions, visible, logging);
-    tell(functions, instance, *why ? why : not_loaded);
+    report(functions, instance, *why ? why : not_loaded);
     return NULL;
 }
 
@@ -208,7 +208,7 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
     if (!c || !state || !real.GetFMUstate) return fmi2Error;
-    fmi2FMUstate before = *state; /* one that the host asks to be reused */
+    fmi2FMUstate before = *state; /* a state to be reused */
     *state = NULL;
     const fmi2Status status = real.GetFMUstate(c, state);
     if (before && real.FreeFMUstate) real.FreeFMUstate(c, &before);

@@ -141,7 +141,7 @@ def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[L
         above.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0)
         below.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0, label="gust")
     t = runs[0].t
-    for name, values in zip("xyz", runs[0].wanted.T, strict=True):
+    for name, values in zip("xyz", runs[0].prescribed.T, strict=True):
         above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
         above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
     for run, look in zip(runs, looks, strict=False):

@@ -58,7 +58,7 @@ class Illustration:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report: title, form and method, headings, rows of finished texts, what to know about it."""
+    """A table of the report: title, form and method, headings, rows of formatted texts, and a note."""
 
     title: str
     by: str
@@ -68,12 +68,12 @@ class Table:
 
 
 Part = str | Table | Illustration
-"""What a section consists of; a text is a paragraph."""
+"""A part of a section; a text is a paragraph."""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A number that the page begins with, what it is, and whether it belongs to the scheme of the paper."""
+    """A headline number of the page, its meaning, and whether it belongs to the scheme of the paper."""
 
     value: str
     meaning: str
