@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
-from typing import TypeVar
 
 import servocore as sc
 from servocore.cli import choices
@@ -24,30 +23,6 @@ MODELS = tuple(sc.scenes.rotary_crane().models)
 
 PROFILES = sc.TIME_LAWS
 """Time laws of a straight line; the first is the default."""
-
-Choice = TypeVar("Choice")
-
-
-def chosen(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
-    """Look a name up; raises `InvalidSetting` with the names there are.
-
-    Parameters
-    ----------
-    table : mapping of str to Choice
-        The entries by name.
-    name : str
-        The name that a user gave.
-    kind : str
-        The kind of entry, for the message.
-
-    Returns
-    -------
-    Choice
-        Its entry.
-    """
-    if name not in table:
-        raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
-    return table[name]
 
 
 # Names that the variables of several FMUs have in common --------------------------------------------------------------

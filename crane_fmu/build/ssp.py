@@ -37,7 +37,6 @@ from crane_fmu.catalogue import (
     ROTARY_CRANE,
     Starts,
     at_rest,
-    chosen,
     components,
     crane_with,
 )
@@ -99,7 +98,8 @@ class SystemOptions:
     def __post_init__(self) -> None:
         """Refuse options that exclude each other."""
         if self.profile is not None:
-            chosen(PROFILES, self.profile, "profile")
+            if self.profile not in PROFILES:
+                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(PROFILES)}")
             if self.path is not None:
                 raise sc.InvalidSetting("a path has its own time law: give either a path or a profile")
 

@@ -315,7 +315,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
     functions["begin_tangent"] = tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
     depends = _dependence(functions.get("quick", functions["begin"]), 1)
-    return Mathematics(identifier, functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
+    return Mathematics(functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
 
 
 def _stepped(known: _Known, identifier: str) -> Mathematics:
@@ -358,7 +358,7 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
         "advance_tangent": along,
     }
     depends = np.ones((len(known.outputs), G.numel()), dtype=bool)  # also through the state
-    return Mathematics(identifier, functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
+    return Mathematics(functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
 
 
 def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
+from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.identifiers import identifier_of
-from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.inverse_model import InverseModel
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
@@ -64,14 +66,15 @@ def require_folder(scene: Scene, place: Path) -> None:
 
 def c_files(model: InverseModel) -> dict[str, str]:
     """Return all texts by file name."""
-    mathematics = model.mathematics.only(_CALLED)
-    source, name = mathematics.source()[1], model.identifier
+    functions = {name: each for name, each in model.mathematics.functions.items() if name in _CALLED}
+    name, scratch = model.identifier, scratch_of(functions.values())
+    source = c_source(f"{name}_mathematics", functions.values())[1]
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
         "parameters": model.numbers("parameter") - len(model.settings),
-        "functions": tuple(mathematics.functions),
-        "scratch": mathematics.scratch(),
+        "functions": tuple(functions),
+        "scratch": scratch,
         "integrated": bool(model.method),
         "path_source": _path_functions(),
         "mathematics_source": source,
@@ -81,10 +84,10 @@ def c_files(model: InverseModel) -> dict[str, str]:
     page = values | {
         "description": model.description,
         "method": model.method,
-        "operations": mathematics.operations,
+        "operations": next(iter(functions.values())).n_instructions(),
         "most_iterations": MAX_ITERATIONS,
         "blocks": _blocks(source),
-        "memory_bytes": _memory_bytes(model, mathematics),
+        "memory_bytes": _memory_bytes(model, scratch),
         "stack": _stack({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
     }
     return {
@@ -107,12 +110,9 @@ def _blocks(source: str) -> int:
     return source.count("casadi_newton(&") // 2
 
 
-def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
-    inputs, state, scratch = (
-        model.components * mathematics.orders,
-        max(mathematics.state_size, 1),
-        mathematics.scratch(),
-    )
+def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
+    mathematics = model.mathematics
+    inputs, state = model.components * mathematics.orders, max(mathematics.state_size, 1)
     numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
     numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number

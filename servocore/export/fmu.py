@@ -12,10 +12,9 @@ from servocore.export.description import build_description, model_description, t
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
-from servocore.export.page import documentation
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
-from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
+from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.export.variables import with_item, with_starts
@@ -233,9 +232,11 @@ def contents(
     model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
+    unproven = [name for name in targets if name.endswith("darwin")]
+    page = rendered("page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven)
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
-        "documentation/index.html": documentation(model, fmi, targets),
+        "documentation/index.html": page.encode(),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **built,
     }

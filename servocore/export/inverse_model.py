@@ -6,14 +6,13 @@ globals or allocation, and with a bounded number of iterations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.native_model import Bound, NativeModel
 from servocore.model.quantity import Quantity
 
@@ -24,8 +23,6 @@ class Mathematics:
 
     Attributes
     ----------
-    identifier : str
-        Prefix of the names of the functions in C.
     functions : mapping of str to casadi.Function
         ``begin`` (path, p, time, move of the internal states) -> (state, outputs, margins, residual), and its
         ``begin_tangent`` (..., d path, d p) -> (d state, d outputs). Without a state ``quick`` (path, p, time) ->
@@ -46,7 +43,6 @@ class Mathematics:
         Which outputs depend on which numbers of the path.
     """
 
-    identifier: str
     functions: Mapping[str, ca.Function]
     outputs: tuple[Quantity, ...]
     limits: tuple[Bound, ...]
@@ -54,23 +50,6 @@ class Mathematics:
     state_size: int
     nodes: tuple[float, ...]
     depends: npt.NDArray[np.bool_]
-
-    @property
-    def operations(self) -> int:
-        """Instructions of the quick function, or of a step without its iterations."""
-        return int(next(iter(self.functions.values())).n_instructions())
-
-    def source(self) -> tuple[str, str]:
-        """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
-        return c_source(f"{self.identifier}_mathematics", self.functions.values())
-
-    def only(self, names: Sequence[str]) -> Mathematics:
-        """Return the same with some of the functions only."""
-        return replace(self, functions={name: function for name, function in self.functions.items() if name in names})
-
-    def scratch(self) -> dict[str, int]:
-        """Return the size of the working memory of the functions, by kind."""
-        return scratch_of(self.functions.values())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -16,7 +16,7 @@ from servocore.stepping.step_functions import compile_start
 from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()
-"""What steps the projected form."""
+"""The method of the projected form."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import casadi as ca
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.building import followed, inverse_model
 from servocore.export.c_functions import c_source, checked_once, copied_in_one_place, scratch_of
-from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.inverse_model import InverseModel
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
 from servocore.export.targets import zig
@@ -96,19 +96,24 @@ def loader_beside(file: Path) -> Path:
 def wasm_module(scene: Scene, model: str | None = None) -> bytes:
     """Return the module as bytes; see `export_wasm`."""
     model_to_export = inverse_model(scene, model)
-    mathematics = model_to_export.mathematics.only(_INVERTING) if not model_to_export.mathematics.state_size else None
+    mathematics = model_to_export.mathematics
+    inverting = (
+        {}
+        if mathematics.state_size
+        else {name: each for name, each in mathematics.functions.items() if name in _INVERTING}
+    )
     problem = followed(Problem.of(scene, model))
     try:
         marched = marching(problem, model_to_export.identifier)
     except InvalidModel:
-        if mathematics is None:
+        if not inverting:
             raise
         marched = None
-    orders = max(model_to_export.mathematics.orders, marched.orders if marched else 0)
+    orders = max(mathematics.orders, marched.orders if marched else 0)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     path = path_variables(problem.system.outputs, scene.tracked, orders, home)
     about = described(model_to_export, path, marched)
-    compiled = _compiled(_source(model_to_export, mathematics, marched, orders), model_to_export.title)
+    compiled = _compiled(_source(model_to_export, inverting, marched, orders), model_to_export.title)
     return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
 
 
@@ -145,8 +150,8 @@ def _counted(content: bytes) -> bytes:
     return bytes(encoded) + bytes([length]) + content
 
 
-def _source(model: InverseModel, mathematics: Mathematics | None, marched: Marching | None, orders: int) -> str:
-    functions = dict(mathematics.functions) if mathematics else {}
+def _source(model: InverseModel, inverting: Mapping[str, ca.Function], marched: Marching | None, orders: int) -> str:
+    functions = dict(inverting)
     margins_once = "quick" in functions and all(limit.row < 0 for limit in model.limits)
     if margins_once:
         functions["begin"] = _without_margins(functions["begin"])
@@ -163,7 +168,7 @@ def _source(model: InverseModel, mathematics: Mathematics | None, marched: March
         limits=model.limits,
         functions=tuple(functions),
         has_quick="quick" in functions,
-        inverts=mathematics is not None,
+        inverts=bool(inverting),
         margins_once=margins_once,
         marches=marched is not None,
         instants=marched.instants if marched else (),
