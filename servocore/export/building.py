@@ -21,6 +21,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
+from servocore.export.c_functions import named_in_c
 from servocore.export.directional_derivatives import tangent, tangent_of_step
 from servocore.export.estimates import SampledEstimates
 from servocore.export.exported_quantities import Matrix, observation, timed_path, wanted
@@ -113,8 +114,8 @@ def inverse_model(
         | {"estimates": estimates.own() if estimates else None},
         functions={
             **compiled.functions,
-            **(feedback.functions(identifier) if feedback else {}),
-            **(estimates.renamed(identifier) if estimates else {}),
+            **(named_in_c({**feedback.laws, "judge": feedback.judge}, identifier) if feedback else {}),
+            **(named_in_c(estimates.functions, identifier) if estimates else {}),
         },
         variables=variables,
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 import casadi as ca
@@ -85,6 +85,11 @@ def renamed(function: ca.Function, name: str) -> ca.Function:
     """Return a function under another name, with dense results."""
     arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
     return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])
+
+
+def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:
+    """Return functions by name, called ``IDENTIFIER_NAME`` in C."""
+    return {name: renamed(each, f"{identifier}_{name}") for name, each in functions.items()}
 
 
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:

@@ -87,9 +87,8 @@ def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
         used = [k for k, each in enumerate(model.depends[row]) if each]
-        first = [
-            k for k in used if k < model.depends.shape[1] - model.measured
-        ]  # measured values have no effect before the first step
+        count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
+        first = [k for k in used if k < count]
         for parent, on in ((outputs, used), (initial, [*first, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
 from servocore.export.variables import Choice, order_name
-
-_NAMES = ("first_samples", "estimate", "worth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +41,6 @@ class SampledEstimates:
         items = tuple((name, f"the {name} and all below it") for name in reversed(names))
         text = "highest derivative of the path that is connected; others are estimated"
         return Choice("connected", text, items, len(names) - self.start)
-
-    def renamed(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, with their names in C.
-
-        Parameters
-        ----------
-        identifier : str
-            Prefix of names in C.
-
-        Returns
-        -------
-        dict of str to casadi.Function
-            With dense arguments and results.
-        """
-        return {name: renamed(self.functions[name], f"{identifier}_{name}") for name in _NAMES}
 
     def own(self) -> dict[str, object]:
         """Return values for the templates of the sources.

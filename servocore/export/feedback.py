@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
-from servocore.export.variables import INPUT_TIME
 from servocore.model.quantity import Quantity
 
 
@@ -51,23 +49,6 @@ class SampledFeedback:
     def numbers(self) -> int:
         """The number of measured values."""
         return sum(size or 1 for _, size in self.measured)
-
-    def functions(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, with their names in C.
-
-        Parameters
-        ----------
-        identifier : str
-            Prefix of names in C.
-
-        Returns
-        -------
-        dict of str to casadi.Function
-            With dense arguments and results.
-        """
-        names = [f"{each}_{time}" for time, _ in INPUT_TIME.items for each in ("begin", "feedback")]
-        functions_by_name = {**{name: self.laws[name] for name in names}, "judge": self.judge}
-        return {name: renamed(each, f"{identifier}_{name}") for name, each in functions_by_name.items()}
 
     def own(self) -> dict[str, object]:
         """Return values for the templates of the sources.
