@@ -304,8 +304,8 @@ def test_a_path_beside_a_time_law_is_refused() -> None:
     ("options", "sentence"),
     [
         (["--reference", "nowhere.csv"], "crane-fmu: "),
-        (["--waypoints", "early.csv"], "the path starts at t = -3 s, but the system's"),
-        (["--native", "--waypoints", "early.csv"], "the path starts at t = -3 s, but the system's"),
+        (["--waypoints", "early.csv"], "the path starts at t = -3 s, but the run of the system"),
+        (["--native", "--waypoints", "early.csv"], "the path starts at t = -3 s, but the run of the system"),
         (["--tolerance", "1e-3"], "--tolerance belongs to --reference"),
         (["--profile", "none"], "there is no profile 'none'"),
         (["--profile", "degree13", "--reference", "path.csv"], "either by --reference or by --profile"),
