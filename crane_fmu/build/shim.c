@@ -1,5 +1,5 @@
 /* The FMU's binary. In a process where Python runs it forwards every FMI function to PythonFMU's binary beside it, in any
-   other to the library in C that PythonFMU's slave hands its calls to: no Python is needed there.
+   other to the native library of the slave: no Python is needed there.
 
    PythonFMU's binary undoes no escape of an address but %20 and trusts every pointer. This one undoes all escapes,
    compares the GUID, logs the reason if an instance cannot be made, and refuses null pointers.
@@ -35,7 +35,7 @@ static struct {
     FUNCTIONS(MEMBER)
 } real;
 
-static char not_loaded[LONGEST]; /* why the library behind is not there */
+static char not_loaded[LONGEST]; /* the reason if the library is not loaded */
 
 #define SAY(text, ...) snprintf(text, LONGEST, __VA_ARGS__)
 
@@ -54,7 +54,7 @@ static void report(const fmi2CallbackFunctions *functions, fmi2String instance, 
 /* --- the library behind ------------------------------------------------------------------------------------------- */
 
 /* PythonFMU 0.7 gives its hold on Python back twice when the process ends, the second time from freed memory: now and
-   then the process was killed at its very end. Asked to give it back before, it finds nothing to do later. */
+   then the process was killed at its very end. Called before the end, it does nothing at the end. */
 static void (*give_back_python)(void);
 
 static void at_the_end(void) { give_back_python(); }
