@@ -1,7 +1,7 @@
-"""What there is, by name: formulations, methods, time laws, models of the crane, and the FMUs.
+"""Tables by name: formulations, methods, time laws, models of the crane, and the FMUs.
 
 The command line, the FMUs, their pages and their checks read the same tables. The first name of each is the default.
-What each FMU has says its model description.
+The variables of each FMU are in its model description.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
-from typing import TypeVar
 
 import servocore as sc
 from servocore.cli import choices
@@ -24,30 +23,6 @@ MODELS = tuple(sc.scenes.rotary_crane().models)
 
 PROFILES = sc.TIME_LAWS
 """Time laws of a straight line; the first is the default."""
-
-Choice = TypeVar("Choice")
-
-
-def chosen(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
-    """Look a name up; raises `InvalidSetting` with the names there are.
-
-    Parameters
-    ----------
-    table : mapping of str to Choice
-        What there is to choose from.
-    name : str
-        The name that a user gave.
-    kind : str
-        What messages call its kind.
-
-    Returns
-    -------
-    Choice
-        Its entry.
-    """
-    if name not in table:
-        raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
-    return table[name]
 
 
 # Names that the variables of several FMUs have in common --------------------------------------------------------------
@@ -76,13 +51,13 @@ def components(*vectors: str) -> tuple[str, ...]:
 
 
 PATH_INPUTS = components(*(f"load.{order}" for order in ORDERS))
-"""What the inverse model has to be told of the load path, order by order."""
+"""Inputs of the inverse model: the load path and its derivatives, order by order."""
 
 FEEDBACK_INPUTS = (
     *(f"measured.{name}" for name in ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")),
     *components("measured.position", "measured.velocity"),
 )
-"""What the feedback has to be told of the crane, in the order in which the law takes it."""
+"""Inputs of the feedback: the measured motion of the crane, in the order of the law's arguments."""
 
 
 # The FMUs ------------------------------------------------------------------------------------------------------------
@@ -93,7 +68,7 @@ Starts = Mapping[str, float | str]
 NO_STARTS: Starts = MappingProxyType({})
 
 FROM_FILE = "file"
-"""What a trajectory is told in place of a time law to follow the table that it carries."""
+"""Item of a trajectory's `profile`: the path that the FMU contains, in place of a time law."""
 
 _LOAD, _CRANE = components("load.position"), ("phi", "s", "l", "tension")
 _STARTS = components(*(f"start.{order}" for order in ORDERS))
@@ -113,7 +88,7 @@ class FmuKind:
     runs : tuple of dict
         Start values for the runs of the check.
     resting : tuple of str
-        Outputs that have to be those of a crane at rest at the end of each.
+        Outputs that must equal those of a crane at rest at the end of each run.
     """
 
     name: str
@@ -127,7 +102,7 @@ class FmuKind:
         return f"{self.name}.fmu"
 
     def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
-        """Return the runs of the check for an FMU with other start values: with a path of its own only as it is.
+        """Return the runs of the check; an FMU with a path of its own has one run, with its start values.
 
         Parameters
         ----------
@@ -137,7 +112,7 @@ class FmuKind:
         Returns
         -------
         tuple of dict
-            Start values of each run; the FMU does not have all of those that let the load rest.
+            Start values of each run, among them variables that only some of the FMUs have.
         """
         if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
             return ({},)
@@ -145,7 +120,7 @@ class FmuKind:
         return tuple(still | run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 
     def rest(self, starts: Starts) -> dict[str, float]:
-        """Return what outputs have to be at the end of each run.
+        """Return the expected outputs at the end of each run.
 
         Parameters
         ----------
@@ -163,8 +138,25 @@ class FmuKind:
         return {name: values[name] for name in self.resting}
 
 
+def crane_with(starts: Starts) -> sc.Scene:
+    """Return the rotary crane with those of some start values that are its parameters.
+
+    Parameters
+    ----------
+    starts : mapping
+        Start values by the name of the variable.
+
+    Returns
+    -------
+    Scene
+        The crane; other start values have no effect.
+    """
+    crane = sc.scenes.rotary_crane()
+    return crane.with_parameters(**{name: float(starts[name]) for name in crane.parameter_values() if name in starts})
+
+
 def at_rest(starts: Starts) -> dict[str, float]:
-    """Return what a crane's outputs are while its load hangs where it starts.
+    """Return the outputs of a crane whose load hangs at rest at its start.
 
     Parameters
     ----------
@@ -176,11 +168,10 @@ def at_rest(starts: Starts) -> dict[str, float]:
     dict of str to float
         By the name of the output, in its unit.
     """
-    crane = sc.scenes.rotary_crane()
-    path = crane.reference
-    home = zip(_STARTS, path.jet(path.start_time, 0)[0].tolist(), strict=False)
-    known = {name: float(starts.get(name, value)) for name, value in (*crane.parameter_values().items(), *home)}
-    place = [known[name] for name in _STARTS[:3]]
+    crane = crane_with(starts)
+    path, known = crane.reference, crane.parameter_values()
+    home = path.jet(path.start_time, 0)[0].tolist()
+    place = [float(starts.get(name, value)) for name, value in zip(_STARTS, home, strict=False)]
     tension = known["load_mass"] * known["gravity"]
     values = {"phi": math.atan2(place[1], place[0]), "s": math.hypot(*place[:2]), "l": -place[2], "tension": tension}
     values |= {"M_b": 0.0, "F": 0.0, "M_w": -tension * known["winch_radius"], "swing": 0.0}

@@ -1,4 +1,4 @@
-"""The demo: build the FMU, run it, compare it with everything known, and leave a report."""
+"""The demo: build the FMU, run it, compare it with the closed form, and write a report."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ LOOPS: dict[str, dict[str, float]] = {
         "plant.gust_duration": 2.0,
     },
 }
-"""Runs of the connected FMUs: what they are called and the parameters in which they differ."""
+"""Runs of the connected FMUs: parameters that differ from their defaults, by label."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo left behind.
+    """Results of the demo.
 
     Attributes
     ----------
     folder : Path
-        Where it is.
+        Folder of the files.
     files : tuple of str
-        What is there, relative to `folder`.
+        The files, relative to `folder`.
     summary : tuple of str
-        What the default gives, then what the scheme of the paper gives, as sentences.
+        Sentences on the results of the default, then of the scheme of the paper.
     tables : tuple of Table
         The results as tables of texts.
     notes : tuple of str
-        What was left out, as sentences.
+        Sentences on omitted parts.
     """
 
     folder: Path
@@ -74,7 +74,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
     Returns
     -------
     Demo
-        Where everything is, and the tables.
+        Files, sentences and tables.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def build_system(folder: Path, announce: Announce) -> Path:
     folder : Path
         The folder of the demo.
     announce : callable
-        Called with what is being done.
+        Called with a description of each stage.
 
     Returns
     -------
@@ -137,9 +137,9 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
     scene : Scene
         The rotary crane.
     system : Path
-        What `build_system` returned.
+        The file of the system.
     announce : callable
-        Called with what is being done.
+        Called with a description of each stage.
 
     Returns
     -------
@@ -150,13 +150,13 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
     for label, parameters in LOOPS.items():
         announce(f"running the connected FMUs, {label}")
         found = run_ssp(system, scene.reference.duration, STEP, parameters)
-        wanted, driven = (
+        prescribed, driven = (
             np.column_stack([found[name] for name in components(f"{component}.load.position")])
             for component in ("trajectory", "plant")
         )
         begin = parameters.get("plant.gust_start")
         gust = None if begin is None else (begin, begin + parameters["plant.gust_duration"])
-        runs.append(LoadRun(label, found["time"], wanted, driven, gust))
+        runs.append(LoadRun(label, found["time"], prescribed, driven, gust))
     return runs
 
 

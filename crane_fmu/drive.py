@@ -1,4 +1,4 @@
-"""Drive any plant, as an FMU of the user's own, by our inputs, and see how far its load leaves the path."""
+"""Drive the user's plant, as an FMU, by feedforward inputs, and measure the tracking error of its load."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
 
 GIVEN, SEEN = ("M_b", "F", "M_w"), ("x", "y", "z")
-"""What the plant is given, and what has to be seen of it: the load's position."""
+"""Inputs of the plant, and its observed outputs: the position of the load."""
 
 STEP = 0.01
-"""Longest communication step in s, where none is asked for."""
+"""Longest default communication step in s."""
 
 _OWN = dict(zip(SEEN, components("load.position"), strict=True))  # names in CranePlant.fmu
 
 
 @dataclass(frozen=True)
 class Driven:
-    """Where the load should have been, and where it was.
+    """Prescribed and simulated positions of the load.
 
     Attributes
     ----------
     t : ndarray, shape (n,)
         Times in s.
-    wanted, found : ndarray, shape (n, 3)
+    prescribed, found : ndarray, shape (n, 3)
         Positions of the load in m.
     """
 
     t: Array
-    wanted: Array
+    prescribed: Array
     found: Array
 
     @property
     def distances(self) -> Array:
-        """Of the load from its path in m, shape (n,)."""
-        distances: Array = np.linalg.norm(self.found - self.wanted, axis=1)
+        """Tracking errors of the load in m, shape (n,)."""
+        distances: Array = np.linalg.norm(self.found - self.prescribed, axis=1)
         return distances
 
     def sentences(self) -> tuple[str, ...]:
-        """Say how far the load left its path.
+        """Describe the tracking error.
 
         Returns
         -------
@@ -60,14 +60,14 @@ class Driven:
             f" at the end it is {1e3 * off[-1]:.3g} mm away.",
         )
         if off[0] > 1e-3:
-            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
+            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.prescribed[0])
             messages += (
                 f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m.",
             )
         return messages
 
     def table(self) -> str:
-        """Return positions, found and wanted, and distances as the text of a CSV file.
+        """Return simulated and prescribed positions, and distances, as the text of a CSV file.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class Driven:
             A header and a row for each instant, in s and m.
         """
         names = ["time", *(column for name in SEEN for column in (name, f"{name}_wanted")), "distance"]
-        both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
+        both = np.stack([self.found, self.prescribed], axis=2).reshape(len(self.t), -1)
         return csv_text(names, [self.t, both, self.distances])
 
 
@@ -91,11 +91,12 @@ def drive(
     Parameters
     ----------
     plant : Path
-        An FMU that takes M_b, F, M_w and tells the load's position.
+        An FMU with inputs M_b, F, M_w and outputs for the load's position.
     crane : Scene
         With its path, parameters and limits.
     names : mapping of str to str
-        The plant's variables by our names; what is not mapped has our name, or that in CranePlant.fmu.
+        The plant's variables by the names in `GIVEN` and `SEEN`; other signals have these names, or those in
+        CranePlant.fmu.
     starts : mapping of str to float
         The plant's start values.
     step : float, optional
@@ -104,12 +105,12 @@ def drive(
     Returns
     -------
     Driven
-        Where the load should have been and where it was.
+        Prescribed and simulated positions.
 
     Raises
     ------
     InvalidSetting
-        If a name is none of ours, or the FMU cannot be read or lacks a variable.
+        If a name is unknown, or the FMU cannot be read or lacks a variable.
     IntegrationFailed
         If it does not reach the end of the path.
     """
@@ -133,27 +134,27 @@ def drive(
     )
     outputs = [theirs[name] for name in SEEN]
     found = simulated(plant, rows, step, starts, outputs)
-    wanted = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
-    return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
+    prescribed = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
+    return Driven(found["time"], prescribed, np.stack([found[name] for name in outputs], axis=1))
 
 
 def _variables(plant: Path) -> dict[str, str]:
     """Return the causality of an FMU's variables by name."""
     try:
         described = fmpy.read_model_description(str(plant), validate=False)
-    except Exception as error:  # FMPy raises what its parts raise
-        reason = getattr(error, "strerror", None) or error  # without the number that the machine has for it
+    except Exception as error:  # FMPy raises any exception of its parts
+        reason = getattr(error, "strerror", None) or error  # without the number of the system error
         raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
     return {variable.name: variable.causality for variable in described.modelVariables}
 
 
 def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str, str]) -> str:
-    """Return what a signal is called in the plant."""
-    wanted = ("input",) if name in GIVEN else ("output", "local")
+    """Return the plant's name of a signal."""
+    kinds = ("input",) if name in GIVEN else ("output", "local")
     candidates = [names[name]] if name in names else [name, _OWN.get(name, name)]
     for candidate in candidates:
-        if known.get(candidate) in wanted:
+        if known.get(candidate) in kinds:
             return candidate
-    there = ", ".join(each for each, causality in known.items() if causality == wanted[0]) or "none"
-    what = f"no {wanted[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
-    raise sc.InvalidSetting(f"{plant.name} has {what}; its {wanted[0]}s are {there}")
+    there = ", ".join(each for each, causality in known.items() if causality == kinds[0]) or "none"
+    missing = f"no {kinds[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
+    raise sc.InvalidSetting(f"{plant.name} has {missing}; its {kinds[0]}s are {there}")

@@ -1,4 +1,4 @@
-"""Run FMUs in a simulation tool, FMPy, and make sure that they ran to the end."""
+"""Run FMUs in a simulation tool, FMPy, and check that they reach the end."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
     Raises
     ------
     IntegrationFailed
-        If the FMU does not reach the end of the path; the sentence holds what it said.
+        If the FMU does not reach the end of the path, with the message of the FMU.
     """
     return simulated(fmu, input_rows(reference, step), step, numbered(fmu, start_values))
 
@@ -60,7 +60,7 @@ def simulated(
     Parameters
     ----------
     fmu : Path
-        The FMU's file, of anybody.
+        The file of any FMU.
     rows : structured ndarray, shape (n,)
         Inputs by the names of the variables, ``time`` first.
     step : float
@@ -68,22 +68,22 @@ def simulated(
     start_values : mapping of str to float or int
         Values of variables that differ from their defaults.
     outputs : sequence of str, optional
-        What is recorded; all outputs when not given.
+        Recorded outputs; all by default.
 
     Returns
     -------
     dict of str to ndarray
-        What was recorded by name, and ``time``.
+        The recorded outputs by name, and ``time``.
 
     Raises
     ------
     IntegrationFailed
-        If the FMU does not reach the end; the sentence holds what it said.
+        If the FMU does not reach the end, with the message of the FMU.
     """
     begin, end, messages = float(rows["time"][0]), float(rows["time"][-1]), list[str]()
 
-    def listen(*told: Any) -> None:
-        _component, _instance, status, _category, message = told
+    def listen(*arguments: Any) -> None:
+        _component, _instance, status, _category, message = arguments
         if status > 0:  # not OK
             messages.append(message.decode(errors="replace"))
 
@@ -95,10 +95,10 @@ def simulated(
             )  # fmt: skip
     except Exception as error:  # a user's FMU may fail in any way
         raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
-    last, wanted = float(found["time"][-1]) if len(found) else begin, round((end - begin) / step) + 1
+    last, count = float(found["time"][-1]) if len(found) else begin, round((end - begin) / step) + 1
     if last < end - 0.5 * step:  # FMPy ends silently at a discarded step
         raise sc.IntegrationFailed(
-            f"{fmu.name} stopped at t = {last:.6g} s of {end:.6g} s after {len(found)} of {wanted} rows:"
+            f"{fmu.name} stopped at t = {last:.6g} s of {end:.6g} s after {len(found)} of {count} rows:"
             f" {messages[-1] if messages else 'it did not say why'}"
         )
     return {name: found[name] for name in found.dtype.names}
@@ -159,7 +159,7 @@ def run_ssp(
     Raises
     ------
     IntegrationFailed
-        If an FMU refuses a step; what it said is lost, for that master listens to no messages.
+        If an FMU refuses a step; its message is not available, since that master has no logger.
     """
     values = [SimpleNamespace(name=name, value=value) for name, value in (parameters or {}).items()]
     try:
@@ -175,10 +175,10 @@ def run_ssp(
 
 @contextmanager
 def nothing_left() -> Iterator[None]:
-    """Leave nothing behind of FMUs that run inside: neither their unpacked folders nor the modules from there.
+    """Remove the unpacked folders of FMUs that run inside, and the modules imported from there.
 
-    FMPy deletes those folders after good runs only. In a Python process an FMU of ours imports from its folder: what
-    stays would be taken for that of the next FMU of the same name, also while this process builds one.
+    FMPy deletes those folders after successful runs only. In a Python process our FMUs import modules from their
+    folders: the next FMU of the same name would use those that are left, also while this process builds one.
 
     Yields
     ------

@@ -157,7 +157,7 @@ def test_marching_ends_with_a_step_onto_another_branch() -> None:
     found, verdicts = crane.march(beside_axis.jet(times, 4), h)
     beyond = int(np.argmax(verdicts != 0))
     assert 20 < beyond < 30  # where the bridge would have to turn within a step
-    assert crane.about["verdicts"][verdicts[beyond]] == "the solution is another one than the one wanted"
+    assert crane.about["verdicts"][verdicts[beyond]] == "the solution is on another branch than the intended one"
     assert {crane.about["verdicts"][k] for k in verdicts[beyond + 1 :]} == {"the equations are not solved"}
     assert np.isnan(found["F"][beyond:]).all()
 

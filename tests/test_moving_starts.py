@@ -158,7 +158,9 @@ def test_a_plant_of_another_scene_begins_in_a_motion_to_its_last_derivative() ->
 def test_a_path_that_moves_later_than_the_run_starts_is_refused(variant: list[str], tmp_path: Path) -> None:
     file = rows(tmp_path / "path.csv", WHOLE, (8.0, 20.0), 3.0)
     refused = run("ssp", "-o", tmp_path / "out", "--reference", file, *variant)
-    run.assert_refused(refused, "the path starts in motion at t = 5 s, with a velocity of 0.823 m/s", "run at 0 s")
+    run.assert_refused(
+        refused, "the path starts in motion at t = 5 s, with a velocity of 0.823 m/s", "run of the system starts at 0 s"
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -171,7 +173,7 @@ def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(varia
     done = run("ssp", "-o", tmp_path / "out", "--reference", file, *variant)
     assert done.exit_code == 0, done.output
     assert (
-        "the path ends in motion at t = 8 s, with a velocity of 0.482 m/s: run the system until then only"
+        "the path does not end at rest, but at t = 8 s with a velocity of 0.482 m/s: run the system until then only"
         in done.stderr
     )
     system, path = tmp_path / "out" / "Crane.ssp", sc.from_csv(file)

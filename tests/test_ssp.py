@@ -24,7 +24,7 @@ from fmu_host import Host, fmu_file, in_a_process, only_one, scratch
 
 import servocore as sc
 from crane_fmu.build import SystemOptions, build_ssp
-from crane_fmu.build.ssp import COMPONENTS, connections, described, description, read_again
+from crane_fmu.build.ssp import COMPONENTS, connections, described, description
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli.commands import app
 from crane_fmu.run import nothing_left
@@ -204,9 +204,10 @@ def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_path_so_slow_that_its_times_look_like_milliseconds_is_played() -> None:
+def test_a_path_so_slow_that_its_times_look_like_milliseconds_is_played(tmp_path: Path) -> None:
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (4.8, 0.0, -5.0), 2000.0)
-    read = read_again(sc.path_to_csv(path))
+    (tmp_path / "path.csv").write_text(sc.path_to_csv(path))
+    read = sc.from_csv(tmp_path / "path.csv")
     np.testing.assert_allclose(read.jet(700.0, 4), path.jet(700.0, 4), rtol=1e-9)
 
 
@@ -303,8 +304,8 @@ def test_a_path_beside_a_time_law_is_refused() -> None:
     ("options", "sentence"),
     [
         (["--reference", "nowhere.csv"], "crane-fmu: "),
-        (["--waypoints", "early.csv"], "the path starts at t = -3 s, but the system's"),
-        (["--native", "--waypoints", "early.csv"], "the path starts at t = -3 s, but the system's"),
+        (["--waypoints", "early.csv"], "the path starts at t = -3 s, but the run of the system"),
+        (["--native", "--waypoints", "early.csv"], "the path starts at t = -3 s, but the run of the system"),
         (["--tolerance", "1e-3"], "--tolerance belongs to --reference"),
         (["--profile", "none"], "there is no profile 'none'"),
         (["--profile", "degree13", "--reference", "path.csv"], "either by --reference or by --profile"),

@@ -1,7 +1,6 @@
 """Making FMUs: archive, model description, pages, the library for native hosts, the system, cross-check files."""
 
-from crane_fmu.build.crosscheck import STEP
 from crane_fmu.build.fmu import build_fmu, main
-from crane_fmu.build.ssp import SystemOptions, build_ssp
+from crane_fmu.build.ssp import STEP, SystemOptions, build_ssp
 
 __all__ = ["STEP", "SystemOptions", "build_fmu", "build_ssp", "main"]

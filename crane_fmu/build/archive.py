@@ -1,8 +1,8 @@
-"""The archive of an FMU: PythonFMU's, around the libraries and the description of the native FMU of the same kind.
+"""The archive of a PythonFMU: a slave around the libraries and the description of the native FMU of the same kind.
 
-All FMUs of one Python process share its modules, so the bundled sources become one package whose name holds a hash of
-all its content: builds never meet each other, nor an installed servocore. The archive is packed again in fixed order
-with fixed dates: equal sources give equal bytes.
+All FMUs of one Python process share its modules. The sources in an FMU are therefore a package whose name contains a
+hash of its content: different builds do not collide, nor with an installed servocore. The order and the dates of the
+members are fixed: equal sources give equal bytes.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from servocore.export.targets import libraries
 from servocore.files import xml_document, zipped
 
 Progress = Callable[[str], None]
-"""Called with what is being done."""
+"""Called with a phrase for every stage."""
 
 DATE, AUTHOR = "2026-01-01T00:00:00Z", "The authors of servocore"
-"""Of every FMU: two builds of one source shall be equal."""
+"""The same in every FMU, so that two builds of one source are equal."""
 
 PREFIX = "rotary_crane_"
-"""How the names of all entry modules begin."""
+"""Prefix of the names of all entry modules."""
 
 REAL_BINARY = "pythonfmu.so"
-"""Name of PythonFMU's binary beside the one in front of it."""
+"""Name of PythonFMU's own binary, which `shim.c` loads in Python processes."""
 
 _TOOL = "servocore"
 _HERE = Path(__file__).parent
@@ -47,19 +47,19 @@ import ctypes as _ctypes
 
 from {bundle} import kernel as _kernel
 
-# For every instance PythonFMU 0.7 gives away a reference to this module's names that it does not own; without one
-# more each time, they would be destroyed when none is left, and a later instance would find an empty module.
+# For every instance PythonFMU 0.7 releases a reference to this module's namespace that it does not own. Without one
+# more reference for each, the namespace would be destroyed, and a later instance would find an empty module.
 _ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 
 class {name}(_kernel.Slave):
-    """What the host sees; everything else is in the bundle."""
+    """The slave class; its code is in the bundle."""
     token = {token!r}
 '''
 
 
 def packed(native: bytes, kind: FmuKind) -> bytes:
-    """Return the archive of an FMU whose slave hands its calls to the libraries of a native one.
+    """Return the archive of an FMU whose slave forwards its calls to the libraries of a native one.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
 
 
 def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str, dict[str, str | bytes]]:
-    """Return the name of the entry module, unique to the content, and what PythonFMU packs: it and its bundle."""
+    """Return the name of the entry module, unique to the content, and the files for PythonFMU: module and bundle."""
     from crane_fmu.slave import kernel  # noqa: PLC0415 - it needs PythonFMU, which native FMUs are built without
 
     slave = Path(kernel.__file__).read_text(encoding="utf-8")
@@ -104,7 +104,7 @@ def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str
     bundle = f"{entry}_bundle"
     return entry, {
         f"{entry}.py": _ENTRY.format(bundle=bundle, name=kind.name, token=token),
-        f"{bundle}/__init__.py": f'"""What {kind.file_name} runs on."""\n',
+        f"{bundle}/__init__.py": f'"""The runtime of {kind.file_name}."""\n',
         f"{bundle}/kernel.py": slave,
         **{f"{bundle}/{kernel.LIBRARIES}/{path}": library for path, library in behind.items()},
     }
@@ -113,8 +113,8 @@ def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str
 def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | bytes]) -> dict[str, bytes]:
     """Let PythonFMU pack an entry module and its bundle, and return the members of its archive.
 
-    Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
-    for those it packs, and find no slave that is its own.
+    Modules that an FMU of the same content has left in this process are dropped first: the builder would import them
+    in place of those that it packs, and find no slave.
     """
     from pythonfmu.builder import FmuBuilder  # noqa: PLC0415
 
@@ -135,7 +135,7 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
 
 
 def _rearranged(members: Mapping[str, bytes], entry: str) -> dict[str, bytes]:
-    """Move PythonFMU's own modules into the bundle, those that are needed, and import them from there."""
+    """Move the required modules of PythonFMU into the bundle, and import them from there."""
     home = f"resources/{entry}_bundle/"
     kept = {f"resources/pythonfmu/{name}.py": f"{home}pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
     result = {f"{home}pythonfmu/__init__.py": b""}
@@ -148,9 +148,9 @@ def _rearranged(members: Mapping[str, bytes], entry: str) -> dict[str, bytes]:
 
 
 def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
-    """Return a native FMU's model description with what PythonFMU makes different; notes are a vendor annotation.
+    """Return a native FMU's model description, changed for PythonFMU; notes become a vendor annotation.
 
-    Outputs change in doStep only, so no input feeds through then, and no derivatives of them are offered.
+    Outputs change in doStep only: there is no direct feedthrough, and there are no directional derivatives.
     """
     root = ET.fromstring(native)
     root.attrib |= {"modelName": name, "generationDateAndTime": DATE, "author": AUTHOR, "license": "MIT"}
@@ -170,17 +170,17 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
 
 
 def _licence(package: str) -> bytes:
-    """Return the terms under which a package's files may be passed on."""
+    """Return the licence of a package."""
     found = [file for file in metadata.files(package) or () if file.name.upper().startswith("LICENSE")]
     if not found:
-        raise sc.ServocoreError(f"the installed {package} has no licence file to pass on with the FMU")
+        raise sc.ServocoreError(f"the installed {package} has no licence file to distribute with the FMU")
     return found[0].read_binary()
 
 
 def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:
-    """Return path and content of the binary for 64-bit Linux, with which hosts that are not Python run the FMU too.
+    """Return path and content of the binary for 64-bit Linux: hosts that are not Python run the FMU with it too.
 
-    There it hands every call to the library in C that the slave uses; see `shim.c`, which the texts are defined in.
+    In such hosts it forwards every call to the native library of the slave; see `shim.c`, where the texts are macros.
     """
     shim = (_HERE / "shim.c").read_text(encoding="utf-8")
     config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())

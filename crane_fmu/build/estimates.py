@@ -1,16 +1,14 @@
-"""Estimation of derivatives of the load path that are not connected, in CasADi: memory in, memory and path out.
+"""Estimation of derivatives of the load path that are not connected, as CasADi functions with a memory.
 
-Model: near its newest sample the k-th derivative of the path is a polynomial of degree 6 - k plus errors of the
-samples, rounding included, that are independent and of one size. Polynomials are fitted by least squares to the last
-7 - k samples (an interpolation), and to more and more of them. The longer the window the less of the errors comes
-through, and the more the path differs from a polynomial: the longest window is taken whose snap agrees, to what the
-errors explain, with those of all shorter ones (Lepski's rule). Their size is learnt from residuals of the shortest
-window that has some. Where samples are exact the shortest window wins: derivative j then has an error of order
-h^(7 - j), snap one of h^3.
+Model: near its newest sample the k-th derivative of the path is a polynomial of degree 6 - k plus independent errors
+of the samples of equal variance, rounding included. Polynomials are fitted by least squares to the last 7 - k samples
+(an interpolation), and to longer windows. A longer window reduces the effect of the errors, but the path differs more
+from a polynomial: the longest window is used whose snap agrees, within the errors, with those of all shorter ones
+(Lepski's rule). The variance is estimated from residuals of the shortest window that has some. With exact samples the
+shortest window is used: the error of derivative j is O(h^(7 - j)), that of snap O(h^3).
 
-A fit is a sum over polynomials that are orthogonal on the samples, made by their recurrence of three terms: that
-needs no factorization, whatever the times of the samples are. Windows of similar length share a function, in which
-places of samples are left out.
+A fit is a sum over polynomials that are orthogonal on the samples, from their three-term recurrence: no factorization
+is needed, for any times of the samples. Windows of similar length share a function, where some places stay empty.
 """
 
 from __future__ import annotations
@@ -26,40 +24,40 @@ import servocore as sc
 from crane_fmu.catalogue import DIMENSION, NO_STARTS, ORDERS, Starts
 
 SHORTEST_STEP = 1e-6
-"""Below this many seconds second differences drown in round-off: a sample is left out."""
+"""Shortest step in s whose sample is used: below it second differences are round-off."""
 
 SAMPLES = len(ORDERS) + 2
-"""Samples that it takes to know the derivatives above a position; one less for each derivative that is connected."""
+"""Number of samples for the derivatives of a position; one less for each connected derivative."""
 
-_MORE = (0, 2, 6, 12, 20, 32, 48, 72, 104, 150)  # samples of windows more than an interpolation takes
-_PLACES = (13, 13, 13, 27, 27, 55, 55, 157, 157, 157)  # for samples in the function that fits
+_MORE = (0, 2, 6, 12, 20, 32, 48, 72, 104, 150)  # samples of each window beyond those of an interpolation
+_PLACES = (13, 13, 13, 27, 27, 55, 55, 157, 157, 157)  # for samples in the function of each window
 _MOST = _MORE[-1] + SAMPLES
 _ROWS, _HIGHEST = len(ORDERS), len(ORDERS) - 1
 _ROUNDING = 2e-16
-_EVEN = 1e-11  # of a step: spacings that differ by less count as equal
+_EVEN = 1e-11  # of a step: largest difference of equal spacings
 _RISE, _FALL = 1.0 / 4.0, 1.0 / 64.0  # shares of the newest residual in the estimated noise
-_ABSURD = 20.0  # m/s4: a larger snap is taken for an error of the samples
+_ABSURD = 20.0  # m/s4: a larger snap is an error of the samples
 _AGREE = 3.5  # standard deviations
-_STANDSTILL = 3e-6  # a first change of the samples up to this, in SI units, is no motion
-_DOUBT = 0.05  # of the peak of M_b: a larger error of what is estimated is told
-_SLIGHT_TORQUE = 0.002  # of the load's weight times s: peaks below count as that much
+_STANDSTILL = 3e-6  # largest first change of the samples at rest, in SI units
+_DOUBT = 0.05  # of the peak of M_b: a larger error of the estimates causes a warning
+_SLIGHT_TORQUE = 0.002  # of the load's weight times s: least value of the peak
 _M_B, _S = 0, 4  # places among the outputs
 
 SIZES = {"times": _MOST, "values": _MOST * DIMENSION, "count": 1, "age": 1, "variance": 1}
-"""What the memory holds: times of the samples in s, the newest, which comes last, 0; the highest connected derivative
-then, x before y before z; how many there are; the time since the newest; the estimated variance of a sample's error,
+"""Layout of the memory: times of the samples in s relative to the newest, the last; the highest connected derivative
+at these times, component by component; number of samples; time since the newest; estimated variance of their errors,
 negative before the first estimate."""
 
 
 def estimates_of(crane: sc.Scene, starts: Starts = NO_STARTS) -> sc.SampledEstimates:
-    """Return the estimation for a crane's inverse model, with a sentence for each order that may be the last connected.
+    """Return the estimator for a crane's inverse model, with warnings for each highest connected derivative.
 
     Parameters
     ----------
     crane : Scene
-        Of whose load a path is told.
+        The crane.
     starts : mapping of str to float or str
-        Start values: of ``connected``, where there is one.
+        Start values, of ``connected`` among them.
     """
     model = crane.model()
     functions = _first(), _estimate(), _worth(len(model.inputs) + len(model.observables))
@@ -82,32 +80,32 @@ def estimates_of(crane: sc.Scene, starts: Starts = NO_STARTS) -> sc.SampledEstim
 
 
 def _first() -> ca.Function:
-    told, order = ca.MX.sym("told", _ROWS * DIMENSION), ca.MX.sym("order")
-    values = ca.vertcat(ca.MX.zeros(_MOST - 1, DIMENSION), _sampled(told, order))
+    given_path, order = ca.MX.sym("path", _ROWS * DIMENSION), ca.MX.sym("order")
+    values = ca.vertcat(ca.MX.zeros(_MOST - 1, DIMENSION), _sampled(given_path, order))
     memory = ca.vertcat(ca.MX.zeros(_MOST), ca.vec(values), 1, 0, -1)
-    return ca.Function("first_samples", [told, order], [memory])
+    return ca.Function("first_samples", [given_path, order], [memory])
 
 
 def _estimate() -> ca.Function:
-    sizes = {"memory": sum(SIZES.values()), "told": _ROWS * DIMENSION, "h": 1, "at_end": 1, "order": 1}
+    sizes = {"memory": sum(SIZES.values()), "path": _ROWS * DIMENSION, "h": 1, "at_end": 1, "order": 1}
     given = [ca.MX.sym(name, size) for name, size in sizes.items()]
-    memory, told, h, at_end, order = given
+    memory, given_path, h, at_end, order = given
     times, values, count, age, variance = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])
     values = ca.reshape(values, _MOST, DIMENSION)
     elapsed, taken = age + ca.if_else(at_end, h, 0), h >= SHORTEST_STEP
-    more = _with_sample(times, values, count, _sampled(told, order), elapsed, order)
+    more = _with_sample(times, values, count, _sampled(given_path, order), elapsed, order)
     times, values, count = (ca.if_else(taken, new, old) for new, old in zip(more, (times, values, count), strict=True))
     age = ca.if_else(taken, 0, elapsed) + ca.if_else(at_end, 0, h)
     rows, error, variance, known = _estimated(times, values, count, variance, order)
     found = ca.vertcat(ca.MX.zeros(1, DIMENSION), (_differences() == order) @ rows)
     connected = ca.MX(ca.DM([k for k in range(_ROWS) for _ in range(DIMENSION)])) <= order
-    path = ca.if_else(connected, told, ca.vec(found.T))
+    path = ca.if_else(connected, given_path, ca.vec(found.T))
     after = ca.vertcat(times, ca.vec(values), count, age, variance)
     return ca.Function("estimate", given, [after, path, error, known])
 
 
 def _worth(outputs: int) -> ca.Function:
-    """Return what an error is worth; it is asked only where the error is known."""
+    """Return (error of snap, path, outputs, p, peak so far) -> (peak of M_b, error of M_b, error to warn of)."""
     sizes = {"error": 1, "path": _ROWS * DIMENSION, "outputs": outputs, "p": 6, "peak": 1}
     given = [ca.SX.sym(name, size) for name, size in sizes.items()]
     error, path, found, p, before = given
@@ -118,27 +116,27 @@ def _worth(outputs: int) -> ca.Function:
 
 
 def _differences() -> ca.MX:
-    """Return by how much derivatives 1, 2, ... of the path are higher than derivatives 1, 2, ... of the samples."""
+    """Return the differences in order between derivatives 1, 2, ... of the path and of the samples."""
     return ca.MX(ca.DM([[path - sample for sample in range(1, _ROWS)] for path in range(1, _ROWS)]))
 
 
 def _only(number: ca.MX | int, numbers: Sequence[int]) -> ca.MX:
-    """Return a row of ones and zeros: one where a number is."""
+    """Return a row with one where `numbers` equal a number, and zero elsewhere."""
     return ca.MX(ca.DM(list(numbers)).T) == number
 
 
-def _sampled(told: ca.MX, order: ca.MX) -> ca.MX:
+def _sampled(given_path: ca.MX, order: ca.MX) -> ca.MX:
     """Return the derivative of an order as a row."""
-    return _only(order, range(_ROWS)) @ ca.reshape(told, DIMENSION, _ROWS).T
+    return _only(order, range(_ROWS)) @ ca.reshape(given_path, DIMENSION, _ROWS).T
 
 
 def _with_sample(
     times: ca.MX, values: ca.MX, count: ca.MX, row: ca.MX, elapsed: ca.MX, order: ca.MX
 ) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Return samples with one more; if it is told for the instant of the newest it replaces it."""
+    """Return samples with a new one, which replaces the newest if it has the same time."""
     newest = values[-1, :]
     small = _STANDSTILL + elapsed ** (_HIGHEST - order)
-    rests = ca.logic_and(count == 1, ca.norm_inf(row - newest) <= small)  # a load at rest has rested before
+    rests = ca.logic_and(count == 1, ca.norm_inf(row - newest) <= small)  # a load at rest was at rest before
     past = ca.MX(ca.DM(range(1 - _MOST, 0)))
     after = ca.vertcat(ca.if_else(rests, elapsed * past, times[1:] - elapsed), 0)
     held = [ca.if_else(rests, newest[k], values[1:, k]) for k in range(DIMENSION)]
@@ -153,7 +151,7 @@ def _with_sample(
 def _estimated(
     times: ca.MX, values: ca.MX, count: ca.MX, variance: ca.MX, order: ca.MX
 ) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-    """Return derivatives 1 to 4 of the samples at the newest, the snap's error, variance, whether they are known."""
+    """Return derivatives 1 to 4 of the samples at the newest, the error of snap, variance, whether they are known."""
     fits = {n: _fit(n) for n in sorted(set(_PLACES))}
     tried = {n: _longer(n, fit) for n, fit in fits.items()}
     first, second_fit = fits[_PLACES[0]], fits[_PLACES[1]]
@@ -178,7 +176,7 @@ def _estimated(
         going = ca.logic_and(going, count > degree + _MORE[k])
         given = *_last(times, values, k), degree + 1 + _MORE[k], degree, top, size, k
         going, *state = tried[_PLACES[k]](going, *state, *given)
-    known = ca.logic_or(ca.logic_not(few), count == 1)  # one sample tells nothing of a motion
+    known = ca.logic_or(ca.logic_not(few), count == 1)  # from one sample the load is at rest
     return state[0], ca.if_else(few, 0, error + _AGREE * state[1]), variance, known
 
 
@@ -187,16 +185,16 @@ def _last(times: ca.MX, values: ca.MX, window: int) -> tuple[ca.MX, ca.MX]:
 
 
 def _learnt(variance: ca.MX, newest: ca.MX) -> ca.MX:
-    """Return the variance after a new residual: it rises fast and falls slowly."""
+    """Return the variance after a new residual; it rises fast and falls slowly."""
     share = ca.if_else(newest > variance, _RISE, _FALL)
     return ca.if_else(variance < 0, newest, variance + share * (newest - variance))
 
 
 def _longer(n: int, fit: ca.Function) -> ca.Function:
-    """Return what tries a further window, which is fitted only while all before have agreed.
+    """Return a function that compares a further window; it is fitted only if all shorter ones agree.
 
-    It is given whether they have, derivatives that are chosen, the spread of their snap, snaps and spreads of all
-    windows, and more; it returns the same with that window.
+    Its arguments are whether they agree, the chosen derivatives, the spread of their snap, snaps and spreads of all
+    windows, and the samples; its results are the first of these, with that window.
     """
     sizes = {"chosen": (_HIGHEST, DIMENSION), "wide": (1, 1), "found": (len(_MORE), DIMENSION)}
     sizes |= {"spreads": (len(_MORE), 1), "times": (n, 1), "values": (n, DIMENSION), "count": (1, 1), "degree": (1, 1)}
@@ -206,7 +204,9 @@ def _longer(n: int, fit: ca.Function) -> ca.Function:
     rows, spread, *_ = fit(*samples)
     snap, spread = top @ rows, top @ spread * size
     apart = [found[:, k] - snap[k] for k in range(DIMENSION)]
-    far = ca.sqrt(sum(each**2 for each in apart)) > _AGREE * (spreads + spread)  # of windows to come nothing is
+    far = ca.sqrt(sum(each**2 for each in apart)) > _AGREE * (
+        spreads + spread
+    )  # spreads of longer windows are infinite
     agrees, here = ca.mmax(far) == 0, _only(place, range(len(_MORE))).T
     after = [agrees, ca.if_else(agrees, rows, chosen), ca.if_else(agrees, spread, wide)]
     after += [ca.horzcat(*(ca.if_else(here, snap[k], found[:, k]) for k in range(DIMENSION)))]
@@ -217,14 +217,14 @@ def _longer(n: int, fit: ca.Function) -> ca.Function:
 
 
 def _fit(n: int) -> ca.Function:
-    """Return what fits a polynomial to at most n samples: (times, values, their number, degree) -> its results.
+    """Return the fit of a polynomial to at most n samples: (times, values, their number, degree) -> results.
 
-    Results are derivatives 1 to 4 of the polynomial at the last time, their standard deviations for errors of size one,
-    by how much an error of the newest sample comes out in them, and the mean variance of errors that residuals tell.
+    Results are derivatives 1 to 4 of the polynomial at the last time, their standard deviations for errors of unit
+    variance, their sensitivities to an error of the newest sample, and the mean variance of the residuals.
     """
     times, values = ca.MX.sym("times", n), ca.MX.sym("values", n, DIMENSION)
     count, degree = ca.MX.sym("count"), ca.MX.sym("degree")
-    place = ca.MX(ca.DM(range(1 - n, 1)))  # 0 is the newest
+    place = ca.MX(ca.DM(range(1 - n, 1)))  # the newest is 0
     inside = place > -count
     span = ca.if_else(count > 1, ca.mmax(ca.if_else(inside, -times, 0)), 1)
     gaps = ca.fmax(count - 1, 1)
@@ -247,10 +247,10 @@ def _fit(n: int) -> ca.Function:
 
 
 def _polynomial(n: int) -> ca.Function:
-    """Return one term of a fit: (nodes, degrees to go, the polynomial before, this one, ...) -> what the next is given.
+    """Return one term of a fit: (nodes, number of further degrees, state) -> state for the next term.
 
-    What is handed on: both polynomials at the nodes, the square of the norm of the one before, both with derivatives
-    at the newest sample, residuals, and the sums over all terms: derivatives, squares of their weights, newest weights.
+    The state: the previous polynomial and this one at the nodes, the squared norm of the previous one, both with
+    derivatives at the newest sample, residuals, and sums over all terms: derivatives, squared weights, newest weights.
     """
     sizes: dict[str, tuple[int, ...]] = {"x": (n,), "more": (1,), "before": (n,), "now": (n,), "norm": (1,)}
     sizes |= {"ends": (_ROWS, 2), "left": (n, DIMENSION), "found": (_ROWS, DIMENSION), "square": (_ROWS,)}
@@ -259,7 +259,7 @@ def _polynomial(n: int) -> ca.Function:
     x, more, before, now, norm_before, ends, left, found, square, newest = given
     end_before, end = ca.horzsplit(ends)
     moved, norm = x * now, ca.dot(now, now)
-    share = ca.if_else(more >= 0, 1 / norm, 0)  # beyond the degree nothing is left to divide by
+    share = ca.if_else(more >= 0, 1 / norm, 0)  # beyond the degree norms are zero
     weights = [ca.dot(now, column) * share for column in ca.horzsplit(left)]
     a, b = ca.dot(moved, now) * share, norm / norm_before
     following = ca.if_else(more >= 1, moved - a * now - b * before, 0)
@@ -271,11 +271,11 @@ def _polynomial(n: int) -> ca.Function:
 
 
 def amplification(order: int) -> float:
-    """Return by how much an error of equidistant samples is at most amplified in the snap, in units of h^(order-4).
+    """Return the largest amplification of errors of equidistant samples in the snap, in units of h^(order-4).
 
-    That is the shortest window's: what comes through while samples are few, or while the path allows no longer one.
+    It is that of the shortest window, which is used while there are few samples or the path allows no longer one.
     """
-    count, wanted = SAMPLES - order, _HIGHEST - order
+    count, degree = SAMPLES - order, _HIGHEST - order
     nodes = np.arange(1.0 - count, 1.0)
-    weights = math.factorial(wanted) * np.linalg.inv(np.vander(nodes, increasing=True))[wanted]
+    weights = math.factorial(degree) * np.linalg.inv(np.vander(nodes, increasing=True))[degree]
     return float(np.abs(weights).sum())

@@ -1,28 +1,29 @@
-"""The feedback on the measured motion of the crane as CasADi functions: memory in, memory and inputs out.
+"""The feedback on the measured motion of the crane, as CasADi functions with a memory.
 
-Everything is designed for sampled data. Between communication points the plant's inputs run linearly; how, is known
-from the instant that the inputs of a step belong to. With *start* (a Jacobi master) the inputs computed in a step take
-effect after it, and go on as from the step before; with *end* (Gauss-Seidel) they are reached at the end of the same
-step. The state is that of trolley and load as points: there the error of the load is a coordinate, and the motion is
-nearly linear also close to the axis, where the bridge turns far. Deviations e of the state and w of the inputs follow
+The design is for sampled data. Between communication points the plant's inputs are linear in time; their course
+depends on the instant that the inputs of a step belong to. With *start* (a Jacobi master) the inputs computed in a step
+take effect after it, extrapolated with the slope of the last step; with *end* (Gauss-Seidel) they are reached at the
+end of the same step. The state is that of trolley and load as points: the error of the load is a coordinate then, and
+the motion is nearly linear also close to the axis, where the bridge turns far. Deviations e of the state and w of the
+inputs follow
 
-    e+ = A e + B w+ + B' w + delta              delta: what the path's own inputs miss, run linearly between instants
+    e+ = A e + B w+ + B' w + delta              delta: error of the path's own inputs, linear between instants
 
-    w+ = w_d - K (A (e - e_d) + B' (w - w_d))   e_d, w_d: where the load is on its path in spite of delta
+    w+ = w_d - K (A (e - e_d) + B' (w - w_d))   e_d, w_d: the load is on its path in spite of delta
 
-over a step, from the motion that has the load on its path under the force d that disturbs it: a rope that holds a load
-against a force leans as one that accelerates it. delta is computed in advance: the nonlinear crane is sent over the
-step from its place on the path. With *start* e is measured, and simulated over the step in which nothing can be changed
-any more. K minimizes the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e + B' w is part of the memory: some
-Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
-prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
+over a step, from the motion with the load on its path under a disturbance force d: a rope that holds a load against a
+force leans like one that accelerates it. delta is computed by a simulation of the nonlinear crane over the step, from
+its place on the path. With *start* e is measured, and simulated over the step whose inputs are already fixed. K
+minimizes the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e + B' w is part of the memory; some Riccati steps in
+each step adapt it along the path. d is corrected by the prediction error of the load's velocity; the prediction uses
+the inputs within the limits of the drives, so there is no windup.
 
-How long coming steps are is not known, and with *start* inputs that go on for longer than was thought go too far. So
-the law counts on steps of length H, the longest of late: M is that of steps of length H, and with *start* w+ lies
-between w and what a step from w would end at after H. Where steps are even, H = h.
+The next step sizes are unknown, and with *start* inputs that are extrapolated for longer than assumed go too far. The
+law therefore assumes steps of length H, the longest recent step: M is that of steps of length H, and with *start* w+
+lies between w and the end of a step of length H from w. With constant steps H = h.
 
-A load that is off its path when the feedback begins is not pulled at: position, velocity, acceleration and jerk of the
-load tell the whole motion, so the path gets an offset that begins with the measured ones and ends smoothly.
+For a load that is off its path when the feedback starts, the path gets an offset that begins with the measured
+position, velocity, acceleration and jerk of the load and ends smoothly.
 """
 
 from __future__ import annotations
@@ -53,36 +54,35 @@ from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
 LAW_MODEL = "points"
-"""The model of the rotary crane that the law is made from."""
+"""The model of the rotary crane in the law."""
 
 WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 0.7
-"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z."""
+"""Weights of an error of the load in m, relative to an input of 1 m/s2: largest, times squared step, that for z."""
 
 EFFORT = (1.5, 0.7, 1.0)
-"""How freely bridge, trolley and winch are used."""
+"""Relative use of bridge, trolley and winch."""
 
 LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
-"""How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
-of the load."""
+"""Rate of the disturbance estimate in 1/s, its largest share in a step, and the largest force in load weights."""
 
 RICCATI_STEPS, FIRST_DOUBLINGS = 3, 18
-"""Riccati steps by which the cost-to-go is brought up to date in a step, and how often one is doubled before the first:
-short steps or not, the cost-to-go settles at 4.6 1/s or faster, to 1e-5 in the 2.6 s that these are at 0.01 ms."""
+"""Riccati steps of the cost-to-go in each step, and doublings of one before the first step: the cost-to-go converges
+at 4.6 1/s or faster for all step sizes, to 1e-5 within 2.6 s, the time of these doublings with steps of 0.01 ms."""
 
 EASE, RECOVERY = 2.0, 0.5
-"""Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
+"""Reduction of the weights by drives at their limits: power of the available share, and rate of its end in 1/s."""
 
 FORGETTING = 0.02
-"""By how much H falls in a step, in lengths of it: the longest step is forgotten in fifty times its length."""
+"""Decrease of H in a step, in lengths of it: the longest step is forgotten in fifty times its length."""
 
 SLACK_SHARE = 0.5
-"""Of the rope's tension: more the feedback does not take away."""
+"""Largest share of the rope's tension that the feedback removes."""
 
 SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1}
 SIZES |= {"longest": 1, "known": 1, "offset": 12, "return": 3}
-"""What the memory holds: M, d, predicted state, inputs of the step before, how long drives have been at their limits
-(logarithm of a share), snap told then, its length (0: none), H, whether the prediction knew how its inputs run, the
-offset y_0 ... y_3 and the rates a at which it ends."""
+"""Layout of the memory: M, d, predicted state, inputs of the previous step, saturation of the drives (logarithm of a
+share), snap and length of the previous step (0: none), H, whether the prediction used the actual inputs, the offset
+y_0 ... y_3 and its decay rates a."""
 
 _JET = DIMENSION * len(ORDERS)
 
@@ -116,7 +116,7 @@ def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
 
 
 class _Parts:
-    """Functions that the law is made of, for both input times; where they come from says what they compute."""
+    """Functions of the law, for both input times; see the functions that make them."""
 
     def __init__(self, system: sc.MechanicalSystem) -> None:
         self.flat, self.measured, self.offset = flat_motion(), measured_state(), offset()
@@ -126,14 +126,14 @@ class _Parts:
 
 
 def _resisting(system: sc.MechanicalSystem) -> ca.Function:
-    """Return the inverse of the accelerations that forces give to the load."""
+    """Return (state, p) -> apparent mass of the load (kg), shape (3, 3)."""
     given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
     state = ca.vertcat(system.q, system.v)
     return ca.Function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))], {"cse": True})
 
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
-    """Return the inputs worth 1 m/s2 of bridge (at the trolley), trolley, winch with load, as freely as wanted."""
+    """Return the inputs for 1 m/s2 of bridge (at the trolley), trolley and winch with load, times `EFFORT`."""
     s = ca.norm_2(state[: LOAD.start])
     bridge, trolley, load, winch, radius = (p[k] for k in range(5))
     worth = bridge / s + trolley * s, trolley, (load + winch / radius**2) * radius
@@ -141,13 +141,13 @@ def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
 
 
 def _weights(h: ca.SX, strain: ca.SX | float) -> ca.SX:
-    """Return what an error of the load in x, y and z weighs."""
+    """Return the weights of an error of the load in x, y and z."""
     level, height = (ca.fmin(WEIGHT, each / h**2) for each in (WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE))
     return ca.exp(-EASE * strain) * ca.vertcat(level, level, height)
 
 
 def _inlined(name: str, rule: Callable[..., Sequence[ca.SX]], *given: ca.MX) -> Any:
-    """Return what a rule makes of some numbers, as one expression: loops over two or three numbers cost more."""
+    """Return the results of a function as one scalar expression, faster here than loops over two or three numbers."""
     symbols = [ca.SX.sym(f"i{k}", *each.shape) for k, each in enumerate(given)]
     return ca.Function(name, symbols, [ca.densify(each) for each in rule(*symbols)], {"cse": True}).call(list(given))
 
@@ -159,7 +159,7 @@ def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any,
 
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
-    """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
+    """Return the memory before the first step, with the cost-to-go of a crane at rest at its present place."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
     p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
     about = *parts.flat(jet, p), ca.MX.zeros(DRIVES), p, h
@@ -179,8 +179,8 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
     cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])
-    heard = ca.vertcat(*known), jet, before, measured, acting, p, h
-    situation = _inlined("situation", partial(_situation, parts, time), *heard)
+    given_now = ca.vertcat(*known), jet, before, measured, acting, p, h
+    situation = _inlined("situation", partial(_situation, parts, time), *given_now)
     short, longest, state, force, here, u_here, there, u_there, beyond, slope, ran, *model, offset = situation
     cost = ca.reshape(cost, STATES, STATES)
     cost, share_of, *rule = _design(parts, time, cost, (short, *model, force, p), h, longest)
@@ -194,8 +194,8 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     chosen = -alone @ z - gain @ (goes_on @ z + ahead @ w)
     more = w_d + share_of * chosen + (1 - share_of) * w
     strain = known[list(SIZES).index("strain") - 1]
-    told = u_there, more, feedforward, acting, jet, p, h, longest, share, limits, strain
-    inputs, strain = _inlined("bounded", partial(_bounded, time), *told)
+    bounded = u_there, more, feedforward, acting, jet, p, h, longest, share, limits, strain
+    inputs, strain = _inlined("bounded", partial(_bounded, time), *bounded)
     if time == "end":
         after = parts.advance(short, state, acting, (inputs - acting) / h, force, p, h)
     remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, longest, offset)
@@ -205,16 +205,16 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
 def _design(
     parts: _Parts, time: str, cost: ca.MX, model: tuple[ca.MX, ...], h: ca.MX, longest: ca.MX
 ) -> tuple[Any, ...]:
-    """Return M a step later and what the law decides by.
+    """Return M a step later and the matrices of the law.
 
-    With *start* it chooses v, which inputs would come to from w in a step of length H; w+ = w + (v - w) h / H. The
-    input then goes on by v - w in H, whatever h is, and v is what costs effort: an input that is steep would cost
-    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_functions`.
+    With *start* it determines v, the inputs at the end of a step of length H from w; w+ = w + (v - w) h / H. The slope
+    of the input is (v - w) / H for all h, and v enters the cost: a steep input would cost little at its beginning.
+    With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_functions`.
 
     Parameters
     ----------
     model : tuple of casadi.MX
-        Whether the step is short; state, inputs, efforts, weights of the step to be ruled; d, p.
+        Whether the step is short; state, inputs, efforts, weights in the controlled step; d, p.
     h, longest : casadi.MX
         This step, and H.
 
@@ -239,14 +239,14 @@ def _design(
 
 
 def _even(parts: _Parts, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
-    """Return M and what `_design` does but D, where this step has the length of those to come."""
+    """Return the results of `_design` without D, for a step of length H."""
     A, new, old, alone, *shared = given[:9]
     after, gain = parts.riccati(cost, *shared)
     return [after, A, new, old, alone, shared[0], gain]
 
 
 def _uneven(parts: _Parts, time: str, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
-    """Return what `_even` does for any step."""
+    """Return the results of `_even` for any step."""
     A, new, old, _, *shared = given[:9]
     short, state, u, efforts, weights, force, p, h, share = given[9:]
     if time == "end":
@@ -262,11 +262,11 @@ def _situation(
     parts: _Parts, time: str,
     memory: ca.SX, jet: ca.SX, before: ca.SX, measured: ca.SX, acting: ca.SX, p: ca.SX, h: ca.SX,
 ) -> Sequence[ca.SX]:  # fmt: skip
-    """Return what is known before the design, by the memory behind M, paths, what is measured and acts, p and h.
+    """Return the quantities before the design, from the memory after M, paths, measured and acting values, p and h.
 
-    That is: whether the step is short; H; state; force on the load; where path and inputs are now, a step later, and
-    where the path is when what the law decides has acted; slopes of the inputs of the path and of those that act; state
-    and inputs of the step to be ruled; efforts and weights; the memory from `known` on.
+    These are: whether the step is short; H; state; force on the load; state and inputs on the path now and a step
+    later, and the state on the path after the controlled step; slopes of the inputs of the path and of the acting
+    ones; state and inputs in the controlled step; efforts and weights; the memory from `known` on.
     """
     sizes = [size for name, size in SIZES.items() if name != "cost"]
     known = dict(zip(list(SIZES)[1:], ca.vertsplit(memory, [0, *accumulate(sizes)]), strict=True))
@@ -292,14 +292,14 @@ def _bounded(
     time: str, flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX,
     longest: ca.SX, share: ca.SX, limits: ca.SX, strain: ca.SX,
 ) -> Sequence[ca.SX]:  # fmt: skip
-    """Add to inputs of the path within what rope and drives can do; see `_feedback`. Return inputs and strain."""
-    wanted = flat + more
-    wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
-    return _within(limits, feedforward, share * (wanted - feedforward), strain - RECOVERY * h)
+    """Return inputs within the limits of rope and drives, and the saturation; see `_feedback`."""
+    inputs = flat + more
+    inputs[2] = ca.fmin(inputs[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
+    return _within(limits, feedforward, share * (inputs - feedforward), strain - RECOVERY * h)
 
 
 def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return inputs within limits that keep the direction of what is added to the feedforward, and the strain."""
+    """Return inputs within limits, with the direction of the feedback kept, and the saturation."""
     base = ca.fmax(-limits, ca.fmin(limits, feedforward))
     room = ca.if_else(more > 0, limits - base, limits + base) / ca.fmax(ca.fabs(more), 1e-9)
     share = ca.fmin(1, ca.mmin(room))
@@ -307,7 +307,7 @@ def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tu
 
 
 def _loosest(feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, further: ca.SX | float) -> ca.SX:
-    """Return the winch's torque that leaves the rope its share of tension, also where it goes on to."""
+    """Return the winch's largest torque with a taut rope, extrapolation of the torque included."""
     load, winch, radius = p[2], p[3], p[4]
     most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
     return (most + further * acting[2]) / (1 + further)
@@ -317,10 +317,9 @@ def _places(
     parts: _Parts, path: Sequence[ca.SX], led: tuple[ca.SX, ca.SX], force: ca.SX, p: ca.SX, steps: tuple[ca.SX, ca.SX],
     time: str,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Return state and inputs on the path now and a step later, the state when what is decided has acted, and more.
+    """Return state and inputs on the path now and a step later, the state after the controlled step, and more.
 
-    That is state and inputs in the step to be ruled. The rope pulls a load that is pushed as one that is accelerated
-    otherwise.
+    These are state and inputs in the controlled step. A disturbance force is an additional acceleration of the load.
     """
     (before, jet, crackle), (h, longest) = path, steps
     pulled = ca.vertcat(ca.SX.zeros(2 * DIMENSION), -force / p[2], ca.SX.zeros(2 * DIMENSION))
@@ -338,7 +337,7 @@ def _places(
 
 
 def _learnt(parts: _Parts, known: dict[str, ca.SX], state: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-    """Return the force on the load, corrected by what the prediction of the load's velocity over h missed."""
+    """Return the force on the load, corrected by the prediction error of the load's velocity over h."""
     missed = (state - known["predicted"])[POINTS + LOAD.start :]
     share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
     more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(DRIVES))

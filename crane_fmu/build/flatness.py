@@ -1,7 +1,7 @@
-"""The crane's motion as that of its load, which says it all: the crane is flat.
+"""The crane's motion and inputs from those of its load, a flat output.
 
-A load that is off its path when the feedback begins is led back along an offset: delta and its derivatives are those
-measured at first, and (d/dt + a)^4 delta = 0 from then on. With y_k = (d/dt + a)^k delta: y_k' = y_(k+1) - a y_k.
+A load that is off its path when the feedback starts returns along an offset: delta and its derivatives have the
+measured values at first, and (d/dt + a)^4 delta = 0 then. With y_k = (d/dt + a)^k delta: y_k' = y_(k+1) - a y_k.
 """
 
 from __future__ import annotations
@@ -14,18 +14,17 @@ import casadi as ca
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
 STATES, DRIVES, POINTS, LOAD = 10, 3, 5, slice(2, 5)
-"""Sizes of state, inputs and coordinates, which are those of trolley and load as points, and which are the load's."""
+"""Numbers of states, inputs and coordinates (trolley and load as points), and the load's coordinates."""
 
 RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
-"""How a load that begins off its path is led back: accelerations in g that this may take, how far a step may go, and
-offsets that are none."""
+"""Return of a load that starts off its path: largest acceleration in g, largest a h, and offsets treated as zero."""
 
 
 Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 
 
 def flat_motion() -> ca.Function:
-    """Return (jet, p) -> (state, inputs): the crane's motion is an expression of the load's."""
+    """Return (jet of the load, p) -> (state, inputs) of the crane."""
     jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
     flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
     bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
@@ -34,7 +33,7 @@ def flat_motion() -> ca.Function:
         return ca.jtimes(of, flat, shifted)
 
     r, fall = jet[:, 0], gravity + jet[2, 2]
-    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley stands where the rope pulls from
+    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley is on the line of the rope force
     velocity = dot(place)
     acceleration = dot(velocity)
     s, rope = ca.norm_2(place), ca.vertcat(r[:2] - place, r[2])
@@ -69,7 +68,7 @@ def fastest_pendulum(path: ca.SX, length: ca.SX, p: ca.SX) -> ca.SX:
 
 
 def measured_state() -> ca.Function:
-    """Return what is measured -> state: trolley, load, and their velocities."""
+    """Return (measured) -> state: positions of trolley and load, and their velocities."""
     given = ca.SX.sym("measured", 12)
     phi, s, _, phi_dot, s_dot, _ = ca.vertsplit(given[:6])
     along, across = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
@@ -90,9 +89,9 @@ def continued(jet: ca.SX, crackle: ca.SX, tau: Any) -> ca.SX:
 
 
 def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Return y_0 ... y_3 and a of a motion off the path that ends as (d/dt + a)^4 delta = 0, y_k = (d/dt + a)^k delta.
+    """Return y_0 ... y_3 and a of an offset with (d/dt + a)^4 delta = 0, y_k = (d/dt + a)^k delta.
 
-    What is measured tells position, velocity and, by the rope's direction, acceleration and jerk of the load.
+    The measured values determine position, velocity and, by the rope's direction, acceleration and jerk of the load.
     """
     phi, s, length, turning, s_dot, _ = ca.vertsplit(measured[:6])
     r, v, gravity = measured[6:9], measured[9:], p[5]
@@ -113,18 +112,18 @@ def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca
 
 
 def forgotten(y: Matrix) -> Matrix:
-    """Return an offset, or zeros in place of one that is mere round-off: its squares would underflow one day."""
+    """Return an offset, or zeros in place of round-off, whose squares would underflow."""
     return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, type(y).zeros(y.numel()))
 
 
 def offset() -> ca.Function:
-    """Return (y, a, tau) -> y_0 ... y_3 and the jet of the motion off the path so much later."""
+    """Return (y, a, tau) -> (y_0 ... y_3, jet of the offset), tau seconds later."""
     y, a, tau = ca.SX.sym("y", 4 * DIMENSION), ca.SX.sym("a", DIMENSION), ca.SX.sym("tau")
     rows, fading = ca.vertsplit(y, DIMENSION), ca.exp(-a * tau)
     later: list[ca.SX] = []
     for k in range(4):
         value = rows[3]
-        for j in reversed(range(k, 3)):  # Horner, for powers cost much
+        for j in reversed(range(k, 3)):  # Horner: powers are slow
             value = rows[j] + tau / (j - k + 1) * value
         later.append(fading * value)
     powers = [ca.SX.ones(DIMENSION)]

@@ -1,4 +1,4 @@
-"""Build an FMU: compile the models, bundle what the slave needs, pack, check, put in place."""
+"""Build an FMU: compile the models, add the slave, pack, check, put in place."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from crane_fmu.files import put
 from servocore.files import made_folder, require_writable, write_together
 
 USUAL_TARGETS = "host,x86_64-windows"
-"""Platforms whose libraries an FMU has where nothing else is asked for."""
+"""Platforms that an FMU is built for by default."""
 
 _CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
@@ -33,23 +33,22 @@ def build_fmu(
     starts: Starts = NO_STARTS,
     targets: str | None = None,
 ) -> Path:
-    """Build an FMU, check it in a process of its own and only then rename it into place.
+    """Build an FMU, check it in a separate process, and then rename it into place.
 
     Parameters
     ----------
     directory : Path
-        Where it goes; made if it does not exist.
+        Folder of the FMU; made if it does not exist.
     progress : callable
         Called with a phrase for every stage.
     kind : FmuKind
         Which FMU.
     path : Reference, optional
-        What a trajectory carries.
+        The path in a trajectory.
     starts : mapping of str to float or str
-        Start values of variables that differ from the defaults; names that the FMU does not have are passed over.
+        Start values of variables that differ from the defaults; names that the FMU does not have are ignored.
     targets : str, optional
-        Platforms that it has libraries for, as `sc.export_fmu` takes them: this machine's and 64-bit Windows when not
-        given.
+        Platforms of its libraries, as of `sc.export_fmu`; this machine and 64-bit Windows by default.
 
     Returns
     -------
@@ -63,7 +62,7 @@ def build_fmu(
     ServocoreError
         If the FMU fails its check.
     """
-    import_module("pythonfmu")  # if it is missing it is so now, not after all is compiled
+    import_module("pythonfmu")  # fails before the compilation if it is not installed
     directory = Path(directory)
     target = directory / kind.file_name
     require_writable(directory, directory)
@@ -71,17 +70,17 @@ def build_fmu(
         native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, deferred_refusals=True)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
-        progress(f"checking {kind.file_name} in a process of its own")
+        progress(f"checking {kind.file_name} in a separate process")
         _check(archive, kind, starts)
         write_together({target: archive})
     return target
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
-    wanted = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
+    expected = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, *wanted]
+        command = [sys.executable, "-I", str(_CHECK), kind.file_name, *expected]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
@@ -89,8 +88,8 @@ def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
         except subprocess.TimeoutExpired as error:
             raise sc.ServocoreError(f"the FMU did not finish its check in {_CHECK_SECONDS:g} s") from error
     if done.returncode:
-        why = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
-        raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {why}")
+        reason = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
+        raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {reason}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -99,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     Parameters
     ----------
     arguments : list of str, optional
-        Of the command line; those of the process when not given.
+        The arguments; those of the process by default.
 
     Returns
     -------
@@ -108,16 +107,23 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
     add = parser.add_argument
-    add("-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)")
-    add("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="folder of the FMU (default: the current folder)",
+    )
+    add("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which FMU (default: %(default)s)")
     add("--targets", metavar="LIST", help="platforms to compile for (default: this one and 64-bit Windows)")
-    add("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
+    add("--page", type=Path, metavar="FILE", help="only write the user page, in Markdown")
     chosen = parser.parse_args(arguments)
     kind = KINDS[chosen.fmu]
     try:
         if chosen.page:
-            described = native_fmu(kind, targets="none", deferred_refusals=True)
-            write_together({chosen.page: user_page(kind, described).encode()})
+            archive = native_fmu(kind, targets="none", deferred_refusals=True)
+            write_together({chosen.page: user_page(kind, archive).encode()})
             return 0
         file = build_fmu(
             chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind, targets=chosen.targets

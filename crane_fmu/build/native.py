@@ -1,4 +1,4 @@
-"""The FMUs in C, which need no Python: what `servocore` exports, with the crane's own feedback and names."""
+"""Native FMUs, in C and without Python: exports of `servocore` with the feedback and the names of the crane."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from crane_fmu.catalogue import (
     NO_STARTS,
     FmuKind,
     Starts,
+    crane_with,
 )
 
 ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
-"""What RotaryCrane.fmu offers beside the exact inversion of every instant."""
+"""Formulations and methods of RotaryCrane.fmu besides the exact inversion."""
 
-_COORDINATES = "generalized"  # of the plant: without constraints
 _DISTANCE = 0.5  # m, from the path
 
 LARGEST_TURN = 1.0
-"""Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
+"""Largest turn of the fastest pendulum in a step, in rad, with which the feedback is used."""
 
 
 def native_fmu(
@@ -50,38 +50,32 @@ def native_fmu(
     Parameters
     ----------
     kind : FmuKind
-        Which of them.
+        Which one.
     path : Reference, optional
-        The path that the trajectory carries.
+        The path in the trajectory.
     starts : mapping of str to float or str
-        Start values of variables in place of defaults; names that the FMU does not have are passed over.
+        Start values of variables in place of defaults; names that the FMU does not have are ignored.
     targets : str, optional
         Platforms, as `sc.export_fmu` takes them.
     progress : callable
-        Told what is being done.
+        Called with a phrase for every stage.
     deferred_refusals : bool
-        Whether it is for a slave of PythonFMU, whose setters cannot fail.
+        Whether values are checked when they are used: the setters of PythonFMU cannot fail.
     """
-    crane = sc.scenes.rotary_crane()
-    own = {name: float(value) for name, value in starts.items() if name in crane.model().parameters.names}
-    crane = crane.with_parameters(**own)
-    options: dict[str, Any] = {
-        "fmi": 2,
-        "targets": targets,
-        "deferred_refusals": deferred_refusals,
-        "progress": progress,
-    }
+    crane = crane_with(starts)
+    common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress}
+    common["deferred_refusals"] = deferred_refusals
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
-            sc.export_trajectory(crane, file, _trajectory(path, starts, deferred_refusals), **options)
+            sc.export_trajectory(crane, file, _trajectory(path, starts, deferred_refusals), **common)
         elif kind is CRANE_PLANT:
-            sc.export_plant(crane, file, _plant(starts), model=_COORDINATES, **options)
+            sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
         else:
             along = crane if path is None else crane.with_reference(path)
-            options |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
-            sc.export_fmu(along, file, start=starts, routes=ROUTES if deferred_refusals else None, **options)
+            common |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
+            sc.export_fmu(along, file, start=starts, routes=ROUTES if deferred_refusals else None, **common)
         return file.read_bytes()
 
 
@@ -104,7 +98,7 @@ def _plant(starts: Starts) -> sc.PlantOptions:
 
 
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
-    """Return the crane's feedback as an exported inverse model carries it."""
+    """Return the feedback of the crane for the export of its inverse model."""
     return sc.SampledFeedback(
         measured=_measured(crane),
         laws=feedback_functions(crane.model(LAW_MODEL)),
@@ -119,7 +113,7 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
 
 
 def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
-    """Return what is measured with the sizes of vectors, in the order in which the law takes it."""
+    """Return the measured quantities with the sizes of vectors, in the order of the law's arguments."""
     units = {each.name: each.unit for each in crane.model().observables}
     motion = [(name, units[name]) for name in ("phi", "s", "l")]
     rates = [(f"{name}_dot", f"{unit}/s") for name, unit in motion]
@@ -129,7 +123,7 @@ def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
 
 
 def _judge() -> ca.Function:
-    """Return (path before, measured, p, h) -> whether it makes sense, distance from the path, turn of the pendulum."""
+    """Return (path before, measured, p, h) -> (whether the values are possible, distance from the path, turn)."""
     path, measured, p, h = (ca.SX.sym(*each) for each in (("path", 15), ("measured", 12), ("p", 6), ("h",)))
     length, height = measured[2], measured[8]
     turn = fastest_pendulum(path, length, p) * h

@@ -1,6 +1,6 @@
-"""The user page of an FMU: one text, written as ``docs/fmu*.md`` and as the page behind a tool's Help button.
+"""The user page of an FMU: ``docs/fmu*.md`` and the documentation in the FMU, behind a tool's Help button.
 
-Its tables of variables are those of the FMU's own model description.
+Its tables of variables are made from the model description of the FMU.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def user_page(kind: FmuKind, fmu: bytes) -> str:
     kind : FmuKind
         Which one.
     fmu : bytes
-        Its archive, or that of the native one; all that is read is the model description.
+        Its archive, or that of the native FMU; only the model description is read.
     """
     described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
@@ -55,7 +55,7 @@ def documentation_page(kind: FmuKind, fmu: bytes) -> str:
 
 
 def _table(variables: list[Any], causality: str) -> str:
-    """Return the variables of one causality, those of `fmpy`, as a table."""
+    """Return the variables of one causality as a table in Markdown."""
     third = {"input": "start", "output": "range", "parameter": "default, range, change"}[causality]
     rows = [
         f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {_text(each)} |"
@@ -66,14 +66,14 @@ def _table(variables: list[Any], causality: str) -> str:
 
 
 def _text(variable: Any) -> str:
-    """Return the description, of a choice with the numbers of its items."""
+    """Return the description, for a choice with the numbers of its items."""
     items = variable.declaredType.items if variable.type == "Enumeration" else []
     described = variable.description.replace("|", r"\|")  # a bar would end the cell
     return ": ".join([described, *([", ".join(f"{e.value} {e.name}" for e in items)] if items else [])])
 
 
 def _extent(variable: Any) -> str:
-    """Start value, range and variability in a few characters."""
+    """Return start value, range and variability as a short text."""
     low, high, start = (None if each is None else float(each) for each in (variable.min, variable.max, variable.start))
     if low is not None and high is not None:
         bounds = f"{low:g} to {high:g}"

@@ -1,6 +1,6 @@
-"""Riccati steps: the cost-to-go of a model over sampled steps, one by one or by the thousand.
+"""Riccati steps: the cost-to-go of a linear model over sampled steps, one by one or 2^k at a time.
 
-A model is what deviations z and the inputs w+ that the law chooses do over a step; see `crane_fmu.build.feedback_law`.
+The model says how deviations z and the chosen inputs w+ act over a step; see `crane_fmu.build.feedback_law`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ _SQUARE, _TALL, _SMALL = (STATES, STATES), (STATES, DRIVES), (DRIVES, DRIVES)
 
 
 def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Return what all Riccati steps of a model share, a step, and the gain of a step alone.
+    """Return three functions: the matrices that all Riccati steps of a model share, a step, and the gain of a step.
 
     With w+ = v - F z, where F would be the gain without a cost-to-go, z = A e + B' w goes on as C z + G v, and a step
     costs a form Q of z and a form R of v: (A, B, B', f, W) -> F, C, C^T, Q, G, R. A step is (cost M of z before v is
     chosen, C, C^T, Q, G, R) -> (M a step earlier, K), v = -K C z, and its gain (M, G, R) -> K. Products of whole
-    matrices are left to loops, which machines take several numbers at once in.
+    matrices stay loops, which compilers vectorize.
     """
     A, new, old = ca.SX.sym("A", *_SQUARE), ca.SX.sym("B", *_TALL), ca.SX.sym("B'", *_TALL)
     efforts, weights = ca.SX.sym("f", DRIVES), ca.SX.sym("W", DIMENSION)
@@ -41,7 +41,7 @@ def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
 
 
 def _choice() -> ca.Function:
-    """Return (cost M of z, M G, G, R) -> (the cost left when v is the best for z, K), v = -K z."""
+    """Return (cost M of z, M G, G, R) -> (the cost with the optimal v, K), v = -K z."""
     cost, reach, acting = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
     effort = ca.SX.sym("R", *_SMALL)
     K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
@@ -50,31 +50,22 @@ def _choice() -> ca.Function:
 
 
 def riccati_steps(doublings: int) -> ca.Function:
-    """Return (C, C^T, Q, G, R) -> M so many doublings of a step before an end that costs nothing.
+    """Return (C, C^T, Q, G, R) -> M, the cost-to-go 2^doublings steps before an end without cost.
 
-    Any number of steps of one model, as `riccati_functions` has them, is M -> Q + C^T M (1 + H M)^-1 C, at first with
-    H = G R^-1 G^T, and so are two such numbers one after the other: k doublings are 2^k steps. The last one is asked
-    for M alone.
+    Any number of steps of one model, as in `riccati_functions`, is M -> Q + C^T M (1 + H M)^-1 C, at first with
+    H = G R^-1 G^T, and so are two such numbers one after the other: k doublings are 2^k steps.
     """
     C, H, Q, C_T = (ca.MX.sym(name, *_SQUARE) for name in ("C", "H", "Q", "C_T"))
     G, R = ca.MX.sym("G", *_TALL), ca.MX.sym("R", *_SMALL)
     reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(STATES) + H @ Q, ca.horzcat(C, H), "qr"), STATES)
-    doubled = [C @ reached, _even(H + C @ spread @ C.T), _even(Q + C.T @ Q @ reached)]
+    doubled = [C @ reached, _symmetric(H + C @ spread @ C.T), _symmetric(Q + C.T @ Q @ reached)]
     doubling = ca.Function("doubling", [C, H, Q], doubled)
-    last = ca.Function("last", [C, H, Q], [_even(Q + C.T @ Q @ ca.solve(ca.MX.eye(STATES) + H @ Q, C, "qr"))])
-    several = [C, G @ _spread()(G, R), Q]
-    for _ in range(doublings - 1):
-        several = doubling.call(several)
-    found = last(*several) if doublings else Q
-    return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [found])
+    steps = [C, G @ ca.solve(R, G.T, "qr"), Q]
+    for _ in range(doublings):
+        steps = doubling.call(steps)
+    return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [steps[-1]])
 
 
-def _spread() -> ca.Function:
-    """Return (G, R) -> R^-1 G^T."""
-    acting, effort = ca.SX.sym("G", *_TALL), ca.SX.sym("R", *_SMALL)
-    return ca.Function("spread", [acting, effort], [ca.ldl_solve(acting.T, *ca.ldl(effort))], {"cse": True})
-
-
-def _even(matrix: ca.MX) -> ca.MX:
-    """Return a matrix symmetric to the last digit."""
+def _symmetric(matrix: ca.MX) -> ca.MX:
+    """Return the symmetric part, which differs from a cost-to-go by round-off only."""
     return (matrix + matrix.T) / 2

@@ -1,7 +1,7 @@
-"""The crane over a step, nonlinear and linearized, with less work where a step is short.
+"""The crane over a step, nonlinear and linearized, with less work in short steps.
 
-A step is short where the fastest pendulum turns little in it. There one Runge-Kutta step does what two do elsewhere,
-and fewer terms of a series. What is not needed is not computed: functions branch.
+A step is short if the fastest pendulum turns little in it: one Runge-Kutta step in place of two, and fewer terms of a
+series, are enough. Functions branch, so that only one variant is computed.
 """
 
 from __future__ import annotations
@@ -15,35 +15,26 @@ import servocore as sc
 from crane_fmu.build.flatness import DRIVES, LOAD, POINTS, STATES
 
 SHORT_TURN = 0.1
-"""Up to this turn of the fastest pendulum, in rad, a step is short."""
+"""Largest turn of the fastest pendulum in a short step, in rad."""
 
 _TERMS = {False: 4, True: 1}
-"""Of the matrix exponential's series, where steps are short or not: to 1e-3 where a pendulum turns 0.1 rad in a short
-step, or 1 rad in another, and for the gains alone."""
+"""Terms of the series of the matrix exponential, by whether the step is short: error 1e-3, in the gains only, where a
+pendulum turns 0.1 rad in a short step or 1 rad in another one."""
 
 
 def advance(system: sc.MechanicalSystem) -> ca.Function:
-    """Return (whether the step is short, state, u, u_dot, d, p, h) -> state under inputs that run linearly."""
-    x, h = ca.SX.sym("x", STATES), ca.SX.sym("h")
-    u, slope, d = (ca.SX.sym(name, DRIVES) for name in ("u", "u_dot", "d"))
-    p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
+    """Return (whether the step is short, state, u, u_dot, d, p, h) -> state after h under inputs u + u_dot t."""
+    slope, d = (ca.SX.sym(name, DRIVES) for name in ("u_dot", "d"))
+    right = system.C.T @ d - system.bias - system.input_matrix.T @ system.u
     v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
-    rate = ca.Function(
-        "rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)], {"cse": True}
-    )
-    inputs = [u + slope * (k * h / 2) for k in range(3)]
-    first = rate(x, inputs[0], d, p)
-    second = rate(x + h / 2 * first, inputs[1], d, p)
-    third = rate(x + h / 2 * second, inputs[1], d, p)
-    fourth = rate(x + h * third, inputs[2], d, p)
-    after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-    step = ca.Function("runge_kutta", [x, u, slope, d, p, h], [after], {"cse": True})
-    state, u_begin, u_dot, *others, whole = given = step.mx_in()
-    half = step(state, u_begin, u_dot, *others, whole / 2)
-    twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
-    short, other = (
-        ca.Function(f"advance_{name}", given, [each]) for name, each in (("short", step(*given)), ("other", twice))
-    )
+    moving, fixed = ca.vertcat(system.q, system.v, system.u), ca.vertcat(slope, d, system.p)
+    rate = ca.Function("rate", [moving, fixed], [ca.vertcat(system.v, v_dot, slope)], {"cse": True})
+    step = ca.simpleRK(rate, 1).expand("runge_kutta", {"cse": True})
+    sizes = {"x": STATES, "u": DRIVES, "u_dot": DRIVES, "d": DRIVES, "p": system.p.numel(), "h": 1}
+    *_, h = given = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    begin, constant = ca.vertcat(*given[:2]), ca.vertcat(*given[2:-1])
+    ends = {"short": step(begin, constant, h), "other": step(step(begin, constant, h / 2), constant, h / 2)}
+    short, other = (ca.Function(f"advance_{name}", given, [end[:STATES]]) for name, end in ends.items())
     return ca.Function.if_else("advance", short, other)
 
 
@@ -61,7 +52,7 @@ def sampled(system: sc.MechanicalSystem) -> ca.Function:
         phi_1 = term(phi, K, D, h, 1)
         return [term(phi_1, K, D, h, 1), *driven(phi_1, phi, B, h)]
 
-    # One expression where there is little to sum up: half of the first powers are zeros and ones, which it leaves out.
+    # One expression for the short series: half of the numbers in the first powers are zeros and ones.
     few, many = [*linear.sx_out(), ca.SX.sym("h")], [*linear.mx_out(), ca.MX.sym("h")]
     short = ca.Function("series_short", few, results(_TERMS[True], *few), {"cse": True})
     other = ca.Function("series_other", many, results(_TERMS[False], *many))
@@ -85,7 +76,7 @@ def _linearized(system: sc.MechanicalSystem) -> ca.Function:
 
 
 def _series() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Return what sums up powers of X = h [0 1; K D], and what applies the sums to inputs.
+    """Return functions that sum powers of X = h [0 1; K D], and one that applies the sums to inputs.
 
     (K, D, h, c, c') -> c + c' X; (F, K, D, h, c) -> c + X F; (phi_1, phi_2, B, h) -> h phi_1 [0; B], h phi_2 [0; B].
     """
@@ -111,10 +102,10 @@ def _series() -> tuple[ca.Function, ca.Function, ca.Function]:
 
 
 def resting() -> ca.Function:
-    """Return (A, B, push) -> state and inputs with which a constant push leaves the load where it is.
+    """Return (A, B, push) -> state and inputs with which the load keeps its position under a constant push.
 
-    The trolley's coordinates give way, and all rates. Rates follow from the upper rows, where a step's length is on the
-    diagonal: elimination needs no pivots there.
+    Unknowns are the trolley's coordinates, all rates and the inputs. Rates follow from the upper rows, whose diagonal
+    is the length of the step: elimination needs no pivots there.
     """
     A, B, push = ca.SX.sym("A", STATES, STATES), ca.SX.sym("B", STATES, DRIVES), ca.SX.sym("push", STATES)
     away, free = A - ca.SX.eye(STATES), LOAD.start

@@ -1,8 +1,8 @@
 /* The FMU's binary. In a process where Python runs it forwards every FMI function to PythonFMU's binary beside it, in any
-   other to the library in C that PythonFMU's slave hands its calls to: no Python is needed there.
+   other to the native library of the slave: no Python is needed there.
 
    PythonFMU's binary undoes no escape of an address but %20 and trusts every pointer. This one undoes all escapes,
-   compares the GUID, tells the host's logger in a sentence why an instance cannot be made, and refuses null pointers.
+   compares the GUID, logs the reason if an instance cannot be made, and refuses null pointers.
    shim_config.h is written at build: FMU_GUID, REAL_BINARY (PythonFMU's, a file name) and LIBRARY (the path from the
    folder of this binary). */
 
@@ -35,12 +35,12 @@ static struct {
     FUNCTIONS(MEMBER)
 } real;
 
-static char not_loaded[LONGEST]; /* why the library behind is not there */
+static char not_loaded[LONGEST]; /* the reason if the library is not loaded */
 
 #define SAY(text, ...) snprintf(text, LONGEST, __VA_ARGS__)
 
 /* The logger takes a format: percent signs are doubled. */
-static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, const char *text) {
+static void report(const fmi2CallbackFunctions *functions, fmi2String instance, const char *text) {
     char escaped[2 * LONGEST + 1];
     size_t k = 0;
     for (; *text && k < 2 * LONGEST - 1; text++) {
@@ -54,7 +54,7 @@ static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, co
 /* --- the library behind ------------------------------------------------------------------------------------------- */
 
 /* PythonFMU 0.7 gives its hold on Python back twice when the process ends, the second time from freed memory: now and
-   then the process was killed at its very end. Asked to give it back before, it finds nothing to do later. */
+   then the process was killed at its very end. Called before the end, it does nothing at the end. */
 static void (*give_back_python)(void);
 
 static void at_the_end(void) { give_back_python(); }
@@ -96,7 +96,7 @@ static int is_utf8(const char *text) {
     return 1;
 }
 
-/* --- what the host says ------------------------------------------------------------------------------------------- */
+/* --- calls of the host ------------------------------------------------------------------------------------------- */
 
 /* Equal to FMU_GUID, which has braces, but for braces. */
 static int is_ours(const char *guid) {
@@ -156,7 +156,7 @@ fmi2Component fmi2Instantiate(fmi2String instance, fmi2Type type, fmi2String gui
         SAY(why, "the host's description of the FMU has the GUID %s, its binary %s", guid ? guid : "", FMU_GUID);
     else if (plain_location(location ? location : "", plain, why) && real.Instantiate)
         return real.Instantiate(instance, type, FMU_GUID, plain, functions, visible, logging);
-    tell(functions, instance, *why ? why : not_loaded);
+    report(functions, instance, *why ? why : not_loaded);
     return NULL;
 }
 
@@ -208,7 +208,7 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
     if (!c || !state || !real.GetFMUstate) return fmi2Error;
-    fmi2FMUstate before = *state; /* one that the host asks to be reused */
+    fmi2FMUstate before = *state; /* a state to be reused */
     *state = NULL;
     const fmi2Status status = real.GetFMUstate(c, state);
     if (before && real.FreeFMUstate) real.FreeFMUstate(c, &before);

@@ -1,26 +1,26 @@
-"""``Crane.ssp``: trajectory, inverse model and plant connected, in the form of SSP 1.0 that all masters read.
+"""``Crane.ssp``: trajectory, inverse model and plant connected, in the subset of SSP 1.0 that all masters read.
 
-A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; no connectors of the system; a user's own
-parameters are bound inline.
+A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; the system has no connectors, and a user's own
+parameters are bound inline. Cross-check files of its FMUs lie beside it: inputs, results and options of a run.
 """
 
 from __future__ import annotations
 
 import io
-import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import floor
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import fmpy
 import numpy as np
+import numpy.typing as npt
 
 import servocore as sc
 from crane_fmu.build.archive import Progress
-from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import (
@@ -36,11 +36,13 @@ from crane_fmu.catalogue import (
     PROFILES,
     ROTARY_CRANE,
     Starts,
-    chosen,
+    at_rest,
     components,
+    crane_with,
 )
 from crane_fmu.files import filled_folder, put
-from servocore.files import xml_document, zipped
+from crane_fmu.run import input_rows, nothing_left
+from servocore.files import cross_check_texts, xml_document, zipped
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -50,7 +52,12 @@ COMPONENTS: Mapping[str, str] = {
 }
 """Names of the components by those of their FMUs."""
 
-_START_ORDERS = 4  # position to jerk say where the crane and its load are at the start, and how fast
+STEP = 0.01
+"""Communication step in s that suits each FMU, and the system of all."""
+
+_STOP, _SHORT_STOP = 20.0, 2.0  # s, of cross-check runs; a pushed plant goes far
+_START_ORDERS = 4  # position to jerk determine the motion of crane and load at the start
+_FORCES = ("M_b", "F", "M_w")
 _INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
 
 _SPACES = {
@@ -61,18 +68,18 @@ _SPACES = {
 
 @dataclass(frozen=True)
 class SystemOptions:
-    """What a user wants of a system in place of the defaults.
+    """A user's options of a system, in place of the defaults.
 
     Attributes
     ----------
     path : Reference, optional
-        The path of the load that the trajectory shall carry.
+        The path of the load in the trajectory.
     profile : str, optional
         Time law of the straight line, in place of a path.
     parameters : mapping of str to float
-        Of the crane.
+        Parameters of the crane.
     native : bool
-        Whether the FMUs shall be in C, without Python.
+        Whether the FMUs are native: in C, without Python.
     targets : str, optional
         Platforms of native FMUs, as of `sc.export_fmu`.
 
@@ -89,9 +96,10 @@ class SystemOptions:
     targets: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what excludes each other."""
+        """Refuse options that exclude each other."""
         if self.profile is not None:
-            chosen(PROFILES, self.profile, "profile")
+            if self.profile not in PROFILES:
+                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(PROFILES)}")
             if self.path is not None:
                 raise sc.InvalidSetting("a path has its own time law: give either a path or a profile")
 
@@ -128,64 +136,64 @@ def build_ssp(
     ServocoreWarning
         If the path ends in motion.
     """
-    reference = played = options.path
+    path = options.path
     starts: dict[str, float | str] = dict(options.parameters)
-    duration = 20.0
     if options.profile is not None:
         starts["profile"] = options.profile
-    if reference is not None:
-        _require_start(reference)
-        duration = reference.end_time
-    inverse = _inverse(reference, options.parameters)
-    if reference is not None:
-        starts |= path_starts(reference, inverse)
-        _tell_end(reference)
-        played = read_again(sc.path_to_csv(reference))
+    if path is not None:
+        _require_start(path)
+    crane = crane_with(options.parameters)
+    inverse = sc.ExactInversion(crane if path is None else crane.with_reference(path), native=False)
+    if path is not None:
+        starts |= path_starts(path, inverse)
+        _warn_of_end(path)
     with filled_folder(directory) as draft:
         for kind in KINDS.values():
             if options.native:
-                put(draft, {kind.file_name: native_fmu(kind, played, starts, options.targets, progress)})
+                put(draft, {kind.file_name: native_fmu(kind, path, starts, options.targets, progress)})
             else:
-                build_fmu(draft, progress, kind, played, starts, options.targets)
+                build_fmu(draft, progress, kind, path, starts, options.targets)
         if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():
-                cross_check(draft / kind.file_name, reference, starts)
+                _cross_check(draft / kind.file_name, path, starts, inverse)
         fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
         members = {f"resources/{name}.fmu": fmu for name, fmu in fmus.items()}
-        put(draft, {SYSTEM_FILE: zipped({_STRUCTURE: description(fmus, starts, duration), **members}, _STRUCTURE)})
+        members[_STRUCTURE] = description(fmus, starts, _STOP if path is None else path.end_time)
+        put(draft, {SYSTEM_FILE: zipped(members, _STRUCTURE)})
     return tuple(directory / name for name in (*(kind.file_name for kind in KINDS.values()), SYSTEM_FILE))
 
 
 def _require_start(path: sc.Reference) -> None:
-    """Refuse a path beside which the load would begin: the run starts at 0 s."""
+    """Refuse a path that the load is not on at 0 s, the start of the run."""
     start = path.start_time
     if start < 0.0:
         raise sc.InvalidReference(
-            f"the path starts at t = {start:g} s, but the system's run at 0 s: let it start then or later"
+            f"the path starts at t = {start:g} s, but the run of the system starts at 0 s: shift the path to start then"
+            " or later"
         )
     motion = _motion(path, start)
     if start > 0.0 and motion:
         raise sc.InvalidReference(
-            f"the path starts in motion at t = {start:g} s, with {motion}, but the system's run at 0 s: let it start"
-            " then, or from rest"
+            f"the path starts in motion at t = {start:g} s, with {motion}, but the run of the system starts at 0 s:"
+            " shift the path to start then, or start it from rest"
         )
 
 
-def _tell_end(path: sc.Reference) -> None:
-    """Warn of a path that ends in motion: a tool that runs on finds no path there."""
+def _warn_of_end(path: sc.Reference) -> None:
+    """Warn of a path that does not end at rest: its last segment is extrapolated."""
     motion = _motion(path, path.end_time)
     if motion:
         warnings.warn(
-            f"the path ends in motion at t = {path.end_time:g} s, with {motion}: run the system until then only, for"
-            " later the load is sent on along the path's last polynomial",
+            f"the path does not end at rest, but at t = {path.end_time:g} s with {motion}: run the system until then"
+            " only; later the last segment of the path is extrapolated",
             sc.ServocoreWarning,
             stacklevel=3,
         )
 
 
 def _motion(path: sc.Reference, time: float) -> str:
-    """Return the lowest derivative that a path from a table has at one of its ends, empty where it rests."""
+    """Return the lowest derivative of a path that is not zero at one of its ends, empty where it rests."""
     peaks = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, _INSTANTS), 4), axis=-1).max(axis=0)
     sizes = np.linalg.norm(path.jet(time, 4), axis=-1)
     found = [order for order in range(1, len(ORDERS)) if sizes[order] > _ROUND_OFF * peaks[order]]
@@ -196,42 +204,62 @@ def _motion(path: sc.Reference, time: float) -> str:
 
 
 def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, float | str]:
-    """Return start values of all FMUs with which the load begins on its path, in the motion that the path has there.
+    """Return start values of all FMUs that put the load on its path, in the motion of the path at its start.
 
     Parameters
     ----------
     path : Reference
-        From a table.
+        The path in the trajectory.
     inverse : ExactInversion
-        Of the crane on it.
+        That of the crane on this path.
 
     Returns
     -------
     dict of str to float or str
-        By the names of variables, inputs among them: some masters pass connected values on after the first step only.
+        By the names of variables, inputs included: some masters pass connected values on after the first step only.
     """
     jet = path.jet(path.start_time, len(ORDERS) - 1)
     moves = jet[1:].any()
-    orders = len(ORDERS) if moves else 1  # what rests begins with brakes, as by default
+    orders = len(ORDERS) if moves else 1  # a load at rest begins with brakes, as by default
     numbers = dict(zip(PATH_INPUTS[: orders * DIMENSION], jet[:orders].ravel().tolist(), strict=True))
     starts = components(*(f"start.{order}" for order in ORDERS[: min(orders, _START_ORDERS)]))
     numbers |= dict(zip(starts, jet.ravel().tolist(), strict=False))
     if moves:
-        forces = [each.name for each in sc.scenes.rotary_crane().model().inputs]
-        numbers |= dict(zip(forces, inverse(path.start_time).tolist(), strict=True))
+        numbers |= dict(zip(_FORCES, inverse(path.start_time).tolist(), strict=True))
     return {"profile": FROM_FILE, **numbers}
 
 
-def _inverse(reference: sc.Reference | None, parameters: Mapping[str, float]) -> sc.ExactInversion:
-    """Return the inputs of the crane; a path that it cannot follow is refused by this before anything is built."""
-    crane = sc.scenes.rotary_crane()
-    own = crane.model().parameters.names  # others are those of the FMUs: what is connected, where a line starts
-    crane = crane.with_parameters(**{name: value for name, value in parameters.items() if name in own})
-    return sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
+def _cross_check(fmu: Path, path: sc.Reference | None, starts: Starts, inverse: sc.ExactInversion) -> None:
+    """Run an FMU and write its inputs, its results and the options of the run beside it."""
+    stop = _SHORT_STOP if fmu.stem == CRANE_PLANT.name else _STOP
+    if path is not None and path.jet(path.end_time, 4)[1:].any():  # there is no path later
+        stop = min(stop, STEP * floor(path.end_time / STEP))
+    given = None
+    if fmu.stem == ROTARY_CRANE.name:
+        given = input_rows(path or sc.scenes.rotary_crane().reference, STEP)
+    elif fmu.stem == CRANE_PLANT.name:
+        given = _plant_inputs(stop, starts, inverse)
+    with nothing_left():
+        found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
+    inputs, results = (
+        None if rows is None else {name: rows[name] for name in rows.dtype.names or ()} for rows in (given, found)
+    )
+    put(fmu.parent, cross_check_texts(fmu.stem, inputs, results, (0.0, stop, STEP)))
+
+
+def _plant_inputs(stop: float, starts: Starts, inverse: sc.ExactInversion) -> npt.NDArray[Any]:
+    """Return inputs that push a plant from rest, or those of the motion in which it starts."""
+    t = np.linspace(0.0, stop, round(stop / STEP) + 1)
+    if _FORCES[0] in starts:
+        forces = list(inverse(t).T)
+    else:
+        push = np.sin(np.pi * t) ** 2
+        forces = [50.0 * push, -5.0 * push, np.full_like(t, at_rest(starts)["M_w"])]
+    return np.rec.fromarrays([t, *forces], dtype=[(each, np.float64) for each in ("time", *_FORCES)])
 
 
 def described(fmus: Mapping[str, bytes]) -> dict[str, list[Any]]:
-    """Return the variables of FMUs as their model descriptions have them, by the names of their components."""
+    """Return the variables in the model descriptions of FMUs, by the names of their components."""
     return {
         COMPONENTS[name]: fmpy.read_model_description(io.BytesIO(fmu), validate=False).modelVariables
         for name, fmu in fmus.items()
@@ -246,7 +274,7 @@ def description(fmus: Mapping[str, bytes], starts: Starts = NO_STARTS, duration:
     fmus : mapping of str to bytes
         The archives of the FMUs, by the names of their kinds.
     starts : mapping of str to float or str
-        Start values that the FMUs have in place of defaults; numbers are bound here too, for all to see.
+        Start values of the FMUs in place of defaults; numbers are also bound here, where tools show them.
     duration : float
         Time to simulate in s.
     """
@@ -259,7 +287,7 @@ def description(fmus: Mapping[str, bytes], starts: Starts = NO_STARTS, duration:
         source = f"resources/{name}.fmu"
         element = _add(elements, "ssd:Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _add(element, "ssd:Connectors")
-        for variable in tables[component]:  # what is connected, and what is worth watching: all outputs
+        for variable in tables[component]:  # connected inputs, and all outputs
             if variable.causality == "output" or (component, variable.name) in fed:
                 place = _add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
                 _add(place, "ssc:Real", unit=variable.unit)
@@ -302,11 +330,3 @@ def connections(tables: Mapping[str, Sequence[Any]]) -> list[Wire]:
         output = name.removeprefix("measured.")
         wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
     return wires
-
-
-def read_again(table: str) -> sc.Reference:
-    """Return the path in a table as LoadTrajectory.fmu reads it, to the last digit of its snap."""
-    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
-        file = Path(folder) / "path.csv"
-        file.write_text(table)
-        return sc.from_csv(file)

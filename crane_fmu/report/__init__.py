@@ -1,1 +1,1 @@
-"""Figures and the page that shows them: what was computed, as pictures, tables and text."""
+"""The report of the demo: results as figures, tables and text on one page."""

@@ -172,7 +172,7 @@ def _paper(study: Study) -> list[Part]:
 
 
 def paper_table(study: Study, factors: bool = True) -> Table:
-    """Return the largest errors of the scheme of the paper, with the factors by which they fall if wanted."""
+    """Return the largest errors of the scheme of the paper, with the factors by which they fall if `factors`."""
     coarser = dict(zip(study.steps[1:], study.steps, strict=False)) if factors else {}
     rows = [
         (

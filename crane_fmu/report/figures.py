@@ -30,7 +30,7 @@ from crane_fmu.report.style import (
 )
 
 Look = Mapping[str, Any]
-"""How `Axes.plot` draws a curve; curves on top of each other differ in more than colour."""
+"""Arguments of `Axes.plot`; curves on top of each other differ in more than colour."""
 
 REDUNDANT: Look = {
     "color": VERMILLION,
@@ -62,7 +62,7 @@ LEAST_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class Curve:
-    """Trajectories by name over time, and how they are drawn."""
+    """Trajectories by name over time, and their look."""
 
     label: str
     t: Array
@@ -71,7 +71,7 @@ class Curve:
 
 
 def _keep_rounding_flat(axes: Axes) -> None:
-    """Widen the axis of a quantity that is constant but for rounding."""
+    """Widen the axis of a quantity that is constant up to round-off."""
     low, high = axes.dataLim.intervaly
     slightest = 1e-6 * max(1.0, abs(low), abs(high))
     if high - low < slightest:
@@ -134,14 +134,14 @@ def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[L
     shown : sequence of LoadRun
         Those of them whose positions are drawn.
     looks : sequence of Look
-        How each run is drawn.
+        The look of each run.
     """
     figure, (above, below) = panels(["position of the load (m)", "distance from the path (mm)"], height=2.5)
     for gust in (run.gust for run in shown if run.gust is not None):
         above.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0)
         below.axvspan(*gust, color=GREY, alpha=0.3, linewidth=0.0, label="gust")
     t = runs[0].t
-    for name, values in zip("xyz", runs[0].wanted.T, strict=True):
+    for name, values in zip("xyz", runs[0].prescribed.T, strict=True):
         above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
         above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
     for run, look in zip(runs, looks, strict=False):
@@ -208,11 +208,11 @@ Axes3D = Any
 """Axes in space: matplotlib has no type for them that a checker could read."""
 
 _OVERHANG = 1.15
-"""The girder is drawn this much longer than the trolley travels: its length is no datum of the crane."""
+"""Length of the drawn girder as a multiple of the trolley's travel: the crane's data contain none."""
 
 
 _TURNED = np.radians(40.0)
-"""How far the bridge has turned where the crane is explained."""
+"""Turn of the bridge in the labelled drawing, in rad."""
 
 
 @styled
@@ -226,7 +226,7 @@ def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
     index : int
         Which instant; negative ones count from the end.
     labelled : bool
-        Whether phi, s and l are written beside what they measure.
+        Whether phi, s and l are labelled in the drawing.
     """
     figure = Figure(figsize=(WIDTH, 4.5))
     axes = figure.add_axes((0.02, 0.09, 0.92, 1.0), projection="3d")
@@ -244,11 +244,11 @@ def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
 
 
 def sketch(scene: sc.Scene) -> Figure:
-    """Return the crane on its manoeuvre, with phi, s and l written beside what they measure."""
+    """Return the crane on its manoeuvre, with phi, s and l labelled."""
     path = scene.reference
     t = np.linspace(path.start_time, path.end_time, 101)
     run = scene.exact(t)
-    # Far enough on that the bridge has turned, and long before the load comes near the slewing axis.
+    # At an instant with the bridge turned, well before the load comes near the slewing axis.
     shown = int(np.searchsorted(np.abs(run["phi"] - run["phi"][0]), _TURNED))
     return posture(run, min(shown, len(t) // 2), labelled=True)
 
@@ -290,7 +290,7 @@ def _write_names(axes: Axes3D, load: Array, phi: float, s: float, reach: float) 
 
 
 def _frame(axes: Axes3D, everything: Array) -> None:
-    """Equal scales on all axes, and limits that hold girder and path."""
+    """Set equal scales on all axes, and limits that contain girder and path."""
     limits = np.column_stack([np.floor(everything.min(axis=0)), np.ceil(everything.max(axis=0))])
     for name, (low, high) in zip("xyz", limits, strict=True):
         axes.set(**{f"{name}lim": (low, high), f"{name}label": f"${name}$ (m)"})

@@ -1,4 +1,4 @@
-"""The page: text, tables and pictures in one HTML file that needs nothing else."""
+"""The page: text, tables and figures in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Illustration:
     name : str
         Name of its files, without suffix.
     title : str
-        What it shows, in a few words.
+        A few words.
     by : str
-        Form and method that it comes from; written into the drawing as well.
+        Form and method of the results; written into the drawing as well.
     caption : str
-        What to see in it.
+        Explanation below the figure.
     figure : Figure
         The drawing.
     """
@@ -58,7 +58,7 @@ class Illustration:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report: title, form and method, headings, rows of finished texts, what to know about it."""
+    """A table of the report: title, form and method, headings, rows of formatted texts, and a note."""
 
     title: str
     by: str
@@ -68,12 +68,12 @@ class Table:
 
 
 Part = str | Table | Illustration
-"""What a section consists of; a text is a paragraph."""
+"""A part of a section; a text is a paragraph."""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A number that the page begins with, what it is, and whether it belongs to the scheme of the paper."""
+    """A headline number of the page, its meaning, and whether it belongs to the scheme of the paper."""
 
     value: str
     meaning: str
@@ -94,11 +94,11 @@ def page(
     title : str
         Heading of the page.
     facts : sequence of Fact
-        What is read first.
+        Headline numbers.
     live : LivePart
-        What one can touch; follows the first section.
+        The interactive part; follows the first section.
     sections : mapping of str to sequence of Part
-        What follows each heading; tables and illustrations are numbered in this order.
+        Content by heading; tables and illustrations are numbered in this order.
     drawings : mapping of str to bytes
         Content of the pictures' files by name, as `Illustration.files` returns it.
     """
@@ -121,7 +121,7 @@ def parameter_table(scene: sc.Scene) -> Table:
     ]
     return Table(
         "Data of the crane, a declared assumption",
-        "given, nothing is computed",
+        "input data",
         ("symbol", "value", "parameter", "meaning"),
         tuple(rows),
         "These values were chosen for this report; they are not those of a printed table. "
@@ -149,7 +149,7 @@ def formula(text: str) -> Markup:
 
 
 ROUNDING = 1e-9
-"""Numbers smaller than this come from rounding; one digit says enough."""
+"""Smaller numbers are round-off, and have one digit."""
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

@@ -20,10 +20,10 @@ STEPS = (0.1, 0.05, 0.025, 0.0125)
 
 DEFAULT = "form reduced, exact inversion at every instant"
 PAPER = "form projected, method backward Euler: the scheme of the paper"
-"""What tables and figures call the two ways to the inputs: that of the library by default, and that of the paper."""
+"""Names of the two routes to the inputs in tables and figures: the default of the library, and that of the paper."""
 
 Announce = Callable[[str], None]
-"""Called with what is going on now."""
+"""Called with a description of each stage."""
 
 Errors = Mapping[str, float]
 """Of M_b, F, M_w relative to the largest value of each, of phi (rad), s (m), l (m) absolute."""
@@ -36,10 +36,10 @@ class LoadRun:
     Attributes
     ----------
     label : str
-        Whose inputs, or what was different in it.
+        The inputs, or the differences of the run.
     t : ndarray, shape (n,)
         Times in s.
-    wanted, driven : ndarray, shape (n, 3)
+    prescribed, driven : ndarray, shape (n, 3)
         Prescribed and simulated position of the load, in m.
     gust : (begin, end) or None
         Times in s of a gust.
@@ -47,19 +47,19 @@ class LoadRun:
 
     label: str
     t: Array
-    wanted: Array
+    prescribed: Array
     driven: Array
     gust: tuple[float, float] | None = None
 
     @property
     def error(self) -> Array:
-        """Distance of the load from where it should be, in m, shape (n,)."""
-        distance: Array = np.linalg.norm(self.driven - self.wanted, axis=1)
+        """Tracking error of the load in m, shape (n,)."""
+        distance: Array = np.linalg.norm(self.driven - self.prescribed, axis=1)
         return distance
 
     @property
     def largest(self) -> float:
-        """Largest distance, in m."""
+        """Largest tracking error in m."""
         return float(self.error.max())
 
 
@@ -93,7 +93,7 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Everything that the report shows.
+    """The results in the report.
 
     Attributes
     ----------

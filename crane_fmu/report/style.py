@@ -1,4 +1,4 @@
-"""How figures look: fonts, line styles that survive a grey print, and how they become bytes.
+"""Style of the figures: fonts, line styles that remain distinct in grey, and files as bytes.
 
 Figures are plain `matplotlib.figure.Figure` objects: nothing global is changed, no window system is needed.
 """
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 Array = npt.NDArray[np.float64]
 
 BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
-"""Colours that colour-blind readers tell apart (Okabe and Ito): exact inversion blue, the paper's scheme vermillion."""
+"""Colours that remain distinct with colour blindness (Okabe and Ito): exact inversion blue, the paper's vermillion."""
 
 PURPLE = "#7b4fa3"
 
@@ -82,7 +82,7 @@ def panels(labels: Sequence[str], height: float = 1.75) -> tuple[Figure, list[Ax
     Parameters
     ----------
     labels : sequence of str
-        What each panel shows, with its unit.
+        Quantity of each panel, with its unit.
     height : float
         Height of a panel in inches.
     """
@@ -106,7 +106,7 @@ def picture(figure: Figure, suffix: str, by: str) -> bytes:
     suffix : str
         .png, .svg or .pdf.
     by : str
-        Form and method that it comes from, written at its edge: a picture goes where its caption does not.
+        Form and method of the results, written at the edge: pictures are used without their captions.
     """
     edge = figure.suptitle if figure.get_layout_engine() is None else figure.supxlabel
     edge(fill(by, _REMARK), x=0.99, horizontalalignment="right", fontsize=8.0, color=FAINT)

@@ -1,7 +1,7 @@
-"""A slave that hands every call to the FMU's library in C, which says what the call does: phases, refusals, numbers.
+"""A slave of PythonFMU that forwards every call to the FMU's native library: phases, refusals and numbers are there.
 
-It travels into the FMU and needs the standard library and PythonFMU only. An exception that leaves a callback would
-end the host, memory included: every callback is guarded.
+This module is copied into the FMU and needs the standard library and PythonFMU only. An exception that leaves a
+callback would end the host process: every callback is guarded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
 LIBRARIES = "libraries"
-"""Folder beside this module with a folder for each platform, called as in FMI 2, and one library in each."""
+"""Folder beside this module: a folder with one library for each platform, by its name in FMI 2."""
 
 _OF_FMI_2 = {"linux": "linux", "win32": "win", "darwin": "darwin"}
 _MOST_PLACES = 64  # different lists of value references that are remembered
@@ -42,7 +42,7 @@ _CALLS: dict[str, list[Any]] = {
     "SerializeFMUstate": [c_void_p, _BYTES, c_size_t],
     "DeSerializeFMUstate": [c_char_p, c_size_t, POINTER(c_void_p)],
 }
-"""What follows the instance in the functions of FMI 2."""
+"""Argument types of the functions of FMI 2, after the instance."""
 
 
 class _Callbacks(ctypes.Structure):
@@ -60,7 +60,7 @@ Value = TypeVar("Value")
 
 
 def guarded(fallback: Callable[..., Any] = lambda *_: None) -> Callable[[Callback], Callback]:
-    """Let a callback log whatever is raised in it and return `fallback` of its arguments instead."""
+    """Make a callback log any exception and return `fallback` of its arguments instead."""
 
     def decorate(method: Callback) -> Callback:
         @wraps(method)
@@ -78,7 +78,7 @@ def guarded(fallback: Callable[..., Any] = lambda *_: None) -> Callable[[Callbac
 
 
 def this_platform() -> str:
-    """Return the name of this process's platform in FMI 2, or one like it: ``linux64``, ``aarch64-linux``."""
+    """Return the name of the platform of this process in FMI 2, or a similar one: ``linux64``, ``aarch64-linux``."""
     machine = platform.machine().lower()
     system = _OF_FMI_2.get(sys.platform, sys.platform)
     if machine not in ("x86_64", "amd64") and system != "darwin":
@@ -92,18 +92,18 @@ def library(folder: Path) -> ctypes.PyDLL:
     Parameters
     ----------
     folder : Path
-        With a folder for each platform.
+        The folder that contains a folder for each platform.
 
     Raises
     ------
     OSError
-        If there is none, or the system does not load it; the sentence says so.
+        If there is none, or the system does not load it.
     """
     files = sorted((folder / this_platform()).glob("*.*"))
     if not files:
         known = " and ".join(sorted(each.name for each in folder.iterdir()))
         raise OSError(f"the FMU has libraries for {known}, none for {this_platform()}: build it for that platform")
-    # It keeps the interpreter for itself: PythonFMU waits for that with a lock held.
+    # The interpreter lock is kept: PythonFMU waits for it with a lock of its own held.
     found = ctypes.PyDLL(str(files[0]))
     found.fmi2Instantiate.restype = c_void_p
     found.fmi2Instantiate.argtypes = [c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int]
@@ -114,7 +114,7 @@ def library(folder: Path) -> ctypes.PyDLL:
 
 
 class Places:
-    """A list of value references with room for their values, as C takes them."""
+    """A list of value references with memory for their values, as C arrays."""
 
     def __init__(self, kind: type[c_double | c_int], references: tuple[int, ...]) -> None:
         self.count = len(references)
@@ -124,12 +124,12 @@ class Places:
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
-    """What a host calls; subclasses say which library it is for.
+    """The methods that a host calls; subclasses name the build of the library.
 
     Attributes
     ----------
     token : str
-        What the library was built with; the model description has it as GUID.
+        Token of the build, the GUID in the model description.
     """
 
     license = "MIT"
@@ -138,49 +138,49 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.guid = self.token
-        # Of each instance, for a host may step several at a time.
+        # One for each instance: a host may step several at a time.
         self._numbers, self._items = (lru_cache(_MOST_PLACES)(partial(Places, kind)) for kind in (c_double, c_int))
-        # Not beside this module's file: another instance may have brought it, from a folder that is gone.
+        # Not beside this module's file: an earlier instance may have imported it, from a folder that is gone.
         self._library = library(Path(kwargs["resources"], *__name__.split(".")[:-1], LIBRARIES))
         me = weakref.ref(self)  # the library must not keep the slave alive
 
-        def hear(_: object, __: object, status: int, ___: object, form: bytes, text: bytes) -> None:
+        def forward(_: object, __: object, status: int, ___: object, form: bytes, text: bytes) -> None:
             slave = me()
-            if slave is not None:  # a text with a percent sign comes behind a form
+            if slave is not None:  # a text with a percent sign is the argument of a format
                 slave.log((text if form == b"%s" else form).decode(errors="replace"), Fmi2Status(status))
 
-        self._callbacks = _Callbacks(_LOGGER(hear))
+        self._callbacks = _Callbacks(_LOGGER(forward))
         self._instance = self._library.fmi2Instantiate(
             self.instance_name.encode(), 1, self.token.encode(), b"", byref(self._callbacks), 0, 1
         )
         if not self._instance:
-            raise OSError("the FMU's library makes no instance")
-        # Bound to what they need, for the slave is gone when the instance is freed.
+            raise OSError("the native library of the FMU returned no instance")
+        # Bound to these objects, since the slave no longer exists when the instance is freed.
         freed = weakref.finalize(self, _free, self._library, self._instance, self._callbacks)
         freed.atexit = False  # a host may call until the very end
 
     def log(
         self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: None = None
     ) -> None:
-        """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
+        """Log a message in the host; its logger takes a format, so percent signs of the text are doubled."""
         super().log(msg.replace("%", "%%"), status, category, debug)
 
     # --- phases and steps -----------------------------------------------------------------------------------------
 
     @guarded()
     def setup_experiment(self, start_time: float, stop_time: float | None = None, *_: float | None) -> None:
-        """Tell start and stop time; a tolerance is of no use here."""
+        """Set start and stop time; the tolerance is ignored."""
         stops = stop_time is not None
         self._library.fmi2SetupExperiment(self._instance, 0, 0.0, start_time, stops, stop_time if stops else 0.0)
 
     @guarded()
     def enter_initialization_mode(self) -> None:
-        """From now on outputs are computed when they are read."""
+        """Enter the initialization; outputs are computed when they are read."""
         self._library.fmi2EnterInitializationMode(self._instance)
 
     @guarded()
     def exit_initialization_mode(self) -> None:
-        """Compute the outputs at the start; a failure is told again by every step."""
+        """Compute the outputs at the start; every later step logs a failure of this again."""
         self._library.fmi2ExitInitializationMode(self._instance)
 
     @guarded()
@@ -190,21 +190,21 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     @guarded(lambda *_: False)
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Take a communication step; False, which is fmi2Discard, leaves everything as it was."""
+        """Take a communication step; False means fmi2Discard, with state and outputs as before."""
         return bool(self._library.fmi2DoStep(self._instance, current_time, step_size, 1) < Fmi2Status.discard.value)
 
     # --- variables ------------------------------------------------------------------------------------------------
 
     @guarded()
     def set_real(self, vrs: list[int], values: list[float]) -> None:
-        """Set numbers; what they are worth is judged when they are used."""
+        """Set numbers; their values are checked when they are used."""
         at = self._numbers(tuple(vrs))
         at.pack(at.values, 0, *values)
         self._library.fmi2SetReal(self._instance, at.references, at.count, at.values)
 
     @guarded()
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        """Choose by the numbers of items."""
+        """Set choices, by the numbers of their items."""
         at = self._items(tuple(vrs))
         at.values[:] = values
         self._library.fmi2SetInteger(self._instance, at.references, at.count, at.values)
@@ -219,30 +219,30 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     @guarded(lambda vrs: [0] * len(vrs))
     def get_integer(self, vrs: list[int]) -> list[int]:
-        """Return the numbers of the items that are chosen, 0 where nothing is to be chosen."""
+        """Return the numbers of the chosen items, 0 for variables that are no choices."""
         at = self._items(tuple(vrs))
         at.values[:] = [0] * at.count
         self._library.fmi2GetInteger(self._instance, at.references, at.count, at.values)
         found: list[int] = at.values[:]
         return found
 
-    # There are no texts and no booleans; PythonFMU's own methods raise, which would end the host.
+    # The FMU has no String and no Boolean variables; PythonFMU's own methods raise, which would end the host.
 
     @guarded()
     def set_string(self, vrs: list[int], _: list[Any]) -> None:
-        """Refuse to set."""
+        """Log a warning; nothing is set."""
         self._refused(vrs, None)
 
     set_boolean = set_string
 
     @guarded(lambda vrs: [""] * len(vrs))
     def get_string(self, vrs: list[int]) -> list[str]:
-        """Refuse, with empty texts."""
+        """Log a warning; return empty texts."""
         return self._refused(vrs, "")
 
     @guarded(lambda vrs: [False] * len(vrs))
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Refuse, with False."""
+        """Log a warning; return False."""
         return self._refused(vrs, False)
 
     def _refused(self, vrs: list[int], value: Value) -> list[Value]:
@@ -254,7 +254,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     @guarded(lambda: b"")
     def _get_fmu_state(self) -> bytes:
-        """Return all that what follows depends on."""
+        """Return the complete state of the FMU."""
         state, size = c_void_p(), c_size_t()
         self._library.fmi2GetFMUstate(self._instance, byref(state))
         try:
@@ -267,7 +267,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     @guarded()
     def _set_fmu_state(self, state: bytes) -> None:
-        """Restore what `_get_fmu_state` has returned; anything else is refused and changes nothing."""
+        """Restore a state from `_get_fmu_state`; other bytes are refused and change nothing."""
         restored = c_void_p()
         self._library.fmi2DeSerializeFMUstate(self._instance, state, len(state), byref(restored))
         if restored:
@@ -284,5 +284,5 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
 
 def _free(found: ctypes.PyDLL, instance: int, _: _Callbacks) -> None:
-    """End an instance; the callbacks live until then."""
+    """Free an instance; the argument keeps its callbacks alive until then."""
     found.fmi2FreeInstance(instance)

@@ -21,6 +21,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
+from servocore.export.c_functions import named_in_c
 from servocore.export.directional_derivatives import tangent, tangent_of_step
 from servocore.export.estimates import SampledEstimates
 from servocore.export.exported_quantities import Matrix, observation, timed_path, wanted
@@ -45,15 +46,15 @@ from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import inversion
 
 METHOD = RadauIIA(3)
-"""What steps the internal dynamics, on the reduced form."""
+"""The method that integrates the internal dynamics, on the reduced form."""
 
 TERMINALS = {
     "path": ("input", "the path to follow with its derivatives"),
-    "result": ("output", "what the drives have to do, and the motion that results"),
+    "result": ("output", "inputs of the drives, and the resulting motion"),
 }
-"""What belongs together in the eyes of a host."""
+"""Groups of variables that a host connects together."""
 
-_ROUND_OFF = 1e-9  # of a limit on what moves: beyond it by less is on it
+_ROUND_OFF = 1e-9  # share of a limit of the motion that may be exceeded by round-off
 
 
 def inverse_model(
@@ -78,8 +79,8 @@ def inverse_model(
     Raises
     ------
     InvalidModel
-        If the inputs do not follow from past and present of the path, as with internal dynamics that are unstable; or
-        a limit cannot be kept from step to step.
+        If the inputs depend on the future of the path, as with unstable internal dynamics; or a limit cannot be
+        checked from step to step.
     InvalidReference
         If the scene's own path breaks its limits.
     """
@@ -91,15 +92,15 @@ def inverse_model(
             f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
             f" depend on the whole path, its future included; solve computes them"
         )
-    if not problem.flat or problem.follow_branch:  # others were looked at before
+    if not problem.flat or problem.follow_branch:  # `followed` has checked the others
         require_feasible(problem)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
     variables = rows.placed(_variables(problem, compiled, scene.tracked, home, feedback))
     if (feedback or estimates) and compiled.state_size:
-        what = "a feedback" if feedback else "estimated derivatives"
-        raise InvalidModel(f"{scene.name} cannot have {what}: its inputs are stepped, not found at every instant")
+        option = "a feedback" if feedback else "estimated derivatives"
+        raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
     return InverseModel(
         identifier=identifier,
         title=scene.name,
@@ -113,8 +114,8 @@ def inverse_model(
         | {"estimates": estimates.own() if estimates else None},
         functions={
             **compiled.functions,
-            **(feedback.functions(identifier) if feedback else {}),
-            **(estimates.renamed(identifier) if estimates else {}),
+            **(named_in_c({**feedback.laws, "judge": feedback.judge}, identifier) if feedback else {}),
+            **(named_in_c(estimates.functions, identifier) if estimates else {}),
         },
         variables=variables,
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
@@ -133,7 +134,7 @@ def inverse_model(
 
 
 def followed(problem: Problem) -> Problem:
-    """Return the problem, set to follow a branch where the guess of the model does not keep to one along its path."""
+    """Return the problem, set to follow a branch if the guess of the model leaves its branch along the path."""
     if not problem.flat or problem.follow_branch:
         return problem
     if problem.reference.max_order < problem.array.reference_order:
@@ -170,7 +171,7 @@ def _variables(
 
 
 def _own(compiled: Mathematics, components: int, tracked: str, feedback: SampledFeedback | None) -> dict[str, Any]:
-    """Return what the kernel needs to know."""
+    """Return values for the templates of the sources, by name."""
     return {
         "components": components,
         "orders": compiled.orders,
@@ -186,7 +187,7 @@ def _own(compiled: Mathematics, components: int, tracked: str, feedback: Sampled
 
 
 def _with_measured(compiled: Mathematics, feedback: SampledFeedback | None) -> npt.NDArray[np.bool_]:
-    """Return which outputs depend on which inputs: the drives' on what is measured too."""
+    """Return which outputs depend on which inputs; those of the drives also depend on measured values."""
     if feedback is None:
         return compiled.depends
     drives, measured = feedback.laws["feedback_start"].numel_out(1), feedback.numbers
@@ -208,19 +209,19 @@ def end_conditions(orders: int) -> list[list[float]]:
 
 
 def mathematics(problem: Problem, identifier: str) -> Mathematics:
-    """Compile what an exported inverse model computes.
+    """Compile the functions of an exported inverse model.
 
     Parameters
     ----------
     problem : Problem
-        Resolved; set to follow a branch where it has to.
+        Resolved, and set to follow a branch where needed.
     identifier : str
-        What names in C begin with.
+        Prefix of names in C.
 
     Raises
     ------
     InvalidModel
-        If a limit cannot be kept from step to step.
+        If a limit cannot be checked from step to step.
     """
     watched = with_watched(problem)
     known = _Known(watched, wanted(watched), bounds(watched))
@@ -229,7 +230,7 @@ def mathematics(problem: Problem, identifier: str) -> Mathematics:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """A problem, all that is evaluated of it (what its limits compare comes last), and the bounds."""
+    """A problem, its evaluated quantities (those of its limits last), and the bounds."""
 
     problem: Problem
     wanted: list[tuple[Quantity, ca.SX]]
@@ -247,35 +248,35 @@ class _Known:
 
     @property
     def orders(self) -> int:
-        """Derivatives of the path that evaluating takes, the path itself included."""
+        """Number of derivatives of the path in the evaluation, the path itself included."""
         system = self.problem.system
         expressions = ca.vertcat(ca.SX(0, 1), *[each for _, each in self.wanted])
         return 1 + max(limits_order(system, self.of_path), highest_derivative(expressions, system.gamma))
 
     def split(self, values: Matrix, margins: Matrix) -> tuple[Matrix, Matrix]:
-        """Return outputs, and margins of all limits, of all values and the margins of the path."""
+        """Return outputs and margins of all limits, from all values and the margins of the path."""
         count, sides = len(self.outputs), self.bounds[len(self.of_path) :]
         kept = [side.side * (values[count + side.row] - side.bound) + _ROUND_OFF * abs(side.bound) for side in sides]
         return values[:count], ca.vertcat(margins, *kept)
 
 
 def bounds(problem: Problem) -> tuple[Bound, ...]:
-    """Return the bounds that limits set, those of the path first.
+    """Return the bounds of limits, those of the path first.
 
     Raises
     ------
     InvalidModel
-        If one is of an angle that counts turns, or of the rate of a force, which no instant tells.
+        If one is of an angle that counts turns, or of the rate of a force: neither follows from a single instant.
     """
     path = [Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in problem.limits if e.of_path]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     bounds_of_limits = []
     for row, (limit, name) in enumerate(zip((e for e in problem.limits if not e.of_path), hidden, strict=True)):
         if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
-            why = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
+            kind = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
             raise InvalidModel(
-                f"{problem.name} cannot be exported with its limit of {limit.quantity}: an FMU keeps limits instant by"
-                f" instant, and that is {why}"
+                f"{problem.name} cannot be exported with its limit of {limit.quantity}: an FMU checks limits at single"
+                f" instants, and this is {kind}"
             )
         sides = [(limit.bound, 1.0), (limit.upper, -1.0)]
         bounds_of_limits += [
@@ -287,7 +288,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
 
 
 def _instantaneous(known: _Known, identifier: str) -> Mathematics:
-    """Every instant by itself: the equations as one expression, and Newton's method where that does not do."""
+    """Compile the inversion of single instants: the equations as one expression, and Newton's method where it fails."""
     problem = known.problem
     system, dae = problem.system, problem.dae(Reduced())
     inverse = inversion(problem.array)
@@ -307,7 +308,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     if inverse.expression is not None:
         jet, p = timed_path(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
         results, kept_there = seen(inverse.expression(jet[:, :rows], p)[0], jet, p)
-        # Margins first: what they need of the path alone is then computed beside the guess, and neither waits.
+        # Margins first: their terms of the path are then evaluated in parallel with the guess.
         functions["quick"] = ca.Function(
             f"{identifier}_quick", [system.path[:, :orders], p, time], [kept_there, results], {"cse": True}
         )
@@ -315,11 +316,11 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
     functions["begin_tangent"] = tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
     depends = _dependence(functions.get("quick", functions["begin"]), 1)
-    return Mathematics(identifier, functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
+    return Mathematics(functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
 
 
 def _stepped(known: _Known, identifier: str) -> Mathematics:
-    """Step by step: internal dynamics, or a branch that is followed from instant to instant."""
+    """Compile steps: of internal dynamics, or along a branch that is followed from instant to instant."""
     problem = known.problem
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
@@ -344,7 +345,7 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
 
     stepped, within = seen(after)
     step, by, begin = [S, N, h, P, T], [S, N, P], [G, P, T, D]
-    if not dae.x.numel():  # every instant stands alone, but for the branch
+    if not dae.x.numel():  # instants are independent, except for the branch
         along = tangent(f"{identifier}_advance_tangent", step, [after, stepped], by)
     else:
         givens = ca.vertcat(S, ca.vec(used), h, P)
@@ -358,7 +359,7 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
         "advance_tangent": along,
     }
     depends = np.ones((len(known.outputs), G.numel()), dtype=bool)  # also through the state
-    return Mathematics(identifier, functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
+    return Mathematics(functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
 
 
 def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -366,7 +367,7 @@ def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX
 
 
 def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Return the first state, its internal states moved from where they rest, and the residual of the equations."""
+    """Return the first state, its internal states offset from rest, and the residual of the equations."""
     array, inverse = problem.array, inversion(problem.array)
     path = path[:, : program.start_order + 1]
     used = path[:, : array.reference_order + 1]
@@ -380,7 +381,7 @@ def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca
 
 
 def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:
-    """Which rows of a result depend on which numbers of the first argument."""
+    """Return which rows of a result depend on which numbers of the first argument."""
     pattern = function.jac_sparsity(result, 0)
     depends = np.zeros(pattern.shape, dtype=bool)
     depends[tuple(np.array(pattern.get_triplet(), dtype=np.intp))] = True

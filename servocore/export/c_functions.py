@@ -1,17 +1,17 @@
-"""CasADi's functions written as C, and how much working memory they take."""
+"""CasADi functions as C source, and the size of their working memory."""
 
 from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 import casadi as ca
 
 
 def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
-    """Return header and C source of functions, in files of a name."""
+    """Return header and C source of functions, for files with this name."""
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
     for function in functions:
         generator.add(function)
@@ -42,9 +42,9 @@ static inline void casadi_mtimes_dense(const casadi_real* restrict x, casadi_int
 
 
 def with_quick_products(source: str) -> str:
-    """Return C source whose products of dense matrices run down columns, with their sizes known where they are called.
+    """Return C source whose products of dense matrices run down columns, inlined with constant sizes.
 
-    Every number is the same sum in the same order, so digits stay; compilers take several numbers of a column at once.
+    Every number is the same sum in the same order, so results are equal to the bit; compilers vectorize the columns.
     """
     return _PRODUCT.sub(_QUICK_PRODUCT, source)
 
@@ -55,10 +55,10 @@ _BEGIN = re.compile(r"^(?=(?:CASADI_SYMBOL_EXPORT|static) int \w+\(const casadi_
 
 
 def checked_once(source: str) -> str:
-    """Return C source whose functions look once whether an array is given, not at each of its numbers.
+    """Return C source whose functions test pointers for NULL once, not for each number.
 
-    That is a tenth of what a compiler makes of it. Where an argument is not given it is `ZEROS`, a result that is not
-    wanted goes to `UNWANTED`; one thread may call.
+    This saves a tenth of the compiled code. A missing argument is replaced by `ZEROS`, a missing result is written to
+    `UNWANTED`; only one thread may call.
     """
     zeros, unwanted, parts = 1, 1, []
     for part in _BEGIN.split(source):
@@ -77,17 +77,22 @@ _COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
 
 
 def copied_in_one_place(source: str) -> str:
-    """Return C source that calls its function for copies of arrays, of which there are many, and repeats it nowhere."""
+    """Return C source whose function for copies of arrays, called very often, is not inlined."""
     return _COPY.sub("__attribute__((noinline)) ", source)
 
 
 def renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function by another name, with results that have all their numbers."""
+    """Return a function under another name, with dense results."""
     arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
     return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])
 
 
+def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:
+    """Return functions by name, called ``IDENTIFIER_NAME`` in C."""
+    return {name: renamed(each, f"{identifier}_{name}") for name, each in functions.items()}
+
+
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
-    """Return how much working memory the largest of some functions takes, by kind."""
+    """Return the size of the working memory for any of some functions, by kind."""
     sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
     return {kind: max(getattr(function, size)() for function in functions) for kind, size in sizes.items()}

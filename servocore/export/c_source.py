@@ -1,14 +1,16 @@
-"""`export_c`: a scene's inverse model as C source for hosts that know nothing of FMI."""
+"""`export_c`: a scene's inverse model as C source for hosts without FMI."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
+from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.identifiers import identifier_of
-from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.inverse_model import InverseModel
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
@@ -16,8 +18,8 @@ from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler, compile_in
 from servocore.numerics.square_systems import MAX_ITERATIONS
 
-_NAMES = ("main.c", "CMakeLists.txt", "README.md")  # beside those that the scene's name gives
-_CALLED = ("quick", "begin", "advance")  # what there is of it; derivatives are left to the FMU
+_NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
+_CALLED = ("quick", "begin", "advance")  # those of them that exist; only FMUs have derivatives
 
 
 def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> Path:
@@ -28,7 +30,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     scene : Scene
         With its parameter values.
     folder : str or Path
-        A new folder, or one that has C source of this scene, which is written over.
+        A new folder, or one with C source of this scene, which is overwritten.
     model : str, optional
         Model of the scene; its smallest when not given.
 
@@ -42,7 +44,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     InvalidModel, InvalidReference
         As `export_fmu`.
     InvalidSetting
-        If the folder cannot be written, or has files of these names that are not from here.
+        If the folder cannot be written, or contains other files of these names.
     """
     place = Path(folder)
     require_folder(scene, place)
@@ -53,7 +55,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
 
 
 def require_folder(scene: Scene, place: Path) -> None:
-    """Raise `InvalidSetting` if C source of a scene cannot be written there, or files of others would be lost."""
+    """Raise `InvalidSetting` if C source of a scene cannot be written there, or other files would be overwritten."""
     require_writable(place, place)
     if not place.parent.exists():
         raise InvalidSetting(f"cannot write {place}: there is no folder {place.parent}; make it first")
@@ -64,14 +66,15 @@ def require_folder(scene: Scene, place: Path) -> None:
 
 def c_files(model: InverseModel) -> dict[str, str]:
     """Return all texts by file name."""
-    mathematics = model.mathematics.only(_CALLED)
-    source, name = mathematics.source()[1], model.identifier
+    functions = {name: each for name, each in model.mathematics.functions.items() if name in _CALLED}
+    name, scratch = model.identifier, scratch_of(functions.values())
+    source = c_source(f"{name}_mathematics", functions.values())[1]
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
         "parameters": model.numbers("parameter") - len(model.settings),
-        "functions": tuple(mathematics.functions),
-        "scratch": mathematics.scratch(),
+        "functions": tuple(functions),
+        "scratch": scratch,
         "integrated": bool(model.method),
         "path_source": _path_functions(),
         "mathematics_source": source,
@@ -81,10 +84,10 @@ def c_files(model: InverseModel) -> dict[str, str]:
     page = values | {
         "description": model.description,
         "method": model.method,
-        "operations": mathematics.operations,
+        "operations": next(iter(functions.values())).n_instructions(),
         "most_iterations": MAX_ITERATIONS,
         "blocks": _blocks(source),
-        "memory_bytes": _memory_bytes(model, mathematics),
+        "memory_bytes": _memory_bytes(model, scratch),
         "stack": _stack({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
     }
     return {
@@ -97,22 +100,19 @@ def c_files(model: InverseModel) -> dict[str, str]:
 
 
 def _path_functions() -> str:
-    """Return what joins two instants, without the lines that make it a header."""
+    """Return the functions in `path.h`, without the lines that make it a header."""
     text = (SHARED / "path.h").read_text(encoding="utf-8")
     return text[text.index("/* Continue a path") : text.rindex("#endif")].rstrip()
 
 
 def _blocks(source: str) -> int:
-    """Count the systems that Newton's method is used for; each has a quick and a careful loop."""
+    """Count the systems solved by Newton's method; each has a fast and a damped loop."""
     return source.count("casadi_newton(&") // 2
 
 
-def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
-    inputs, state, scratch = (
-        model.components * mathematics.orders,
-        max(mathematics.state_size, 1),
-        mathematics.scratch(),
-    )
+def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
+    mathematics = model.mathematics
+    inputs, state = model.components * mathematics.orders, max(mathematics.state_size, 1)
     numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
     numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
@@ -120,7 +120,7 @@ def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
 
 
 def _stack(files: dict[str, str], file: str) -> str:
-    """Measure the stack: the sum over all functions is never exceeded, for none calls itself."""
+    """Measure the stack; the sum over all functions is an upper bound, since none is recursive."""
     try:
         command = c_compiler()
         with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
@@ -131,5 +131,5 @@ def _stack(files: dict[str, str], file: str) -> str:
             (usage,) = Path(folder).glob("*.su")
             sizes = [int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines()]
     except (InvalidSetting, OSError, ValueError, IndexError):
-        return "not measured: there was no compiler that tells"
+        return "not measured: no compiler that reports it was found"
     return f"at most {sum(sizes)} bytes, measured with `{' '.join(command)} -O2`"

@@ -1,4 +1,4 @@
-"""Cross-check files beside an FMU: what it is given along a scene's path, and what it has to answer."""
+"""Cross-check files beside an FMU: its inputs along a scene's path, and its expected results."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ STEPS = 1000
 
 
 def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str) -> dict[str, str]:
-    """Return inputs along a scene's path, what a solution says of it, and the options of a run, by file name.
+    """Return inputs along a scene's path, the results of a solution, and the options of a run, by file name.
 
-    The inputs stand at the times that they belong to: a run with `input_time` = start continues them over each step,
-    and differs from the reference by that.
+    Inputs have the times of their instants: a run with `input_time` = start extrapolates them over each step, and
+    differs from the reference by that.
 
     Parameters
     ----------
     scene : Scene
-        Whose path it is.
+        The scene of the path.
     model : InverseModel
-        What was exported of it.
+        Its exported model.
     solution : Solution
-        In `STEPS` steps, computed without the FMU.
+        The reference in `STEPS` steps, computed without the FMU.
     stem : str
-        What the names of the files begin with.
+        Prefix of the names of the files.
     """
     path, t, begin = scene.reference, solution.t, model.start_time
     jets = path.jet(t, model.mathematics.orders - 1).reshape(len(t), -1)

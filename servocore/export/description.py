@@ -20,11 +20,11 @@ _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
     "N": {"kN": 1e-3},
     "N.m": {"kN.m": 1e-3},
 }
-_SHOWN = {"rad": "deg", "rad/s": "deg/s"}  # instead of the unit itself
+_SHOWN = {"rad": "deg", "rad/s": "deg/s"}  # default display units
 _CATEGORIES = {
-    "logStatusWarning": "What may be a mistake: a path whose derivatives are not connected.",
-    "logStatusDiscard": "Steps that are refused: a path beyond the limits of the model, inputs that are not finite.",
-    "logStatusError": "Calls that make no sense: unknown variables, values outside bounds, times that do not fit.",
+    "logStatusWarning": "Possible mistakes: a path whose derivatives are not connected.",
+    "logStatusDiscard": "Refused steps: a path beyond the limits of the model, inputs that are not finite.",
+    "logStatusError": "Invalid calls: unknown variables, values outside bounds, inconsistent times.",
 }
 _ABILITIES = {
     2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
@@ -87,7 +87,8 @@ def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
         used = [k for k, each in enumerate(model.depends[row]) if each]
-        first = [k for k in used if k < model.depends.shape[1] - model.measured]  # what is measured counts in steps
+        count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
+        first = [k for k in used if k < count]
         for parent, on in ((outputs, used), (initial, [*first, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
@@ -132,7 +133,7 @@ def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
 
 
 def build_description(model: NativeModel) -> bytes:
-    """Return buildDescription.xml of FMI 3: how a tool builds the library for its own system."""
+    """Return buildDescription.xml of FMI 3, for tools that compile the sources themselves."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = _add(root, "BuildConfiguration", modelIdentifier=model.identifier)
     sources = _add(configuration, "SourceFileSet", language="C99")
@@ -142,7 +143,7 @@ def build_description(model: NativeModel) -> bytes:
 
 
 def terminals(model: NativeModel) -> bytes:
-    """Return terminalsAndIcons.xml of FMI 3: what belongs together as one plug, such as the path."""
+    """Return terminalsAndIcons.xml of FMI 3: groups of variables that are connected together, such as the path."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     every = _add(root, "Terminals")
     for name, (causality, text) in model.terminals.items():
@@ -154,7 +155,7 @@ def terminals(model: NativeModel) -> bytes:
     return xml_document(root)
 
 
-# What both versions have in common -----------------------------------------------------------------------------------
+# Both versions of FMI -----------------------------------------------------------------------------------------------
 
 
 def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:

@@ -1,4 +1,4 @@
-"""Derivatives of exported functions along directions, as functions of their own."""
+"""Directional derivatives of exported functions, as functions."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def tangent_of_step(
     Parameters
     ----------
     name : str
-        Of the function.
+        Name of the function.
     step : Discretization
-        Whose next state holds its unknowns.
+        The step; its next state contains its unknowns.
     arguments, by : sequence of casadi.MX
-        Symbols, and those among them that there are directions of.
+        Symbols, and those among them with directions.
     givens, after : casadi.MX
-        Of the step's equations, and the next state that belongs to them: expressions of the arguments.
+        Givens of the step's equations and its next state, as expressions of the arguments.
     results : callable
-        Next state -> what else is differentiated, expressions of it and the arguments.
+        Next state -> further differentiated results, expressions of it and the arguments.
     """
     equations = step.equations
     directions = [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
@@ -61,7 +61,7 @@ def _along(results: Sequence[ca.MX], by: Sequence[ca.MX], directions: Sequence[c
 
 
 def _places(symbols: ca.SX, within: ca.SX) -> list[int]:
-    """Return where in an expression each of some symbols stands by itself."""
+    """Return the places of symbols in a vector."""
     places = {element.element_hash(): k for k, element in enumerate(ca.vertsplit(within))}
     return [places[symbol.element_hash()] for symbol in ca.vertsplit(symbols)]
 
@@ -69,9 +69,9 @@ def _places(symbols: ca.SX, within: ca.SX) -> list[int]:
 def _compile_implicit(equations: SquareSystem) -> ca.Function:
     """Compile (solution, givens, their direction) -> direction of the solution, refined once.
 
-    A change of the path at one end of a step h bends its interpolant: accelerations at the stages of 1/h^2 that cancel
-    in the result. A factorization mixes the stages and leaves their round-off in all rows; one refinement in the same
-    precision leaves each row with its own (Skeel, 1980), which is two to four digits at a hundredth of a second.
+    A change of the path at one end of a step h causes accelerations of order 1/h^2 at the stages, which cancel in the
+    result. A factorization spreads their round-off to all rows; one refinement in the same precision removes it (Skeel,
+    1980), which gains two to four digits at steps of 0.01 s.
     """
     unknowns, givens = equations.unknowns, equations.givens
     direction = ca.SX.sym("direction", givens.numel())

@@ -1,4 +1,4 @@
-"""`SampledEstimates`: what an exported inverse model estimates of its path where derivatives are not connected."""
+"""`SampledEstimates`: estimation of derivatives of the path that are not connected, for exported inverse models."""
 
 from __future__ import annotations
 
@@ -7,29 +7,26 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
 from servocore.export.variables import Choice, order_name
-
-_NAMES = ("first_samples", "estimate", "worth")
 
 
 @dataclass(frozen=True, eq=False)
 class SampledEstimates:
-    """An estimation from samples, memory in and memory out; p are the parameters of the scene's model.
+    """An estimator from samples, with its memory as argument and result; p are the parameters of the scene's model.
 
     Attributes
     ----------
     functions : mapping of str to casadi.Function
-        ``first_samples``, (path as it is told, k) -> memory, where k is the highest derivative that is connected;
-        ``estimate``, (memory, path, step, 1 if it is told for the end of the step, k) -> (memory, path with what is
-        estimated, error, 0 while there are too few samples); and ``worth``, (error, path, outputs, p, peak so far) ->
-        (peak, what the error is worth, from where on that is told).
+        ``first_samples``, (input path, k) -> memory, where k is the order of the highest connected derivative;
+        ``estimate``, (memory, input path, step, 1 if the path is that at the end of the step, k) -> (memory, path with
+        estimated derivatives, error, 0 while there are too few samples); and ``worth``, (error, path, outputs, p, peak
+        so far) -> (peak, error of an output, threshold of the warning).
     unknown : tuple of str
-        What to say while there are too few samples, for each k.
+        The warning of too few samples, for each k.
     rough : tuple of str
-        What to say of an error that is told, for each k: a format of the error, what it is worth, and the peak.
+        The warning of a large error, for each k: a format of the error, the error of the output, and its peak.
     start : int
-        The highest derivative that is connected at first.
+        The start value of k.
     """
 
     functions: Mapping[str, ca.Function]
@@ -39,34 +36,19 @@ class SampledEstimates:
 
     @property
     def choice(self) -> Choice:
-        """Which derivatives are connected; the first item is all of them."""
+        """The choice of the highest connected derivative; the first item is the highest of all."""
         names = [order_name(order) for order in range(len(self.unknown) + 1)]
-        items = tuple((name, f"the {name} and what is below it") for name in reversed(names))
+        items = tuple((name, f"the {name} and all below it") for name in reversed(names))
         text = "highest derivative of the path that is connected; others are estimated"
         return Choice("connected", text, items, len(names) - self.start)
 
-    def renamed(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, called as in C.
-
-        Parameters
-        ----------
-        identifier : str
-            What names in C begin with.
-
-        Returns
-        -------
-        dict of str to casadi.Function
-            With dense arguments and results.
-        """
-        return {name: renamed(self.functions[name], f"{identifier}_{name}") for name in _NAMES}
-
     def own(self) -> dict[str, object]:
-        """Return what the kernel needs to know.
+        """Return values for the templates of the sources.
 
         Returns
         -------
         dict of str to object
-            By name, for the templates of the sources.
+            The values by name.
         """
         memory = self.functions["estimate"].numel_in(0)
         return {"memory": memory, "unknown": self.unknown, "rough": self.rough}

@@ -1,4 +1,4 @@
-"""What exported functions evaluate: inputs and observables of a system, on a path that may hold the time."""
+"""Evaluated quantities of exported functions: inputs and observables of a system, which may depend on time."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
 def observation(
     system: MechanicalSystem, dae: Dae, step: Discretization, known: list[tuple[Quantity, ca.SX]], order: int
 ) -> ca.Function:
-    """Compile (state, gamma (m, order + 1), p) -> values of `known`, without the violations that a host never sees."""
+    """Compile (state, gamma (m, order + 1), p) -> values of `known`, without constraint violations."""
     read = compile_observation(system, dae, step, known, order)
     arguments = read.sx_in()
     return ca.Function(read.name(), arguments, [read(*arguments)[0]], {"cse": True})
 
 
 def timed_path(system: MechanicalSystem, path: Matrix, time: Matrix) -> Matrix:
-    """Return a path with the time as its last row, where the system holds it."""
+    """Return a path with the time as its last row, if the system depends on time."""
     if not system.time.numel():
         return path
     row = ca.horzcat(time, 1.0, ca.DM.zeros(1, max(path.shape[1] - 2, 0)))[:, : path.shape[1]]

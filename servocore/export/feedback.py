@@ -1,4 +1,4 @@
-"""`SampledFeedback`: a feedback on what is measured that an exported inverse model carries."""
+"""`SampledFeedback`: a feedback of measured values, for exported inverse models."""
 
 from __future__ import annotations
 
@@ -7,35 +7,33 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
-from servocore.export.variables import INPUT_TIME
 from servocore.model.quantity import Quantity
 
 
 @dataclass(frozen=True, eq=False)
 class SampledFeedback:
-    """A law for sampled data: memory in, memory and inputs out; p are the parameters of the scene's model.
+    """A sampled-data law, with its memory as argument and result; p are the parameters of the scene's model.
 
     Attributes
     ----------
     measured : tuple of (Quantity, int or None)
-        What is measured, with the number of components of vectors.
+        Measured quantities, with the number of components of vectors.
     laws : mapping of str to casadi.Function
         For each input time T ``begin_T``, (path, measured, p, h) -> memory, and ``feedback_T``, (memory, path, path
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     judge : casadi.Function
-        (path before, measured, p, h) -> (whether what is measured makes sense, distance from the path, turn of the
-        step).
+        (path before, measured, p, h) -> (whether the measured values are possible, distance from the path, turn in
+        the step).
     not_measured : str
-        What to say where it makes none, behind the time; a format of the numbers that are shown.
+        The refusal of impossible values, after the time; a format of the numbers in `shown`.
     largest_turn : float
-        Beyond this turn of a step there is the feedforward only.
+        Largest turn in a step with feedback.
     too_long : str
-        How to begin to say how long a step may be: ``with this load it``.
+        Beginning of the sentence on the longest possible step: ``with this load it``.
     distance : float
         Start value of the distance from the path up to which there is feedback, in m.
     shown : tuple of int
-        Places of measured numbers that `not_measured` tells, each as ``%g``.
+        Places of measured numbers in `not_measured`, each as ``%g``.
     """
 
     measured: tuple[tuple[Quantity, int | None], ...]
@@ -49,33 +47,16 @@ class SampledFeedback:
 
     @property
     def numbers(self) -> int:
-        """How many numbers are measured."""
+        """The number of measured values."""
         return sum(size or 1 for _, size in self.measured)
 
-    def functions(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, called as in C.
-
-        Parameters
-        ----------
-        identifier : str
-            What names in C begin with.
-
-        Returns
-        -------
-        dict of str to casadi.Function
-            With dense arguments and results.
-        """
-        names = [f"{each}_{time}" for time, _ in INPUT_TIME.items for each in ("begin", "feedback")]
-        functions_by_name = {**{name: self.laws[name] for name in names}, "judge": self.judge}
-        return {name: renamed(each, f"{identifier}_{name}") for name, each in functions_by_name.items()}
-
     def own(self) -> dict[str, object]:
-        """Return what the kernel needs to know.
+        """Return values for the templates of the sources.
 
         Returns
         -------
         dict of str to object
-            Values for the templates of the sources.
+            The values by name.
         """
         law = self.laws["feedback_start"]
         return {

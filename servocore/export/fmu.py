@@ -12,10 +12,9 @@ from servocore.export.description import build_description, model_description, t
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
-from servocore.export.page import documentation
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
-from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
+from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.export.variables import with_item, with_starts
@@ -47,7 +46,7 @@ def export_fmu(
     scene : Scene
         Its parameter values become the start values of the FMU's, the start of its path that of the inputs.
     path : str or Path
-        The file; its name says nothing to a tool.
+        The file; tools ignore its name.
     fmi : int
         Version of FMI, 2 or 3.
     model : str, optional
@@ -56,17 +55,17 @@ def export_fmu(
         ``all``, ``host``, ``none`` for its sources alone, or names of platforms, as ``x86_64-windows``. When not given:
         all where the package ziglang is installed, else this machine's own.
     feedback : SampledFeedback, optional
-        A law that corrects the inputs by what is measured.
+        A law that corrects the inputs by measured values.
     estimates : SampledEstimates, optional
-        What estimates derivatives of the path that are not connected.
+        An estimator of derivatives of the path that are not connected.
     routes : SteppedRoutes, optional
-        What may be chosen in place of the exact inversion of every instant.
+        Formulations and methods that may be chosen in place of the exact inversion of every instant.
     start : mapping of str to float or str, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
     deferred_refusals : bool, optional
-        Whether values are judged when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
+        Whether values are checked when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
     progress : callable
-        Told what is being done.
+        Called with a phrase for every stage.
 
     Returns
     -------
@@ -114,7 +113,7 @@ def export_plant(
     deferred_refusals: bool = False,
     progress: Progress = lambda _: None,
 ) -> Path:
-    """Write the forward dynamics of a scene as a native FMU for co-simulation: where it goes under its inputs.
+    """Write the forward dynamics of a scene as a native FMU for co-simulation: a plant with the scene's inputs.
 
     Parameters
     ----------
@@ -123,7 +122,7 @@ def export_plant(
     path : str or Path
         The file.
     options : PlantOptions, optional
-        In what the plant differs from the scene's model.
+        Differences of the plant from the scene's model.
     fmi : int, optional
         As of `export_fmu`.
     model : str, optional
@@ -143,7 +142,7 @@ def export_plant(
     Raises
     ------
     InvalidModel
-        If constraints are redundant, or the equations hold the time.
+        If constraints are redundant, or the equations contain the time.
     InvalidSetting
         As `export_fmu`.
     """
@@ -166,20 +165,20 @@ def export_trajectory(
     deferred_refusals: bool = False,
     progress: Progress = lambda _: None,
 ) -> Path:
-    """Write a generator of paths for a scene as a native FMU: lines by a time law, or a path that is baked in.
+    """Write a generator of paths for a scene as a native FMU: lines by a time law, or a built-in path.
 
     Parameters
     ----------
     scene : Scene
-        Its own path gives the start values, and is baked in where it is no line by a time law of `TIME_LAWS`.
+        Its own path gives the start values, and is built in unless it is a line by one of `TIME_LAWS`.
     path : str or Path
         The file.
     options : TrajectoryOptions, optional
-        What shall be played in place of it.
+        The path in place of it.
     fmi : int, optional
         As of `export_fmu`.
     model : str, optional
-        Model of the scene, which says how many derivatives there are; its smallest when not given.
+        Model of the scene, which determines the number of derivatives; its smallest when not given.
     targets : str, optional
         As of `export_fmu`.
     deferred_refusals : bool, optional
@@ -233,9 +232,11 @@ def contents(
     model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
+    unproven = [name for name in targets if name.endswith("darwin")]
+    page = rendered("page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven)
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
-        "documentation/index.html": documentation(model, fmi, targets),
+        "documentation/index.html": page.encode(),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **built,
     }

@@ -1,4 +1,4 @@
-"""Names that C and FMI take: identifiers made of a scene's name, and variables that differ."""
+"""Valid names in C and FMI: identifiers from a scene's name, and distinct names of variables."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  #
 
 
 def identifier_of(name: str) -> str:
-    """Return a name as an identifier of C, as short as functions' names have to be."""
-    # CasADi takes no two underscores in a row.
+    """Return a name as an identifier of C, at most 40 characters long."""
+    # CasADi does not accept two consecutive underscores.
     identifier = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
     if not identifier:
         return "model"
@@ -25,7 +25,7 @@ def identifier_of(name: str) -> str:
 
 
 def require_different(problem: Problem, variables: Sequence[Variable], taken: Sequence[str]) -> None:
-    """Raise `InvalidModel` if two variables have one name, or one has a name that FMI does not know."""
+    """Raise `InvalidModel` if two variables have one name, or a name is not valid in FMI."""
     names = [name for each in variables for name in each.scalar_names]
     every = [*names, *taken]
     repeated = sorted({name for name in every if every.count(name) > 1})

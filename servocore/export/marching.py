@@ -1,4 +1,4 @@
-"""The paper's way to the inputs, compiled for export: projected form (19) or (29), backward Euler (31)."""
+"""The scheme of the paper, compiled for export: projected form (19) or (29), backward Euler (31)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from servocore.stepping.step_functions import compile_start
 from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()
-"""What steps the projected form."""
+"""The method of the projected form."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +29,11 @@ class Marching:
         ``march_begin`` (paths at `instants`, h, p, time of the start) -> (state, outputs, residual), and ``march_on``
         (state, path after the step, h, p, time before it) -> (state, outputs, residual).
     orders : int
-        How many derivatives of the path they take, the path itself included.
+        Number of derivatives of the path among the arguments, the path itself included.
     instants : tuple of float
-        Where a start has to know the path, in steps from the start: the start itself, and instants before it.
+        Instants of the path for a start, in steps from the start: the start itself, and earlier ones.
     state_size : int
-        Numbers that a step hands to the next.
+        Numbers kept from step to step.
     """
 
     functions: Mapping[str, ca.Function]
@@ -50,7 +50,7 @@ def marching(problem: Problem, identifier: str) -> Marching:
     problem : Problem
         Resolved.
     identifier : str
-        What names in C begin with.
+        Prefix of names in C.
 
     Raises
     ------

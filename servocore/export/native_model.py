@@ -1,4 +1,4 @@
-"""`NativeModel`: what becomes an FMU, as one value: variables, choices, mathematics, and the C that steps it."""
+"""`NativeModel`: the content of an FMU, as one value: variables, choices, mathematics, and its kernel in C."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from servocore.model.quantity import Quantity
 
 @dataclass(frozen=True)
 class Bound:
-    """What a limit sets to a quantity, and where the quantity stands.
+    """One side of a limit, and the place of its quantity.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class Bound:
     side : float
         1 if the quantity must stay above it, -1 if below.
     row : int
-        Which of the limits on what moves it belongs to; -1 for limits of the path.
+        Number of the limit of the motion that it belongs to; -1 for limits of the path.
     rate : bool
-        Whether it is the rate of something, which is none where that has no direction.
+        Whether it is the rate of a quantity, which is NaN where that has no direction.
     """
 
     quantity: str
@@ -52,46 +52,46 @@ class Bound:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NativeModel:
-    """What is exported, ready to be written down as an FMU.
+    """An exported model, ready to be written as an FMU.
 
     Attributes
     ----------
     identifier : str
         The name as an identifier of C.
     title, model : str
-        Names of what it is and of the scene's model.
+        Names of the FMU and of the scene's model.
     description : str
         One line.
     kernel : str
         Name of the file in C that steps it.
     own : mapping of str to anything
-        What that file needs in model.h beside what all need: values for the template ``KERNEL_own.h.j2``.
+        Values for the template ``KERNEL_own.h.j2``, the part of model.h for that file.
     functions : mapping of str to casadi.Function
         The mathematics; their names in C begin with the identifier.
     variables : tuple of Variable
         Inputs, outputs, parameters and internal states, in the order of their numbers.
     choices : tuple of Choice
-        Parameters that are one of some names.
+        Parameters with a list of named items.
     outputs : tuple of Quantity
-        What is computed, in the order of the outputs' numbers.
+        Computed quantities, in the order of the outputs' numbers.
     limits : tuple of Bound
-        Where it ends.
+        Bounds of its validity.
     depends : ndarray of bool, shape (outputs, numbers of the inputs)
         Which outputs depend on which numbers of the inputs.
     timed : bool
-        Whether what it computes holds the time.
+        Whether its equations contain the time.
     start_time, duration : float
         Of a default experiment, in s.
     differentiable : bool
-        Whether there are derivatives of its outputs.
+        Whether it provides derivatives of its outputs.
     terminals : mapping of str to (str, str)
         Causality and description of the terminals.
     elsewhere : tuple of casadi.Function
-        What is called beside `functions`.
+        Functions that are called besides `functions`.
     more_sources : mapping of str to str
-        C that is compiled beside the mathematics, with its headers, by file name.
+        Further C sources to compile, with their headers, by file name.
     deferred_refusals : bool
-        Whether the host's setters cannot fail: values are judged when they are used.
+        Whether values are checked when they are used, since the host's setters cannot fail.
     """
 
     identifier: str
@@ -117,12 +117,12 @@ class NativeModel:
 
     @property
     def settings(self) -> tuple[Variable, ...]:
-        """Parameters that are not the model's."""
+        """Parameters of the FMU besides those of the model."""
         return tuple(variable for variable in self.of("parameter") if variable.setting)
 
     @property
     def measured(self) -> int:
-        """How many inputs, the last ones, are what a feedback measures."""
+        """The number of inputs, the last ones, with measured values for a feedback."""
         feedback = self.own.get("feedback")
         return int(feedback["measured"]) if feedback else 0
 
@@ -131,7 +131,7 @@ class NativeModel:
         return tuple(variable for variable in self.variables if variable.causality == causality)
 
     def numbers(self, causality: Causality) -> int:
-        """Return how many numbers the variables of one causality have."""
+        """Return the number of scalars in the variables of one causality."""
         return sum(variable.size or 1 for variable in self.of(causality))
 
     def source(self) -> tuple[str, str]:

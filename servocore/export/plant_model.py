@@ -1,4 +1,4 @@
-"""`plant_model`: where a scene goes under its inputs, ready to become an FMU: the functions of a `Plant`, as C."""
+"""`plant_model`: the forward dynamics of a scene, ready to become an FMU: the functions of a `Plant`, as C."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ CHOICES = (
     INPUT_TIME,
     Choice(
         "hold",
-        "how inputs go on between communication points",
-        (("first_order", "linearly"), ("zero_order", "as they are")),
+        "inputs between communication points",
+        (("first_order", "linear"), ("zero_order", "constant")),
     ),
     Choice(
         "brakes",
         "brakes hold the plant until an input is not zero",
-        (("until_inputs", "until an input is not zero"), ("none", "there are none")),
+        (("until_inputs", "until an input is not zero"), ("none", "no brakes")),
     ),
 )
 TERMINALS = {
-    "drives": ("input", "what the drives do"),
-    "motion": ("output", "where the plant goes"),
+    "drives": ("input", "inputs of the drives"),
+    "motion": ("output", "motion of the plant"),
 }
 _LONGEST = 0.002  # s, of an internal step
 
 
 @dataclass(frozen=True)
 class PlantOptions:
-    """In what an exported plant differs from the model of its scene.
+    """Differences of an exported plant from the model of its scene.
 
     Attributes
     ----------
     errors : mapping of str to str
-        Parameters of the plant by which a parameter of the model is larger, as a fraction of it.
+        Relative errors: a parameter of the plant for each parameter of the model that is larger by this fraction.
     offsets : mapping of str to sequence of str
-        Parameters that are added to coordinates at the start, which otherwise is rest: ``{"start.swing": ("swing_in",
-        "swing_out")}``. When empty all coordinates of a model without constraints have one.
+        Parameters that are added to coordinates at the start: ``{"start.swing": ("swing_in", "swing_out")}``. By
+        default each coordinate of a model without constraints has one.
     start : mapping of str to float or str
         Start values of parameters in place of defaults, by the names of FMI 2, and items of choices.
     identifier : str
-        What libraries and functions are called; made of the scene's name when empty.
+        Name of libraries and prefix of functions; from the scene's name when empty.
     ranges : mapping of str to (float, float)
         Lowest and highest values of parameters in place of defaults, by their names without components.
     reasons : mapping of str to str
-        What it means that an output is not positive which must be, by its name: ``{"tension": "the rope goes slack:
-        its"}`` stands before the name in the sentence.
+        Meaning of a positive output that reaches zero, by its name, before the name in the sentence:
+        ``{"tension": "the rope goes slack: its"}``.
     """
 
     errors: Mapping[str, str] = field(default_factory=dict)
@@ -78,16 +78,16 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     Parameters
     ----------
     scene : Scene
-        With its parameter values; it begins at rest where its path begins.
+        With its parameter values; the plant starts at rest at the start of the path.
     model : str, optional
         Model of the scene; when not given the first without constraints, or its smallest.
     options : PlantOptions, optional
-        In what the plant differs from the model.
+        Differences of the plant from the model.
 
     Raises
     ------
     InvalidModel
-        If constraints are redundant, the equations hold the time, or variables have no legal names.
+        If constraints are redundant, the equations contain the time, or variables have no valid names.
     """
     options = options or PlantOptions()
     model = model or scene.independent_model or scene.default_model
@@ -111,7 +111,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         identifier=identifier,
         title=f"{scene.name} plant",
         model=model,
-        description=f"Forward dynamics of {scene.name.replace('_', ' ')}: where it goes under its inputs"
+        description=f"Forward dynamics of {scene.name.replace('_', ' ')}: its motion under the inputs"
         f" {', '.join(quantity.name for quantity in problem.system.inputs)}",
         kernel="plant",
         own={
@@ -138,8 +138,8 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
 
 
 def _start_orders(problem: Problem) -> int:
-    """Return how many derivatives of the output, itself included, say where the coordinates and their rates are."""
-    return max(2, problem.array.reference_order)  # the highest one says their accelerations
+    """Return the number of derivatives of the output, itself included, that determine coordinates and their rates."""
+    return max(2, problem.array.reference_order)  # the highest one determines their accelerations
 
 
 def _coordinates(problem: Problem) -> list[str]:
@@ -147,13 +147,13 @@ def _coordinates(problem: Problem) -> list[str]:
 
 
 def _used(problem: Problem, plant: Plant) -> list[Quantity]:
-    """Return the channels that are outputs: without accelerations and inputs, with the signs that they must have."""
+    """Return the channels that are outputs: without accelerations and inputs, with their required signs."""
     system = problem.system
     left = {f"{quantity.name}_ddot" for quantity in system.outputs} | {quantity.name for quantity in system.inputs}
     known = (*system.coordinates.quantities, *system.observables)
     positive = {each.name for each in known if each.positive}
-    # The tension of a rope is never negative: where the equations say so, it is slack, and they do not hold. What is
-    # made of a motion alone, as an angle from the vertical, may be zero and needs no watch.
+    # A rope cannot push: where its tension in the equations is not positive it is slack, and they are not valid.
+    # Quantities of the motion alone, such as an angle from the vertical, may be zero.
     forces = (each for each, expression in system.observables.items() if ca.depends_on(expression, system.lam))
     positive |= {each.name for each in (*forces, *system.reactions) if each.never_negative}
     rates = {f"{each.name}_dot": f"rate of {each.name}" for each in system.coordinates.quantities}
@@ -191,7 +191,7 @@ def _variables(
 
 
 def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:
-    """Return those limits of the path that its first derivatives tell, and (these, p) -> how far each is."""
+    """Return the limits of the path in its lowest derivatives, and the function (these, p) -> margins."""
     system = problem.system
     orders = min(orders, system.gamma.shape[1])
     kept = [
@@ -211,12 +211,12 @@ def _functions(
     offsets: Mapping[str, Sequence[str]],
 ) -> dict[str, ca.Function]:
     """Return the plant's functions and their tangents by name."""
-    identifier, wanted, margins = names
+    identifier, output_names, margins = names
     m, servo = len(problem.system.inputs), len(problem.system.outputs)
     state, d = ca.MX.sym("state", plant.step.numel_in(0)), ca.MX.sym("d", servo)
     u, slope, h = ca.MX.sym("u", m), ca.MX.sym("slope", m), ca.MX.sym("h")
     p = ca.MX.sym("p", problem.system.p.numel())
-    places = [[channel.name for channel in plant.channels].index(name) for name in wanted]
+    places = [[channel.name for channel in plant.channels].index(name) for name in output_names]
 
     def seen(channels: ca.MX) -> list[ca.MX]:
         """Return outputs, and margins of limits."""
@@ -236,7 +236,7 @@ def _functions(
 
 
 def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) -> ca.Function:
-    """Return (position, velocity, ... of the output, offsets, p) -> state: the motion that goes on like this."""
+    """Return (position, velocity, ... of the output, offsets, p) -> state at the start."""
     array, system = problem.array, problem.system
     servo, orders = len(system.outputs), _start_orders(problem)
     motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())

@@ -1,4 +1,4 @@
-"""`SteppedRoutes`: what an exported inverse model offers beside the exact inversion of every instant."""
+"""`SteppedRoutes`: formulations and methods of an exported inverse model besides the exact inversion."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from servocore.problem import Problem
 from servocore.stepping.observation import compile_margins
 from servocore.stepping.program import Program, program_of
 
-_FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history of it
+_FULL_DERIVATIVES = 3  # of the path: steps that use these need no history of it
 
 
 @dataclass(frozen=True)
 class SteppedRoutes:
-    """Models and formulations that a host may choose; the first of each, together, are the exact inversion.
+    """Models and formulations for a host to choose; the first model with the first formulation is inverted exactly.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class SteppedRoutes:
     formulations : mapping of str to Formulation
         By name; the reduced one comes first.
     method : Method
-        What takes their steps; its steps have one node, their end.
+        The method of their steps; it has one node, the end of the step.
     """
 
     models: tuple[str, ...]
@@ -44,7 +44,7 @@ class SteppedRoutes:
 
     @property
     def choices(self) -> tuple[Choice, Choice]:
-        """What the host chooses."""
+        """The parameters of the choice."""
         models = tuple((name, f"the model {name}") for name in self.models)
         formulations = tuple((name, f"the {name} equations") for name in self.formulations)
         return (
@@ -53,79 +53,8 @@ class SteppedRoutes:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Routes:
-    """Compiled routes.
-
-    Attributes
-    ----------
-    programs : sequence of Program
-        One for each model and formulation.
-    functions : sequence of mapping of str to casadi.Function
-        For each ``begin``, (path, p) -> (state, outputs, residual), ``past``, (paths at its start's instants, h, p) ->
-        (state, residual), ``step``, (state, path, h, p) -> (state, outputs, residual), and ``guess``, (state, path, h,
-        p) -> residuals of all equations at the first guess. None for the exact inversion.
-    margins : casadi.Function
-        (path, p) -> how far each limit is.
-    options : SteppedRoutes
-        What they were made for.
-    outputs : sequence of Quantity
-        What they compute.
-    """
-
-    programs: Sequence[Program]
-    functions: Sequence[Mapping[str, ca.Function]]
-    margins: ca.Function
-    options: SteppedRoutes
-    outputs: Sequence[Quantity]
-
-    @property
-    def all_functions(self) -> tuple[ca.Function, ...]:
-        """Of all routes."""
-        return tuple(function for functions in self.functions for function in functions.values())
-
-    def sources(self, identifier: str) -> dict[str, str]:
-        """Return headers and C sources by file name: a pair for each route, for they are large.
-
-        Parameters
-        ----------
-        identifier : str
-            What names in C begin with.
-        """
-        files = {}
-        for k, functions in enumerate(self.functions):
-            if functions:
-                name = f"{identifier}_route_{k}"
-                files[f"{name}.h"], files[f"{name}.c"] = c_source(name, functions.values())
-        return files
-
-    def own(self) -> dict[str, Any]:
-        """Return what the kernel needs to know."""
-        programs = self.programs
-        return {
-            "formulations": len(self.options.formulations),
-            "size": max(program.state_size for program in programs),
-            "instants": max(len(program.start_instants) for program in programs),
-            "equations": max(len(program.equations) for program in programs),
-            "wrong_signs": [each.wrong_sign for each in self.outputs],
-            "forces": [each.unit == "N" for each in self.outputs],
-            "each": [
-                {
-                    "name": program.name,
-                    "exact": not functions,
-                    "size": program.state_size,
-                    "at": program.start_instants,
-                    "settle": max(0, _FULL_DERIVATIVES - program.order),
-                    "equations": program.equations,
-                    "smaller_steps_help": program.smaller_steps_help,
-                }
-                for program, functions in zip(programs, self.functions, strict=True)
-            ],
-        }
-
-
 def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> InverseModel:
-    """Return an inverse model that offers routes to choose from.
+    """Return an inverse model with a choice of routes.
 
     Parameters
     ----------
@@ -134,41 +63,72 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     scene : Scene
         That scene.
     options : SteppedRoutes
-        What is to be offered.
+        The routes.
 
     Raises
     ------
     InvalidModel
-        If the inputs are stepped, there are limits on what moves, or a step of a route has other nodes than its end.
+        If the inputs are stepped, there are limits of the motion, or a step of a route has other nodes than its end.
     """
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    routes = _compiled(scene, options, made)
-    return replace(
-        made,
-        variables=placed([*made.variables, internal_step()]),
-        choices=(*options.choices, *made.choices),
-        own={**made.own, "routes": routes.own()},
-        functions={**made.functions, "margins": routes.margins},
-        elsewhere=routes.all_functions,
-        more_sources=routes.sources(made.identifier),
-        differentiable=False,
-    )
-
-
-def _compiled(scene: Scene, options: SteppedRoutes, made: InverseModel) -> Routes:
-    identifier, outputs, orders = made.identifier, made.outputs, made.mathematics.orders
+    outputs, orders = made.outputs, made.mathematics.orders
     programs, functions = [], []
     for k, (model, name) in enumerate(product(options.models, options.formulations)):
         program = program_of(Problem.of(scene, model), options.formulations[name], options.method)
         if program.nodes != (1.0,):
             raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
         programs.append(program)
-        functions.append({} if k == 0 else _functions(program, f"{identifier}_route_{k}", outputs, orders))
+        functions.append({} if k == 0 else _functions(program, f"{made.identifier}_route_{k}", outputs, orders))
     problem = Problem.of(scene, options.models[0])
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
-    margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{identifier}_margins")
-    return Routes(programs, functions, margins, options, outputs)
+    margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
+    table = _table(programs, functions, outputs) | {"formulations": len(options.formulations)}
+    return replace(
+        made,
+        variables=placed([*made.variables, internal_step()]),
+        choices=(*options.choices, *made.choices),
+        own={**made.own, "routes": table},
+        functions={**made.functions, "margins": margins},
+        elsewhere=tuple(function for each in functions for function in each.values()),
+        more_sources=_sources(made.identifier, functions),
+        differentiable=False,
+    )
+
+
+def _sources(identifier: str, functions: Sequence[Mapping[str, ca.Function]]) -> dict[str, str]:
+    """Return headers and C sources by file name: a pair for each route, since they are large."""
+    files = {}
+    for k, each in enumerate(functions):
+        if each:
+            name = f"{identifier}_route_{k}"
+            files[f"{name}.h"], files[f"{name}.c"] = c_source(name, each.values())
+    return files
+
+
+def _table(
+    programs: Sequence[Program], functions: Sequence[Mapping[str, ca.Function]], outputs: Sequence[Quantity]
+) -> dict[str, Any]:
+    """Return values for the templates of the sources, by name."""
+    return {
+        "size": max(program.state_size for program in programs),
+        "instants": max(len(program.start_instants) for program in programs),
+        "equations": max(len(program.equations) for program in programs),
+        "wrong_signs": [each.wrong_sign for each in outputs],
+        "forces": [each.unit == "N" for each in outputs],
+        "each": [
+            {
+                "name": program.name,
+                "exact": not of_route,
+                "size": program.state_size,
+                "at": program.start_instants,
+                "settle": max(0, _FULL_DERIVATIVES - program.order),
+                "equations": program.equations,
+                "smaller_steps_help": program.smaller_steps_help,
+            }
+            for program, of_route in zip(programs, functions, strict=True)
+        ],
+    }
 
 
 def _path(program: Program, columns: int) -> ca.MX:
@@ -176,12 +136,18 @@ def _path(program: Program, columns: int) -> ca.MX:
 
 
 def _padded(program: Program, path: ca.MX) -> ca.MX:
-    """Return a path with as many derivatives as the program takes; no result depends on those that are zeros."""
+    """Return a path padded with zeros to the derivatives of the program; no result depends on the zeros."""
     missing = program.start_order + 1 - path.shape[1]
     return path[:, : program.start_order + 1] if missing <= 0 else ca.horzcat(path, ca.MX.zeros(path.shape[0], missing))
 
 
 def _functions(program: Program, name: str, outputs: Sequence[Quantity], orders: int) -> dict[str, ca.Function]:
+    """Return the functions of a route by name.
+
+    They are ``begin``, (path, p) -> (state, outputs, residual), ``past``, (paths at its start's instants, h, p) ->
+    (state, residual), ``step``, (state, path, h, p) -> (state, outputs, residual), and ``guess``, (state, path, h, p)
+    -> residuals of all equations at the first guess.
+    """
     names, count = [channel.name for channel in program.channels], len(program.start_instants)
     places = [names.index(each.name) for each in outputs]
     path, past = _path(program, orders), _path(program, orders * count)

@@ -1,4 +1,4 @@
-"""The C sources of what is exported: the mathematics, its tables, and the files that all share."""
+"""The C sources of exported models: the mathematics, its tables, and the common files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from servocore.export.native_model import NativeModel
 from servocore.export.variables import Variable
 
 SHARED = Path(__file__).parent / "c"
-"""Folder of the files that all scenes share, and of the templates."""
+"""Folder of the common files and of the templates."""
 
 _KERNELS: Mapping[str, tuple[str, ...]] = {
     "inverse": ("inverse.h", "path.h", "routes.h"),
@@ -36,7 +36,7 @@ def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     Raises
     ------
     InvalidSetting
-        If FMPy, whose copy of the headers is taken, is not installed.
+        If FMPy, which contains the headers, is not installed.
     """
     return {
         **_core_sources(model, fmi),
@@ -46,7 +46,7 @@ def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
 
 
 def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
-    """Return the mathematics, the tables and what steps it."""
+    """Return the mathematics, the tables and the kernel."""
     header, source = model.source()
     values = tables(model, token_of(model, fmi))
     own_header = rendered(f"{model.kernel}_own.h.j2", **values)
@@ -60,13 +60,13 @@ def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
 
 
 def compiled_files(model: NativeModel, fmi: int) -> tuple[str, ...]:
-    """Return the names of the files that a compiler is given."""
+    """Return the names of the files to compile."""
     more = (name for name in model.more_sources if name.endswith(".c"))
     return f"fmi{fmi}.c", f"{model.identifier}_mathematics.c", *more
 
 
 def token_of(model: NativeModel, fmi: int) -> str:
-    """Return the token of a build, which changes with everything that is compiled."""
+    """Return the token of a build, a hash of its sources."""
     return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")])
 
 
@@ -75,9 +75,9 @@ def _headers(model: NativeModel) -> tuple[str, ...]:
 
 
 def rendered(template: str, **values: Any) -> str:
-    """Fill in one of the templates."""
+    """Return a template, filled in."""
     with refused_if_missing():
-        import jinja2  # noqa: PLC0415 - only who exports pays for it
+        import jinja2  # noqa: PLC0415 - imported for exports only
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(SHARED),
@@ -90,7 +90,7 @@ def rendered(template: str, **values: Any) -> str:
 
 
 def c_text(text: str) -> str:
-    """Return a text as a literal of C; what is not ASCII as octal escapes of its UTF-8."""
+    """Return a text as a literal of C, with octal escapes for UTF-8 bytes outside ASCII."""
     return (
         '"' + "".join(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode()) + '"'
     )
@@ -114,7 +114,7 @@ def c_number(value: float) -> str:
 
 
 def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
-    """Return what the templates are filled in with."""
+    """Return the values for the templates."""
     parameters = model.of("parameter")
     roles: dict[str, list[int]] = {}
     for each in parameters:
@@ -154,5 +154,5 @@ def _numbers(variable: Variable) -> list[dict[str, Any]]:
 def _headers_folder() -> Path:
     spec = importlib.util.find_spec("fmpy")
     if spec is None or not spec.submodule_search_locations:
-        raise InvalidSetting("an FMU is built with FMI's headers as FMPy has them: install fmpy")
+        raise InvalidSetting("the headers of FMI are those in FMPy, which is not installed: install fmpy")
     return Path(spec.submodule_search_locations[0]) / "c-code"

@@ -1,4 +1,4 @@
-"""Compilers and platforms: which library a target needs, where it lies in an FMU, and how it is built."""
+"""Compilers and platforms: names and folders of the libraries in an FMU, and how they are built."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from servocore.numerics.machine_code import c_compiler, compile_in
 
 Progress = Callable[[str], None]
 
-# No fused operations and nothing reordered: the digits must not depend on where they are computed.
+# No fused and no reordered operations: results are equal to the bit on all platforms.
 _OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w")
 _FULL, _LIGHT = "-O3", "-O1"
 _LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": ()}
@@ -40,13 +40,13 @@ class Target:
     Attributes
     ----------
     name : str
-        As FMI 3 calls it.
+        Its name in FMI 3.
     fmi2 : str
-        As FMI 2 calls it; empty where it has no name for it.
+        Its name in FMI 2; empty where there is none.
     triple : str
-        As zig calls it.
+        Its name in zig.
     ending : str
-        Of its shared libraries.
+        File ending of its shared libraries.
     """
 
     name: str
@@ -73,7 +73,7 @@ TARGETS: Mapping[str, Target] = {
 """All platforms, by their name in FMI 3."""
 
 HOST, NONE = "host", "none"
-"""This machine's own platform, and no platform: such an FMU has its sources only."""
+"""This machine's own platform, and no platform: an FMU with sources only."""
 
 
 def host() -> str:
@@ -88,16 +88,16 @@ def zig() -> list[str] | None:
     return [sys.executable, "-m", "ziglang"] if importlib.util.find_spec("ziglang") is not None else None
 
 
-def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
+def chosen_targets(targets: str | None, fmi: int) -> tuple[str, ...]:
     """Return the names of platforms to build for.
 
     Parameters
     ----------
-    wanted : str, optional
+    targets : str, optional
         ``all``, ``host``, ``none``, or names with commas between them. When not given: all where the package ziglang is
         installed, else this machine's own.
     fmi : int
-        Version of FMI: the second knows fewer.
+        Version of FMI; the second has fewer platforms.
 
     Raises
     ------
@@ -105,11 +105,11 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
         If a name is unknown, or needs the package ziglang where it is not installed.
     """
     known = [name for name, target in TARGETS.items() if fmi == 3 or target.fmi2]
-    if wanted is None:
-        wanted = "all" if zig() else HOST
-    if wanted == NONE:
+    if targets is None:
+        targets = "all" if zig() else HOST
+    if targets == NONE:
         return ()
-    names = [label.strip() for label in wanted.split(",")]
+    names = [label.strip() for label in targets.split(",")]
     names = (
         known
         if "all" in names and set(names) <= {"all", HOST, *known}
@@ -136,14 +136,14 @@ def libraries(
     progress: Progress = lambda _: None,
     large: Collection[str] = (),
 ) -> dict[str, bytes]:
-    """Build the shared libraries of an FMU; what was compiled before, on this machine, is kept.
+    """Build the shared libraries of an FMU, with objects that were compiled before from the cache.
 
     Parameters
     ----------
     sources : mapping of str to str
         All texts by file name.
     files : sequence of str
-        Those that are given to the compiler.
+        The files to compile.
     identifier : str
         Name of the libraries.
     targets : sequence of str
@@ -152,9 +152,9 @@ def libraries(
     fmi : int
         Version of FMI.
     progress : callable
-        Told what is being built.
+        Called with a phrase for every platform.
     large : collection of str
-        Files that would take a minute to be made as fast as can be.
+        Files that are compiled with fewer optimizations, since they would take a minute.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def libraries(
 
 
 def own_options() -> tuple[str, ...]:
-    """Return the options that the user has for this machine's compiler: the variable CFLAGS."""
+    """Return the user's options for the compiler of this machine, from the variable CFLAGS."""
     return tuple(shlex.split(os.environ.get("CFLAGS", "")))
 
 
@@ -192,7 +192,7 @@ def _command(target: Target, cross: Sequence[str] | None) -> list[str]:
 
 @dataclass(frozen=True)
 class _Compiler:
-    """What compiles the files in a folder for a platform."""
+    """The compiler for a platform, with a folder of source files."""
 
     folder: Path
     target: Target
@@ -200,7 +200,7 @@ class _Compiler:
     own: tuple[str, ...]
 
     def object_of(self, file: str, sources: Mapping[str, str], large: Collection[str]) -> str:
-        """Compile a file, or find what it was compiled to before; return the name of the object file."""
+        """Compile a file, or take its object from the cache; return the name of the object file."""
         options = (*_OPTIONS, _LIGHT if file in large else _FULL, *self.own, "-c")
         key = _key([*self.command, *options, *_texts(file, sources)])
         found, kept = f"{file}.{self.target.name}.o", CodeCache.of_user()
@@ -223,20 +223,20 @@ class _Compiler:
 
 
 def _texts(file: str, sources: Mapping[str, str]) -> list[str]:
-    """Return the texts that a file is compiled from: its own, and what it includes of these."""
+    """Return the text of a file and of the sources that it includes."""
     waiting, found = [file], {}
     while waiting:
         name = waiting.pop()
         if name in sources and name not in found:
             found[name] = sources[name]
-            # which header a macro stands for is not looked up
+            # a macro in an include may be any header
             every = [each for each in sources if each.endswith(".h")] if "#include KERNEL" in sources[name] else []
             waiting += [*_INCLUDED.findall(sources[name]), *every]
     return [each for name in sorted(found) for each in (name, found[name])]
 
 
 def _key(parts: Sequence[str]) -> str:
-    """Return a hash of a command and of what it is given; a compiler of another version has another hash."""
+    """Return a hash of a command, its version and its inputs."""
     tool = shutil.which(parts[0])
     about = Path(tool).resolve().stat() if tool else None
     version = metadata.version("ziglang") if "ziglang" in parts else ""

@@ -1,4 +1,4 @@
-"""`trajectory_model`: paths with their derivatives, ready to become an FMU: lines by a time law, or a path baked in."""
+"""`trajectory_model`: paths with their derivatives, ready to become an FMU: lines by a time law, or a built-in path."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LAWS: Mapping[str, str] = {
 """Time laws by the names of their choices, in the order of their numbers."""
 
 FROM_FILE = "file"
-"""The choice of the path that is baked in."""
+"""The choice of the built-in path."""
 
 TERMINALS = {"path": ("output", "the path with its derivatives")}
 
@@ -43,20 +43,20 @@ _ROWS = 256  # at least, of a path that is no polynomial
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """What an exported trajectory shall play.
+    """Options of an exported trajectory.
 
     Attributes
     ----------
     path : Reference, optional
-        A path to bake in and to begin with, in place of the scene's own.
+        A built-in path, chosen by default, in place of the scene's own.
     profile : str, optional
-        One of `LAWS` to begin with, in place of the path or of the law of the scene's own line.
+        One of `LAWS` as default, in place of the path or of the law of the scene's own line.
     start : mapping of str to float
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
-        What libraries and functions are called; made of the scene's name when empty.
+        Name of libraries and prefix of functions; from the scene's name when empty.
     offers_file : bool
-        Whether a baked in path may be chosen although there is none: the choice is refused with a sentence.
+        Whether the built-in path is among the choices although there is none: the choice is refused.
     """
 
     path: Reference | None = None
@@ -67,16 +67,16 @@ class TrajectoryOptions:
 
 
 def trajectory_model(scene: Scene, model: str | None = None, options: TrajectoryOptions | None = None) -> NativeModel:
-    """Compile the time laws for a scene's path, and bake in a path where it is no line by one of them.
+    """Compile the time laws for a scene's path, with a built-in path if it is no line by one of them.
 
     Parameters
     ----------
     scene : Scene
         Its own path gives the start values of the parameters.
     model : str, optional
-        Model of the scene, which says how many derivatives its inputs need; its smallest when not given.
+        Model of the scene, which determines the number of derivatives; its smallest when not given.
     options : TrajectoryOptions, optional
-        What shall be played in place of the scene's own path.
+        The path in place of the scene's own.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     profile = options.profile or (FROM_FILE if line is None or baked is not None else line.law)
     variables = _variables(scene, servo, orders, line, replace(options, profile=profile))
     choice = _choice(baked is not None or options.offers_file, profile)
-    start_time = min(0.0, (baked or scene.reference).start_time)  # a run begins at zero where the path lets it
+    start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
         Quantity(name, variable.unit, variable.description)
@@ -138,7 +138,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
 
 
 class _Line(NamedTuple):
-    """A scene's own path as settings: which of `LAWS`, from when on, and its ramp, 0 for the usual one."""
+    """A scene's own path as settings: its time law, start time in s, and ramp in s, 0 for the default."""
 
     law: str
     start_time: float
@@ -146,7 +146,7 @@ class _Line(NamedTuple):
 
 
 def _line(path: Reference) -> _Line | None:
-    """Return a path as one of the lines that the kernel has, or None if it is none of them."""
+    """Return a path as settings of a line, or None if it is no line by one of `LAWS`."""
     if not isinstance(path, RestToRest):
         return None
     for name, law in TIME_LAWS.items():
@@ -158,7 +158,7 @@ def _line(path: Reference) -> _Line | None:
 
 
 def _choice(has_path: bool, profile: str) -> Choice:
-    items = [*LAWS.items(), *([(FROM_FILE, "the path that is baked in")] if has_path else [])]
+    items = [*LAWS.items(), *([(FROM_FILE, "the built-in path")] if has_path else [])]
     names = [name for name, _ in items]
     if profile not in names:
         raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
@@ -183,8 +183,8 @@ def _variables(
 def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
     """Return (start, end, start time, end time, ramp, time) -> the path, order by order.
 
-    It is the formula of the library's path, operation by operation: estimates from positions amplify a difference in
-    their last digits by 1/h^4.
+    It is the formula of the library's path, operation by operation: estimates of derivatives from positions amplify
+    round-off by 1/h^4.
     """
     first, last, time = ca.SX.sym("start", m), ca.SX.sym("end", m), ca.SX.sym("time")
     begin, end, ramp = ca.SX.sym("start_time"), ca.SX.sym("end_time"), ca.SX.sym("ramp")
@@ -203,7 +203,7 @@ def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
 
 
 def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
-    """Return a path as polynomials; one that is none becomes one through many of its instants, of a single period."""
+    """Return a path, or one period of it, as piecewise polynomial, interpolated at many instants if it is none."""
     order = max(4, orders - 1)
     if path.max_order < orders - 1:
         raise InvalidReference(
@@ -220,7 +220,7 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
 
 
 def _table(path: PiecewisePolynomial | None, orders: int) -> dict[str, Any]:
-    """Return what the kernel evaluates, coefficients piece by piece, power by power."""
+    """Return the coefficients of the pieces, power by power, and the ends."""
     if path is None:
         return {"pieces": 0, "degree": 0, "knots": [], "coefficients": [], "ends": [], "rests": (False, False),
                 "rest_order": 0}  # fmt: skip

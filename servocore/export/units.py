@@ -1,4 +1,4 @@
-"""Units as FMI spells them: their derivatives by time, and their exponents of SI base units."""
+"""Units in the notation of FMI: their derivatives by time, and their exponents of SI base units."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def per_time(unit: str, order: int) -> str:
     match = re.fullmatch(r"(.*)/s(\d*)", unit)
     if match:
         unit, order = match[1], order + int(match[2] or 1)
-    if "/" in unit:  # N/m becomes N/(m.s), which FMI spells with a negative exponent
+    if "/" in unit:  # N/m becomes N/(m.s), in FMI with a negative exponent
         return f"{unit}.s{order if order > 1 else ''}"
     return f"{unit}/s{order if order > 1 else ''}"
 
 
 def base_units(unit: str) -> dict[str, int] | None:
-    """Return the exponents of SI base units; None for a unit that is not made of known ones.
+    """Return the exponents of SI base units; None for a unit with unknown parts.
 
-    What follows the slash is divided by: ``N/m.s`` is N/(m s).
+    All factors after the slash are divisors: ``N/m.s`` is N/(m s).
     """
     exponents: dict[str, int] = {}
     above, _, below = unit.partition("/")

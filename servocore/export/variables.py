@@ -1,4 +1,4 @@
-"""The variables of what is exported: names, units, bounds and start values; their numbers follow each other."""
+"""The variables of exported models: names, units, bounds and start values, in the order of their numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOST_DISPLAYED = 1e300  # bounds beyond it are none
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable; its numbers lie at `place` and after in the list of all numbers, see `placed`.
+    """One variable; its numbers start at `place` in the list of all numbers, see `placed`.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Variable:
     unit, description : str
         The unit as FMI spells it, and one line for tool tips.
     starts : tuple of float
-        Start values of its components; empty for what is calculated.
+        Start values of its components; empty for calculated variables.
     size : int or None
         Components of a vector; None for a scalar.
     low, high : float
@@ -48,11 +48,11 @@ class Variable:
     nominal : float or None
         Typical magnitude.
     fixed : bool
-        Whether a parameter keeps its value from the end of the initialization on.
+        Whether a parameter is constant after the initialization.
     setting : bool
-        Whether a parameter is none of the model.
+        Whether it is a parameter of the FMU besides those of the model.
     role : str
-        What the kernel calls a parameter that it looks for; those of one role follow each other.
+        Name of a parameter in the kernel; parameters of one role have consecutive places.
     place : int
         Of its first number.
     """
@@ -78,14 +78,14 @@ class Variable:
 
     @property
     def bounds(self) -> dict[str, float]:
-        """The bounds that there are, by the name of FMI's attribute."""
+        """The finite bounds, by the name of FMI's attribute."""
         attributes = {"min": self.low, "max": self.high}
         return {name: value for name, value in attributes.items() if abs(value) < _MOST_DISPLAYED}
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A parameter that is one of some names, which are numbered from 1 on.
+    """A parameter with named items, numbered from 1.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Choice:
     items : mapping of str to str
         Descriptions by name.
     start : int
-        Number of the item that is chosen at first.
+        Number of the default item.
     """
 
     name: str
@@ -109,7 +109,7 @@ class Choice:
 
     @property
     def listed(self) -> str:
-        """Its items in a sentence."""
+        """Its items, in a sentence."""
         names = [f"{k} ({name})" for k, (name, _) in enumerate(self.items, start=1)]
         return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
@@ -119,16 +119,16 @@ INPUT_TIME = Choice(
     "instant of a communication step that its inputs belong to",
     (("start", "its start"), ("end", "its end")),
 )
-"""What every model with inputs has."""
+"""A parameter of every model with inputs."""
 
 
 def order_name(order: int) -> str:
-    """Return what a derivative of the path is called."""
+    """Return the name of a derivative of the path."""
     return ORDERS[order] if order < len(ORDERS) else f"derivative{order}"
 
 
 def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
-    """Return variables in the order in which the kernel takes them, with places that follow each other."""
+    """Return variables in the order of the kernel, with consecutive places."""
     found, place = [], 0
     for each in sorted(variables, key=lambda each: (get_args(Causality).index(each.causality), each.setting)):
         found.append(replace(each, place=place))
@@ -137,7 +137,7 @@ def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
 
 
 def together(outputs: Sequence[Quantity], tracked: str) -> bool:
-    """Whether components of an output are vectors: there is a word for what they belong to, and they have one unit."""
+    """Return whether the components of the output are one vector: of a named body, and with one unit."""
     return bool(tracked) and len(outputs) > 1 and len({quantity.unit for quantity in outputs}) == 1
 
 
@@ -145,25 +145,25 @@ def _along(
     outputs: Sequence[Quantity], tracked: str, form: Variable, names: tuple[str, str], texts: tuple[str, str],
     starts: Sequence[float] | Array | None, order: int = 0,
 ) -> list[Variable]:  # fmt: skip
-    """Return what there is for each component of the servo output: one vector, or a scalar for each.
+    """Return a vector variable for the components of the servo output, or a scalar for each.
 
-    Where the scene has a word for what follows the path and all components have one unit, they are vectors
-    (``load.position``); otherwise every component has a name of its own (``y.position``).
+    If the scene names the tracked body and all components have one unit, they are a vector (``load.position``);
+    otherwise every component has its own name (``y.position``).
 
     Parameters
     ----------
     outputs : sequence of Quantity
         The components.
     tracked : str
-        That word, empty for none.
+        Name of the tracked body; may be empty.
     form : Variable
-        All that the variables have in common; without a unit they have that of the output, of a derivative of an order.
+        Common attributes of the variables; an empty unit is that of the output, or of its derivative.
     names, texts : tuple of str
-        Name and description of the vector, and those of a scalar, which hold ``{name}`` and may hold ``{meant}``.
+        Name and description of the vector and of a scalar, the latter with ``{name}`` and perhaps ``{meant}``.
     starts : sequence of float, or None
         Start values of the components, if there are any.
     order : int
-        Of the derivative.
+        Order of the derivative.
     """
     if together(outputs, tracked):
         unit = form.unit or per_time(outputs[0].unit, order)
@@ -182,20 +182,20 @@ def _along(
 
 
 def path_variables(
-    outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None, verb: str = " wanted"
+    outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None, verb: str = "prescribed "
 ) -> list[Variable]:
     """Return the path and its derivatives, order by order: as inputs, or without a `home` as outputs."""
     form, components = Variable("", "output" if home is None else "input", "", ""), ", ".join(e.name for e in outputs)
     variables = []
     for order in range(orders):
-        what, starts = order_name(order), home if home is None or order == 0 else np.zeros(len(outputs))
-        texts = f"{what}{verb} of the {tracked}, components {components}", f"{what}{verb} of {{name}}{{meant}}"
-        variables += _along(outputs, tracked, form, (f"{tracked}.{what}", f"{{name}}.{what}"), texts, starts, order)
+        name, starts = order_name(order), home if home is None or order == 0 else np.zeros(len(outputs))
+        texts = f"{verb}{name} of the {tracked}, components {components}", f"{verb}{name} of {{name}}{{meant}}"
+        variables += _along(outputs, tracked, form, (f"{tracked}.{name}", f"{{name}}.{name}"), texts, starts, order)
     return variables
 
 
 def output_variables(quantities: Sequence[Quantity]) -> list[Variable]:
-    """Return the outputs: the inputs of the mechanical system, and what its model observes."""
+    """Return the outputs: inputs of the mechanical system, and observables of its model."""
     return [
         Variable(
             each.name, "output", each.unit, each.description or each.name,
@@ -206,7 +206,7 @@ def output_variables(quantities: Sequence[Quantity]) -> list[Variable]:
 
 
 def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Variable]:
-    """Return the parameters with the values that the scene has."""
+    """Return the parameters with the values of the scene."""
     return [
         Variable(
             each.name, "parameter", each.unit, each.description or each.name, (float(value),),
@@ -218,15 +218,15 @@ def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Va
 
 def internal_step() -> Variable:
     """Return the parameter that divides communication steps."""
-    text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
+    text = "step of the method; a communication step is divided into the nearest whole number of them; 0: one"
     return _setting(INTERNAL_STEP, "s", text, (0.0,), 0.0, 3600.0, "STEP")
 
 
 def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> list[Variable]:
-    """Return what moves the internal states from where they begin by themselves, and the states, such as ``q.s``."""
+    """Return the offsets of the internal states at the start, and the states, such as ``q.s``."""
     called = [(f"{name.removeprefix('q.')}.{order_name(order)}", order) for name, order in names]
     rows = [(name, per_time(unit, order)) for (name, order), unit in zip(called, units, strict=True)]
-    text = "added to the internal state at its start; 0: it begins at rest"
+    text = "added to the internal state at the start; 0: it starts at rest"
     starts = (_setting(f"start.{name}", unit, text, (0.0,), role="STARTS") for name, unit in rows)
     states = (Variable(f"internal.{name}", "local", unit, "state of the internal dynamics") for name, unit in rows)
     return [*(replace(each, fixed=True) for each in starts), *states]
@@ -236,7 +236,7 @@ def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> l
 
 
 def measured_variables(measured: Sequence[tuple[Quantity, int | None]]) -> list[Variable]:
-    """Return the inputs of what is measured; all zero, there is no feedback."""
+    """Return the inputs of measured values; if all are zero there is no feedback."""
     text = "measured {}; all zero: no feedback"
     return [
         Variable(
@@ -250,8 +250,8 @@ def measured_variables(measured: Sequence[tuple[Quantity, int | None]]) -> list[
 def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Variable]:
     """Return the parameters of a feedback."""
     share = "share of the feedback in the outputs, where motion is measured"
-    far = "farther than this from its path there is no feedback"
-    largest = "largest |{}| that the drive gives"
+    far = "largest distance from the path with feedback"
+    largest = "largest absolute value of {}"
     return [
         _setting("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
         _setting("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
@@ -265,11 +265,11 @@ def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Varia
 def plant_settings(
     outputs: Sequence[Quantity], tracked: str, home: Array, longest: float, errors: Mapping[str, str]
 ) -> list[Variable]:
-    """Return the parameters of a plant that are none of its model.
+    """Return the parameters of a plant besides those of its model.
 
-    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values.
+    The start is given by derivatives of the servo output, with default values `home`, shape (orders, outputs).
     """
-    wrong = "the plant's {} is larger by this fraction of it"
+    wrong = "relative error of {} in the plant"
     solver = "longest step of the solver, Runge-Kutta of order four"
     settings = [_setting(n, "1", wrong.format(of), (0.0,), -0.9, 10.0, "ERRORS") for n, of in errors.items()]
     for name, text in (("wind", "constant force"), ("gust", "force during the gust")):
@@ -277,37 +277,37 @@ def plant_settings(
         texts = f"{text} on the {tracked}", f"{text} on {{name}}, N.m for an angle"
         settings += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), texts, np.zeros(len(outputs)))
     settings += [
-        _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9, "GUST_START"),
-        _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9, "GUST_DURATION"),
+        _setting("gust_start", "s", "start time of the gust", (0.0,), -1e9, 1e9, "GUST_START"),
+        _setting("gust_duration", "s", "duration of the gust", (0.0,), 0.0, 1e9, "GUST_DURATION"),
         _setting(INTERNAL_STEP, "s", solver, (longest,), 1e-6, 1.0, "LONGEST"),
     ]
     form = replace(_setting("", "", "", (), role="MOTION"), fixed=True)
     for order, values in enumerate(home):
-        what = order_name(order)
-        texts = f"{what} at the start of the {tracked}", f"{what} at the start of {{name}}"
-        settings += _along(outputs, tracked, form, (f"start.{what}", f"start.{what}.{{name}}"), texts, values, order)
+        name = order_name(order)
+        texts = f"{name} of the {tracked} at the start", f"{name} of {{name}} at the start"
+        settings += _along(outputs, tracked, form, (f"start.{name}", f"start.{name}.{{name}}"), texts, values, order)
     return settings
 
 
 def offset(name: str, units: Sequence[str]) -> Variable:
-    """Return what is added to coordinates at the start, a vector if to several."""
+    """Return the offset of coordinates at the start, a vector for several ones."""
     size = len(units) if len(units) > 1 else None
-    text = "added at the start, where it rests otherwise"
+    text = "added to the coordinates at rest at the start"
     return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
 
 
 def with_item(choice: Choice, start_values: Mapping[str, float | str]) -> Choice:
-    """Return a choice that begins with the item that is given by its name; raises `InvalidSetting` if there is none."""
-    names, wanted = [name for name, _ in choice.items], start_values.get(choice.name)
-    if wanted is None:
+    """Return a choice with the item among start values as default; raises `InvalidSetting` if there is no such item."""
+    names, item = [name for name, _ in choice.items], start_values.get(choice.name)
+    if item is None:
         return choice
-    if wanted not in names:
-        raise InvalidSetting(f"{choice.name} = {wanted!r} is unknown; it may be {', '.join(names)}")
-    return replace(choice, start=names.index(str(wanted)) + 1)
+    if item not in names:
+        raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
+    return replace(choice, start=names.index(str(item)) + 1)
 
 
 def with_starts(variable: Variable, start_values: Mapping[str, float | str]) -> Variable:
-    """Return a variable with those start values that are given by the names of its numbers."""
+    """Return a variable with start values by the names of its numbers."""
     if not variable.starts:
         return variable
     values = zip(variable.scalar_names, variable.starts, strict=True)
@@ -332,18 +332,15 @@ def _setting(
 def line_settings(
     outputs: Sequence[Quantity], tracked: str, ends: Array, times: tuple[float, float, float]
 ) -> list[Variable]:
-    """Return the parameters of a line from rest to rest.
-
-    Its times are when it starts, how long it takes, and its ramp.
-    """
+    """Return the parameters of a line from rest to rest; its times are start time, duration and ramp in s."""
     variables, (start_time, duration, ramp) = [], times
     for name, values in zip(("start", "end"), ends, strict=True):
         form, text = _setting("", "", "", (), role=name.upper()), f"{name} of the path"
         variables += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), (text, f"{text}, {{name}}"), values)
-    rests, usual = "when the motion starts; the path rests before", "0: a quarter of the duration"
+    rests, usual = "start time of the motion; the path is at rest before", "0: a quarter of the duration"
     variables += [
-        _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9, "DURATION"),
+        _setting("duration", "s", "duration of the motion", (duration,), 1e-3, 1e9, "DURATION"),
         _setting("start_time", "s", rests, (start_time,), -1e9, 1e9, "START_TIME"),
-        _setting("ramp", "s", f"time to accelerate, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
+        _setting("ramp", "s", f"duration of the acceleration, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
     ]
     return [replace(each, fixed=True) for each in variables]

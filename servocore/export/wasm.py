@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import casadi as ca
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.building import followed, inverse_model
 from servocore.export.c_functions import c_source, checked_once, copied_in_one_place, scratch_of
-from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.inverse_model import InverseModel
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
 from servocore.export.targets import zig
@@ -30,8 +30,7 @@ SECTION = "servocore"
 """Name of the section of a module that describes it."""
 
 _INVERTING = ("quick", "begin")
-# For size: what there is to gain by speed is in the mathematics, where compilers find nothing to gain.
-# Features are named, else a compiler takes those that are new: browsers have had these since 2021, and without them a
+# Optimized for size: compilers cannot speed up the mathematics. The features are in browsers since 2021; without them a
 # step of marching takes up to a third longer.
 _OPTIONS = ("-target", "wasm32-wasi", "-mcpu=mvp+bulk_memory+nontrapping_fptoint", "-mexec-model=reactor", "-Os",
             "-ffp-contract=off", "-w", "-Wl,--strip-all", "-Wl,--export=__heap_base")  # fmt: skip
@@ -39,7 +38,7 @@ _VERDICTS = (
     "fine",
     "the path is not finite",
     "the equations are not solved",
-    "the solution is another one than the one wanted",
+    "the solution is on another branch than the intended one",
 )
 
 
@@ -49,7 +48,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     Parameters
     ----------
     scene : Scene
-        With its parameter values, which are what the module takes when it is told none.
+        With its parameter values, the defaults of the module.
     path : str or Path
         The file; the loader has its name with the suffix ``.mjs``.
     model : str, optional
@@ -79,7 +78,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
 
 
 def require_module(path: str | Path) -> Path:
-    """Return where a module goes; raises `InvalidSetting` if it cannot be made or written there."""
+    """Return the file of a module; raises `InvalidSetting` if it cannot be built or written there."""
     file = Path(path)
     if file.suffix != ".wasm":
         raise InvalidSetting(f"cannot write {file}: the name of a WebAssembly module ends with .wasm")
@@ -90,31 +89,36 @@ def require_module(path: str | Path) -> Path:
 
 
 def loader_beside(file: Path) -> Path:
-    """Return where the loader of a module goes."""
+    """Return the file of the loader of a module."""
     return file.with_suffix(".mjs")
 
 
 def wasm_module(scene: Scene, model: str | None = None) -> bytes:
     """Return the module as bytes; see `export_wasm`."""
     model_to_export = inverse_model(scene, model)
-    mathematics = model_to_export.mathematics.only(_INVERTING) if not model_to_export.mathematics.state_size else None
+    mathematics = model_to_export.mathematics
+    inverting = (
+        {}
+        if mathematics.state_size
+        else {name: each for name, each in mathematics.functions.items() if name in _INVERTING}
+    )
     problem = followed(Problem.of(scene, model))
     try:
         marched = marching(problem, model_to_export.identifier)
     except InvalidModel:
-        if mathematics is None:
+        if not inverting:
             raise
         marched = None
-    orders = max(model_to_export.mathematics.orders, marched.orders if marched else 0)
+    orders = max(mathematics.orders, marched.orders if marched else 0)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     path = path_variables(problem.system.outputs, scene.tracked, orders, home)
     about = described(model_to_export, path, marched)
-    compiled = _compiled(_source(model_to_export, mathematics, marched, orders), model_to_export.title)
+    compiled = _compiled(_source(model_to_export, inverting, marched, orders), model_to_export.title)
     return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
 
 
 def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
-    """Return what a module says of itself: names, units and values in the order in which it takes and gives them."""
+    """Return the description of a module: names, units and values in the order of its arguments and results."""
     return {
         "title": model.title,
         "model": model.model,
@@ -132,13 +136,13 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
 
 
 def custom_section(name: str, content: bytes) -> bytes:
-    """Return a section that engines hand to who asks for it by name, and pass over otherwise."""
+    """Return a custom section, which engines ignore and JavaScript can read by its name."""
     body = _counted(name.encode()) + content
     return b"\0" + _counted(body)
 
 
 def _counted(content: bytes) -> bytes:
-    """Put the length before some bytes, seven bits a byte, the lowest first."""
+    """Return bytes after their length in LEB128."""
     length, encoded = len(content), bytearray()
     while length > 127:
         encoded.append(length & 127 | 128)
@@ -146,8 +150,8 @@ def _counted(content: bytes) -> bytes:
     return bytes(encoded) + bytes([length]) + content
 
 
-def _source(model: InverseModel, mathematics: Mathematics | None, marched: Marching | None, orders: int) -> str:
-    functions = dict(mathematics.functions) if mathematics else {}
+def _source(model: InverseModel, inverting: Mapping[str, ca.Function], marched: Marching | None, orders: int) -> str:
+    functions = dict(inverting)
     margins_once = "quick" in functions and all(limit.row < 0 for limit in model.limits)
     if margins_once:
         functions["begin"] = _without_margins(functions["begin"])
@@ -164,7 +168,7 @@ def _source(model: InverseModel, mathematics: Mathematics | None, marched: March
         limits=model.limits,
         functions=tuple(functions),
         has_quick="quick" in functions,
-        inverts=mathematics is not None,
+        inverts=bool(inverting),
         margins_once=margins_once,
         marches=marched is not None,
         instants=marched.instants if marched else (),

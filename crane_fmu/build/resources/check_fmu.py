@@ -1,7 +1,7 @@
 """Load and run a built FMU in a process of its own: ``python -I check_fmu.py FILE RUNS REST``, both as JSON.
 
-RUNS are start values for one short run each, REST what the outputs have to be at the end of each. The process knows
-nothing of the project; what the FMU lacks is missed here.
+RUNS are start values for one short run each, REST the expected outputs at the end of each. The process imports nothing
+of the project, so that missing parts of the FMU cause a failure.
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ from fmpy.validation import validate_fmu
 
 STEPS = 5
 FOREIGN = ("servocore", "crane_fmu", "pythonfmu", "scipy")
-
-
 TOLERANCE = 1e-6
 
 

@@ -28,7 +28,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     const char *refusal = type == fmi2CoSimulation ? NULL : "%s is for co-simulation only";
     (void)resources;
     (void)visible;
-    (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
+    (void)logging; /* for debugging messages, of which there are none: warnings and refusals are always logged */
     if (functions == NULL) return NULL;
     return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment);
 }
@@ -61,7 +61,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component component)
 fmi2Status fmi2ExitInitializationMode(fmi2Component component)
 {
     REQUIRE(DURING, "fmi2ExitInitializationMode");
-    if (refresh(instance) != GOOD && !JUDGED_LATE) return fmi2Error;
+    if (refresh(instance) != GOOD && !DEFERRED_CHECKS) return fmi2Error;
     instance->state.phase = STEPPING;
     return fmi2OK;
 }
@@ -89,8 +89,8 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
 
 /* Variables ---------------------------------------------------------------------------------------------------------- */
 
-/* A host whose setters cannot fail may set even what no longer matters. */
-#define SETTING (JUDGED_LATE ? ANY : BEFORE | DURING | AFTER)
+/* A host whose setters cannot fail may set values after the end. */
+#define SETTING (DEFERRED_CHECKS ? ANY : BEFORE | DURING | AFTER)
 
 static Outcome unknown_reference(const Instance *instance, fmi2ValueReference reference, const char *type)
 {
@@ -211,7 +211,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
     return STATUS[read_state(instance, bytes, size, saved)];
 }
 
-/* Derivatives and what there is not ---------------------------------------------------------------------------------- */
+/* Derivatives, and missing features --------------------------------------------------------------------------------- */
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2ValueReference unknowns[],
                                         size_t unknownCount, const fmi2ValueReference knowns[], size_t knownCount,
@@ -221,7 +221,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2Value
     Outcome outcome;
     REQUIRE(DURING | AFTER, "fmi2GetDirectionalDerivative");
     if (unknownCount > N_OUTPUTS || knownCount > N_NUMBERS)
-        return STATUS[say(instance, ERROR, "there are %d outputs and %d numbers, fewer than asked for", N_OUTPUTS,
+        return STATUS[say(instance, ERROR, "more unknowns or knowns than the %d outputs and %d numbers were requested", N_OUTPUTS,
                           N_NUMBERS)];
     for (size_t k = 0; k < unknownCount; k++) {
         if (unknowns[k] >= N_NUMBERS) return STATUS[unknown_reference(instance, unknowns[k], "Real")];

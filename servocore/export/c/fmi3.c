@@ -29,7 +29,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 {
     (void)resources;
     (void)visible;
-    (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
+    (void)logging; /* for debugging messages, of which there are none: warnings and refusals are always logged */
     (void)eventModeUsed;
     (void)earlyReturnAllowed;
     (void)intermediate;
@@ -254,7 +254,7 @@ static long spread(const Instance *instance, const fmi3ValueReference references
         }
         array = &ARRAYS[references[k]];
         if (found + array->size > N_NUMBERS) {
-            say(instance, ERROR, "a derivative was asked for by or of more than the %d numbers there are", N_NUMBERS);
+            say(instance, ERROR, "more unknowns or knowns than the %d numbers were requested", N_NUMBERS);
             return -1;
         }
         for (size_t i = 0; i < array->size; i++) places[found++] = array->first + i;

@@ -1,10 +1,10 @@
-/* What all exported FMUs have in common, whatever they compute and whatever their version of FMI: times, checks, steps,
-   variables, states, derivatives.
+/* The common part of all exported FMUs, for any model and both versions of FMI: times, checks, steps, variables, states,
+   derivatives.
 
    The mathematics is generated; the tables of variables (model.h) are filled in for each; a kernel (inverse.h, plant.h,
-   trajectory.h) says what belongs to an instant and how to get to the next, and includes this file. Everything is static
-   and nothing is global but constants: instances never meet, and several such models can be linked into one program.
-   Nothing is allocated but the instance itself and saved states. */
+   trajectory.h) defines the data of an instant and the step to the next one, and includes this file. Everything is static
+   and only constants are global: instances are independent, and several models can be linked into one program. Memory
+   is allocated for instances and saved states only. */
 
 #ifndef INSTANCE_H
 #define INSTANCE_H
@@ -18,10 +18,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LONGEST_STEP 3600.0       /* s; a longer one is taken for a mistake of the host */
+#define LONGEST_STEP 3600.0       /* s; a longer one is refused as a mistake */
 #define MOST_INTERNAL_STEPS 100000.0
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
-#define SUMMED 1e-3               /* of a step: what is lost by adding up millions of steps */
+#define SUMMED 1e-3               /* of a step: rounding of the sum of millions of steps */
 #define LONGEST_MESSAGE 512
 
 /* Places of numbers, one after the other: inputs, outputs, parameters of the model, settings, internal states. */
@@ -32,15 +32,15 @@
 CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 
 #ifndef N_KEPT
-#define N_KEPT 0                  /* numbers that only some kernels keep beside a moment: too many to be copied with it */
+#define N_KEPT 0                  /* numbers that some kernels keep outside a moment, since copying them would cost too much */
 #endif
 
 #ifndef N_MEASURED
-#define N_MEASURED 0              /* the last inputs: what a feedback is told of the system */
+#define N_MEASURED 0              /* the last inputs: the measured values of a feedback */
 #endif
 
-#ifndef JUDGED_LATE
-#define JUDGED_LATE 0             /* whether the host's setters cannot fail: values are judged when they are used */
+#ifndef DEFERRED_CHECKS
+#define DEFERRED_CHECKS 0         /* whether values are checked when they are used: the host's setters cannot fail */
 #endif
 
 #if N_INPUTS > 0
@@ -52,61 +52,61 @@ CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 typedef enum { GOOD, WARNING, DISCARD, ERROR } Outcome;
 enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
 
-/* All that what follows depends on, without pointers and without gaps: copied to save and to restore it. */
+/* The complete state, without pointers and padding: a copy saves it. */
 typedef struct {
     uint64_t stamp;               /* of this model: a saved state of another one is refused */
     int64_t phase;
     int64_t choices[N_CHOICES];   /* by the numbers of their items, from 1 on */
-    int64_t due;                  /* whether outputs have yet to be computed from the inputs */
+    int64_t due;                  /* whether outputs must still be computed from the inputs */
     int64_t steps;                /* taken so far */
-    int64_t warned;               /* what was told that is told once, a bit each */
-    int64_t judged;               /* whether all parameters and choices are known to be legal */
+    int64_t checked;              /* whether all parameters and choices are known to be legal */
     double inputs[AT_LEAST_1(N_INPUTS)];
-    double heard[AT_LEAST_1(N_INPUTS)]; /* the inputs that the last outputs were computed from */
-    double earlier[AT_LEAST_1(N_INPUTS)]; /* those of the step before */
+    double last_inputs[AT_LEAST_1(N_INPUTS)]; /* the inputs of the present outputs */
+    double earlier[AT_LEAST_1(N_INPUTS)]; /* those of the previous outputs */
     double parameters[AT_LEAST_1(N_PARAMETERS + N_SETTINGS)];
     double step;                  /* the last one, in s */
     double start, stop;           /* of the experiment, in s */
     double kept[AT_LEAST_1(N_KEPT)];
     Moment now, before;
-    char failure[JUDGED_LATE ? LONGEST_MESSAGE : 8]; /* of the initialization: every step tells it again */
+    char failure[DEFERRED_CHECKS ? LONGEST_MESSAGE : 8]; /* of the initialization: every step logs it again */
 } State;
 
-#define FAILED(state) (JUDGED_LATE && *(state)->failure)
+#define FAILED(state) (DEFERRED_CHECKS && *(state)->failure)
 
 typedef struct Instance Instance;
 typedef void (*Reporter)(const Instance *instance, Outcome outcome, const char *message);
 
 struct Instance {
     State state;
-    double told_inputs[AT_LEAST_1(N_INPUTS)]; /* those of the step that is being taken */
-    Moment work;                  /* where steps are taken, so that one that fails leaves no trace */
+    double step_inputs[AT_LEAST_1(N_INPUTS)]; /* those of the current step */
+    Moment work;                  /* where steps are computed, so that a refused step changes no state */
     double to_keep[AT_LEAST_1(N_KEPT)];
-    int keeps;                    /* whether a step has written them */
-    char *failure;                /* where a refusal is kept while the start is computed, else NULL */
+    int keeps;                    /* whether the step has written to_keep */
+    char *failure;                /* where a refusal is stored during the initialization, else NULL */
     Work scratch;
     const double *arguments[SCRATCH_ARGUMENTS];
     double *results[SCRATCH_RESULTS];
     casadi_int integers[AT_LEAST_1(SCRATCH_INTEGERS)];
     double numbers[AT_LEAST_1(SCRATCH_NUMBERS)];
     Reporter report;
-    void *environment;            /* what the host wants back with a message */
-    void (*logger)(void);         /* of the host, of a type that its version of FMI knows */
-    int told[4];                  /* which outcomes it wants to be told */
+    void *environment;            /* an argument of the host's logger */
+    void (*logger)(void);         /* of the host; its type depends on the version of FMI */
+    int logged[4];                /* which outcomes are logged */
+    int warned;                   /* warnings issued once per instance, one bit each: a rollback does not repeat them */
     char *name;
 };
 
-/* What a kernel says. */
+/* Functions of a kernel. */
 
-/* Fill in instance->work for the instant of the present from the inputs: the start. */
+/* Compute instance->work at the start from the inputs. */
 static Outcome first_moment(Instance *instance);
-/* Take instance->work, which is the present, h seconds further. */
+/* Advance instance->work by h seconds. */
 static Outcome move(Instance *instance, double time, double h);
-/* Tell what is odd about a step that has been taken, or refuse it all the same. */
+/* Warn of doubtful inputs of a computed step, or refuse it. */
 static Outcome remark_step(Instance *instance, double time);
-/* How many inputs, the first ones, are not left for zeros in the first step. */
+/* Number of inputs, the first ones, that keep their values at the start while the first step has zeros. */
 static size_t awaited(const State *state);
-/* Derivatives of the outputs as they were last computed, by inputs and parameters, along one direction. */
+/* Directional derivatives of the present outputs with respect to inputs and parameters. */
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
 
 /* Call one of the generated functions. */
@@ -119,10 +119,10 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
 {
     static const char begin[] = "the initialization failed: ";
     const int fails = instance->failure != NULL && outcome > WARNING;
-    const int tells = instance->report != NULL && instance->told[outcome];
+    const int logs = instance->report != NULL && instance->logged[outcome];
     char message[LONGEST_MESSAGE];
     va_list values;
-    if (!fails && !tells) return outcome;
+    if (!fails && !logs) return outcome;
     va_start(values, format);
     vsnprintf(message + (fails ? sizeof begin - 1 : 0), sizeof message - sizeof begin, format, values);
     va_end(values);
@@ -130,11 +130,11 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
         memcpy(message, begin, sizeof begin - 1);
         strcpy(instance->failure, message);
     }
-    if (tells) instance->report(instance, outcome, message);
+    if (logs) instance->report(instance, outcome, message);
     return outcome;
 }
 
-/* What may be called when ---------------------------------------------------------------------------------------- */
+/* Calls and phases ----------------------------------------------------------------------------------------------- */
 
 #define BEFORE (1u << INSTANTIATED)
 #define DURING (1u << INITIALIZING)
@@ -144,7 +144,7 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
 
 static const char *const PHASE[] = {"instantiated", "initializing", "stepping", "terminated"};
 
-/* Say that a call is not allowed now, without the prefix that all names of calls have. */
+/* Refuse a call in this phase, by its name without prefix. */
 static int refuse_call(const Instance *instance, unsigned phases, const char *call)
 {
     const char *name = call + sizeof "fmi2" - 1;
@@ -165,7 +165,7 @@ static int refused(const Instance *instance, unsigned phases, const char *call)
 
 static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
 
-/* Switch what is told on or off: the categories that are named, or all without a name. */
+/* Switch logging on or off: that of some categories, or all of it. */
 static Outcome set_logging(Instance *instance, int on, size_t count, const char *const categories[])
 {
     for (size_t k = 0; k < count; k++) {
@@ -173,12 +173,12 @@ static Outcome set_logging(Instance *instance, int on, size_t count, const char 
         int known = all;
         for (int outcome = 0; outcome < 4; outcome++)
             if (all || strcmp(categories[k], CATEGORY[outcome]) == 0) {
-                instance->told[outcome] = on;
+                instance->logged[outcome] = on;
                 known = 1;
             }
         if (!known) return say(instance, ERROR, "there is no logger category %.100s", categories[k]);
     }
-    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->logged[outcome] = on;
     return GOOD;
 }
 
@@ -188,6 +188,7 @@ static void reset(Instance *instance)
 {
     State *state = &instance->state;
     memset(state, 0, sizeof *state);
+    instance->warned = 0;
     state->stamp = STAMP;
     state->phase = INSTANTIATED;
     for (size_t k = 0; k < N_CHOICES; k++) state->choices[k] = CHOICES[k].start;
@@ -205,7 +206,7 @@ static void free_instance(Instance *instance)
     free(instance);
 }
 
-/* Make an instance, unless there is something to refuse it for, or a description of another build. */
+/* Make an instance, unless there is a refusal, or the model description belongs to another build. */
 static Instance *new_instance(const char *name, const char *refusal, const char *token, Reporter report,
                               void (*logger)(void), void *environment)
 {
@@ -220,7 +221,7 @@ static Instance *new_instance(const char *name, const char *refusal, const char 
         instance->report = logger == NULL ? NULL : report;
         instance->logger = logger;
         instance->environment = environment;
-        for (int k = 0; k < 4; k++) instance->told[k] = 1;
+        for (int k = 0; k < 4; k++) instance->logged[k] = 1;
         reset(instance);
         if (refusal == NULL) return instance;
         say(instance, ERROR, refusal, MODEL_NAME);
@@ -238,11 +239,11 @@ static Outcome require_experiment(const Instance *instance, double start, double
     return GOOD;
 }
 
-/* The times of the experiment, which a host tells before or with the initialization. */
+/* Set start and stop time, before or with the initialization. */
 static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
 {
     const double end = stops ? stop : HUGE_VAL;
-    if (!JUDGED_LATE && require_experiment(instance, start, end) != GOOD) return ERROR;
+    if (!DEFERRED_CHECKS && require_experiment(instance, start, end) != GOOD) return ERROR;
     instance->state.start = start;
     instance->state.now.time = start;
     instance->state.stop = end;
@@ -258,7 +259,7 @@ static int all_finite(const double *values, size_t count)
     return 1;
 }
 
-/* The inputs of a step belong to an instant of it, what is measured always to its start. */
+/* The inputs of a step belong to an instant of it, measured values always to its start. */
 static Outcome require_finite_inputs(const Instance *instance, double start, double time)
 {
     const double *inputs = instance->state.inputs;
@@ -290,7 +291,7 @@ static Outcome require_step(const Instance *instance, double time, double h)
     return GOOD;
 }
 
-/* The value of a parameter. */
+/* Refuse the value of a parameter outside its range. */
 static Outcome require_legal(const Instance *instance, const Variable *variable, double value)
 {
     if (!(fabs(value) <= DBL_MAX))
@@ -308,22 +309,22 @@ static Outcome require_item(const Instance *instance, const Choice *choice, int6
     return GOOD;
 }
 
-/* All that was set without being judged. */
+/* Check all values that were set without a check. */
 static Outcome require_settings(Instance *instance)
 {
     State *state = &instance->state;
-    if (!JUDGED_LATE || state->judged) return GOOD;
+    if (!DEFERRED_CHECKS || state->checked) return GOOD;
     for (size_t k = 0; k < N_CHOICES; k++)
         if (require_item(instance, &CHOICES[k], state->choices[k]) != GOOD) return DISCARD;
     for (size_t k = 0; k < N_PARAMETERS + N_SETTINGS; k++)
         if (require_legal(instance, &VARIABLES[FIRST_PARAMETER + k], state->parameters[k]) != GOOD) return DISCARD;
-    state->judged = 1;
+    state->checked = 1;
     return GOOD;
 }
 
 /* Outputs ------------------------------------------------------------------------------------------------------------ */
 
-/* Keep angles within half a turn of those before. */
+/* Keep angles within half a turn of the previous ones. */
 static void keep_turning(double *outputs, const double *before)
 {
     const double turn = 6.283185307179586;
@@ -334,7 +335,7 @@ static void keep_turning(double *outputs, const double *before)
         }
 }
 
-/* Make what has been worked out the present. */
+/* Make the computed moment the present. */
 static void accept(Instance *instance)
 {
     instance->state.now = instance->work;
@@ -342,11 +343,11 @@ static void accept(Instance *instance)
     instance->keeps = 0;
 }
 
-/* The start, from settings and inputs as they are. */
+/* Compute the start from the present settings and inputs. */
 static Outcome begun(Instance *instance)
 {
     State *state = &instance->state;
-    Outcome outcome = JUDGED_LATE ? require_experiment(instance, state->start, state->stop) : GOOD;
+    Outcome outcome = DEFERRED_CHECKS ? require_experiment(instance, state->start, state->stop) : GOOD;
     if (outcome == GOOD) outcome = require_settings(instance);
     if (outcome == GOOD) outcome = require_finite_inputs(instance, state->start, state->start);
     if (outcome != GOOD) return outcome;
@@ -357,42 +358,42 @@ static Outcome begun(Instance *instance)
     if (outcome != GOOD) return outcome;
     state->before = instance->work;
     accept(instance);
-    memcpy(state->heard, state->inputs, sizeof state->heard);
+    memcpy(state->last_inputs, state->inputs, sizeof state->last_inputs);
     state->due = 0;
     return GOOD;
 }
 
-/* Compute outputs from the inputs as they are, where that is still to be done: before the first step. A host whose calls
-   cannot fail finds outputs that are no numbers, and is told why by every step. */
+/* Compute outputs from the inputs where that is still due: before the first step. If it fails in a host whose calls cannot
+   fail, outputs are NaN and every step logs the reason. */
 static Outcome refresh(Instance *instance)
 {
     State *state = &instance->state;
     Outcome outcome;
-    if (JUDGED_LATE && state->phase == INSTANTIATED) return DISCARD;
+    if (DEFERRED_CHECKS && state->phase == INSTANTIATED) return DISCARD;
     if (!state->due) return FAILED(state) ? DISCARD : GOOD;
     *state->failure = '\0';
-    instance->failure = JUDGED_LATE ? state->failure : NULL;
+    instance->failure = DEFERRED_CHECKS ? state->failure : NULL;
     outcome = begun(instance);
     instance->failure = NULL;
-    if (outcome != GOOD && JUDGED_LATE) {
+    if (outcome != GOOD && DEFERRED_CHECKS) {
         for (size_t k = 0; k < N_OUTPUTS; k++) state->now.outputs[k] = NAN;
         state->due = 0;
     }
     return outcome;
 }
 
-/* Some masters pass connected values on after the first step only: what was there at the start is not left for zeros. */
+/* Some masters pass connected values on after the first step only: zeros do not replace the inputs of the start then. */
 static void take_inputs(Instance *instance)
 {
     State *state = &instance->state;
     const size_t count = awaited(state);
     int nothing = state->steps == 0;
     for (size_t k = 0; k < count && nothing; k++) nothing = state->inputs[k] == 0.0;
-    memcpy(instance->told_inputs, state->inputs, sizeof instance->told_inputs);
-    if (nothing) memcpy(instance->told_inputs, state->heard, count * sizeof(double));
+    memcpy(instance->step_inputs, state->inputs, sizeof instance->step_inputs);
+    if (nothing) memcpy(instance->step_inputs, state->last_inputs, count * sizeof(double));
 }
 
-/* One communication step: a step that is refused leaves everything as it was. */
+/* One communication step; a refused step changes no state. */
 static Outcome do_step(Instance *instance, double time, double h)
 {
     State *state = &instance->state;
@@ -414,8 +415,8 @@ static Outcome do_step(Instance *instance, double time, double h)
     if (outcome == WARNING) remark = WARNING;
     state->before = state->now;
     accept(instance);
-    memcpy(state->earlier, state->heard, sizeof state->earlier);
-    memcpy(state->heard, instance->told_inputs, sizeof state->heard);
+    memcpy(state->earlier, state->last_inputs, sizeof state->earlier);
+    memcpy(state->last_inputs, instance->step_inputs, sizeof state->last_inputs);
     state->step = h;
     state->steps++;
     return remark;
@@ -445,7 +446,7 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
     return GOOD;
 }
 
-/* Whether a number may be set; NaN and infinite inputs are met when they are used, with the time. */
+/* Set a number; NaN and infinite inputs are refused when they are used, with the time. */
 static Outcome set_number(Instance *instance, size_t k, double value)
 {
     State *state = &instance->state;
@@ -460,9 +461,9 @@ static Outcome set_number(Instance *instance, size_t k, double value)
     if (variable->fixed && state->phase >= STEPPING)
         return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    variable->name);
-    if (!JUDGED_LATE && require_legal(instance, variable, value) != GOOD) return ERROR;
+    if (!DEFERRED_CHECKS && require_legal(instance, variable, value) != GOOD) return ERROR;
     state->parameters[k - FIRST_PARAMETER] = value;
-    state->judged = 0;
+    state->checked = 0;
     if (state->phase < STEPPING) state->due = 1;
     return GOOD;
 }
@@ -472,9 +473,9 @@ static Outcome set_choice(Instance *instance, size_t k, int64_t value)
     if (instance->state.phase >= STEPPING)
         return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    CHOICES[k].name);
-    if (!JUDGED_LATE && require_item(instance, &CHOICES[k], value) != GOOD) return ERROR;
+    if (!DEFERRED_CHECKS && require_item(instance, &CHOICES[k], value) != GOOD) return ERROR;
     instance->state.choices[k] = value;
-    instance->state.judged = 0;
+    instance->state.checked = 0;
     instance->state.due = 1;
     return GOOD;
 }
@@ -484,14 +485,14 @@ static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 static Outcome require_state(const Instance *instance, const State *saved)
 {
     int known = saved->stamp == STAMP && saved->phase >= INSTANTIATED && saved->phase <= TERMINATED;
-    for (size_t k = 0; k < N_CHOICES && !JUDGED_LATE; k++)
+    for (size_t k = 0; k < N_CHOICES && !DEFERRED_CHECKS; k++)
         known &= saved->choices[k] >= 1 && saved->choices[k] <= CHOICES[k].count;
     if (!known)
         return say(instance, ERROR, "the state to restore is not one of this FMU; nothing was changed");
     return GOOD;
 }
 
-/* Copy a state to where the host keeps it; the memory is new where there is none yet. */
+/* Copy a state to the memory of the host, or to new memory. */
 static Outcome keep_state(const Instance *instance, const State *state, void **saved)
 {
     if (*saved == NULL) *saved = malloc(sizeof(State));
@@ -505,7 +506,7 @@ static Outcome restore_state(Instance *instance, const void *saved)
     if (saved == NULL) return say(instance, ERROR, "there is no saved state to restore");
     if (require_state(instance, saved) != GOOD) return ERROR;
     memcpy(&instance->state, saved, sizeof(State));
-    instance->state.judged = 0;
+    instance->state.checked = 0;
     instance->state.failure[sizeof instance->state.failure - 1] = '\0';
     return GOOD;
 }
@@ -538,7 +539,7 @@ static Outcome read_state(const Instance *instance, const void *bytes, size_t si
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
 
-/* Add up derivatives of unknowns (places of outputs) by knowns (places of inputs or parameters), times their seeds. */
+/* Sum the derivatives of unknowns (places of outputs) by knowns (places of inputs or parameters) times their seeds. */
 static Outcome directional(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
                            size_t known_count, const double *seeds, double *found)
 {
@@ -562,7 +563,7 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
     if (outcome != GOOD) return outcome;
     for (size_t k = 0; k < unknown_count; k++) {
         found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
-        /* Those that nobody asks for may have none: the angle of a rope that hangs from the vertical, say. */
+        /* Only requested ones must exist: the angle of a rope that hangs vertically, for one, has no derivative. */
         if (!all_finite(&found[k], 1))
             return say(instance, DISCARD, "at t = %.6g s %s has no derivative", instance->state.now.time,
                        VARIABLES[unknowns[k]].name);
@@ -570,14 +571,14 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
     return GOOD;
 }
 
-/* Sensitivities of a weighted sum of unknowns, one by each known: a direction at a time, for a step may be many. */
+/* Sensitivities of a weighted sum of unknowns by each known: one direction at a time, since a step may have substeps. */
 static Outcome adjoint(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
                        size_t known_count, const double *weights, double *found)
 {
     const double one = 1.0;
     double each[N_OUTPUTS];
     if (unknown_count > N_OUTPUTS)
-        return say(instance, ERROR, "there are %d outputs, fewer than asked for", N_OUTPUTS);
+        return say(instance, ERROR, "more unknowns than the %d outputs were requested", N_OUTPUTS);
     for (size_t k = 0; k < known_count; k++) {
         const Outcome outcome = directional(instance, unknowns, unknown_count, &knowns[k], 1, &one, each);
         if (outcome != GOOD) return outcome;

@@ -1,7 +1,7 @@
 /* The inverse model: from a path and its derivatives to the inputs that make a system follow it.
 
-   The mathematics is generated: `quick` and `begin` for an instant by itself, `advance` for a step of what depends on the
-   past. */
+   The mathematics is generated: `quick` and `begin` for a single instant, `advance` for a step of internal
+   dynamics. */
 
 #ifndef INVERSE_H
 #define INVERSE_H
@@ -13,22 +13,22 @@
 #define ROUTE_SIZE 0
 #endif
 
-/* What belongs to one instant. */
+/* The data of one instant. */
 typedef struct {
     double time;
     double path[N_PATH];          /* the path and its derivatives, order by order */
     double state[AT_LEAST_1(N_STATE + ROUTE_SIZE)];
     double outputs[N_OUTPUTS];
-    int64_t is_odd;               /* whether the inputs of its step contradicted each other */
+    int64_t is_odd;               /* whether the inputs of its step contradict each other */
 #if N_ROUTES > 0
     double inner;                 /* the last step of the method in s, 0 before the first */
 #endif
 #if HAS_FEEDBACK
     double memory[N_MEMORY];      /* of the feedback */
-    int64_t remembers, is_far;    /* whether it has a memory, or is left out because the plant is far from its path */
+    int64_t remembers, is_far;    /* whether it has a memory; whether it is inactive far from the path */
 #endif
 #if HAS_ESTIMATES
-    double peak;                  /* of what the error of estimates is compared with */
+    double peak;                  /* of the output that the error of estimates is compared with */
 #endif
 } Moment;
 
@@ -43,7 +43,7 @@ typedef struct {
     double memory[N_MEMORY], drives[N_DRIVES];
 #endif
 #if HAS_ESTIMATES
-    double told[N_PATH];          /* with what is estimated */
+    double completed_path[N_PATH]; /* the inputs with estimated derivatives */
     double error, known, worth[3];
 #endif
 } Work;
@@ -55,7 +55,7 @@ typedef struct {
 /* The mathematics ---------------------------------------------------------------------------------------------------- */
 
 #if N_INTERNAL == 0
-#define PLACE_STARTS 0            /* no internal states, none is moved */
+#define PLACE_STARTS 0            /* no internal states */
 #define COUNT_STARTS 0
 #endif
 CHECKED(INTERNAL, COUNT_STARTS == N_INTERNAL);
@@ -64,7 +64,7 @@ CHECKED(INPUTS, N_INPUTS == N_PATH + N_MEASURED);
 CHECKED(DRIVES, COUNT_LIMITS == N_DRIVES);
 #endif
 
-/* Outputs and state at an instant from the path alone. Returns 0 where the equations are not solved. */
+/* Compute outputs and state at an instant from the path alone. Returns 0 if the equations are not solved. */
 static int solve_instant(Instance *instance, Moment *moment)
 {
     const double **arguments = instance->arguments;
@@ -114,7 +114,7 @@ static int solve_step(Instance *instance, Moment *moment, double h)
 
 /* Checks, each with its sentence ------------------------------------------------------------------------------------- */
 
-/* Whether a limit is broken; a rate may be none. */
+/* Whether a limit is exceeded; a rate without direction is NaN. */
 static int breaks(const Instance *instance, int k)
 {
     return !(instance->scratch.margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->scratch.margins[k]));
@@ -165,16 +165,16 @@ static Outcome checked_moment(const Instance *instance, const Moment *moment, in
 /* Estimated derivatives ----------------------------------------------------------------------------------------------- */
 
 #if HAS_ESTIMATES
-#define ALL_CONNECTED 1 /* item of connected; the next ones are one derivative less each */
-#define ORDERS_TOLD(state) (ORDERS + ALL_CONNECTED - (size_t)(state)->choices[CONNECTED])
+#define ALL_CONNECTED 1 /* item of `connected`; each of the next ones has one derivative less */
+#define ORDERS_CONNECTED(state) (ORDERS + ALL_CONNECTED - (size_t)(state)->choices[CONNECTED])
 
-/* Remember the first sample, and leave out of the path what is not connected. */
+/* Store the first sample, and set derivatives of the path that are not connected to zero. */
 static void begin_samples(Instance *instance, double *path)
 {
-    const size_t told = ORDERS_TOLD(&instance->state);
-    const double order = (double)told - 1.0;
-    if (told == ORDERS) return;
-    memset(path + COMPONENTS * told, 0, (N_PATH - COMPONENTS * told) * sizeof *path);
+    const size_t connected = ORDERS_CONNECTED(&instance->state);
+    const double order = (double)connected - 1.0;
+    if (connected == ORDERS) return;
+    memset(path + COMPONENTS * connected, 0, (N_PATH - COMPONENTS * connected) * sizeof *path);
     instance->arguments[0] = path;
     instance->arguments[1] = &order;
     instance->results[0] = instance->to_keep;
@@ -182,30 +182,30 @@ static void begin_samples(Instance *instance, double *path)
     instance->keeps = 1;
 }
 
-/* The path as it is told, with estimates of what is not connected. */
+/* Return the path of the inputs, with estimates of the derivatives that are not connected. */
 static const double *completed(Instance *instance, double h)
 {
     const State *state = &instance->state;
-    const double order = (double)ORDERS_TOLD(state) - 1.0, at_end = state->choices[INPUT_TIME] == AT_END;
+    const double order = (double)ORDERS_CONNECTED(state) - 1.0, at_end = state->choices[INPUT_TIME] == AT_END;
     Work *scratch = &instance->scratch;
     scratch->worth[1] = scratch->worth[2] = 0.0;
     scratch->known = 1.0;
-    if (state->choices[CONNECTED] == ALL_CONNECTED) return instance->told_inputs;
+    if (state->choices[CONNECTED] == ALL_CONNECTED) return instance->step_inputs;
     instance->arguments[0] = state->kept;
-    instance->arguments[1] = instance->told_inputs;
+    instance->arguments[1] = instance->step_inputs;
     instance->arguments[2] = &h;
     instance->arguments[3] = &at_end;
     instance->arguments[4] = &order;
     instance->results[0] = instance->to_keep;
-    instance->results[1] = scratch->told;
+    instance->results[1] = scratch->completed_path;
     instance->results[2] = &scratch->error;
     instance->results[3] = &scratch->known;
     call(instance, MATHEMATICS(estimate));
     instance->keeps = 1;
-    return scratch->told;
+    return scratch->completed_path;
 }
 
-/* Compare the error of what is estimated with what it is worth in the outputs that follow from the path. */
+/* Compute the error of the outputs that corresponds to the error of the estimates. */
 static void judge_estimates(Instance *instance)
 {
     Moment *work = &instance->work;
@@ -221,24 +221,24 @@ static void judge_estimates(Instance *instance)
     work->peak = scratch->worth[0];
 }
 
-/* Tell once that there are too few samples, and once that they are too rough. */
+/* Warn once of too few samples, and once of too rough ones. */
 static Outcome remark_estimates(Instance *instance, double time)
 {
-    State *state = &instance->state;
+    const State *state = &instance->state;
     const Work *scratch = &instance->scratch;
-    const size_t order = ORDERS_TOLD(state) - 1;
-    if (!(scratch->known > 0.0) && !(state->warned >> 4 & 1)) {
-        state->warned |= 1 << 4;
+    const size_t order = ORDERS_CONNECTED(state) - 1;
+    if (!(scratch->known > 0.0) && !(instance->warned >> 4 & 1)) {
+        instance->warned |= 1 << 4;
         return say(instance, WARNING, UNKNOWN[order], time);
     }
-    if (scratch->worth[1] > scratch->worth[2] && !(state->warned >> 5 & 1)) {
-        state->warned |= 1 << 5;
+    if (scratch->worth[1] > scratch->worth[2] && !(instance->warned >> 5 & 1)) {
+        instance->warned |= 1 << 5;
         return say(instance, WARNING, ROUGH[order], time, scratch->error, scratch->worth[1], scratch->worth[0]);
     }
     return GOOD;
 }
 #else
-#define ORDERS_TOLD(state) ((size_t)ORDERS)
+#define ORDERS_CONNECTED(state) ((size_t)ORDERS)
 #endif
 
 #if HAS_ESTIMATES
@@ -248,43 +248,43 @@ static Outcome remark_estimates(Instance *instance, double time)
 #endif
 #define SLIGHT 1e-9               /* of the size of a position: smaller changes are rounding */
 
-/* The derivative that changes while all connected ones above it stay exactly zero; ORDERS if none does. */
-static size_t contradicted(const State *state, const double *told)
+/* Return the order of the derivative that changes while all connected higher ones stay exactly zero; ORDERS if none does. */
+static size_t contradicted(const State *state, const double *given)
 {
-    const size_t top = ORDERS_TOLD(state) - 1;
-    const double *before = state->heard;
+    const size_t top = ORDERS_CONNECTED(state) - 1;
+    const double *before = state->last_inputs;
     double size = 1.0;
     size_t still = top + 1; /* from this one on all are zero */
     if (state->steps == 0) return ORDERS;
     while (still > 0) {
         const size_t first = (still - 1) * COMPONENTS;
         int moves = 0;
-        for (size_t c = first; c < first + COMPONENTS; c++) moves |= before[c] != 0.0 || told[c] != 0.0;
+        for (size_t c = first; c < first + COMPONENTS; c++) moves |= before[c] != 0.0 || given[c] != 0.0;
         if (moves) break;
         still--;
     }
     if (still == top + 1) return ORDERS; /* as nearly always in motion */
-    for (size_t c = 0; c < COMPONENTS; c++) size = fmax(size, fabs(told[c]));
+    for (size_t c = 0; c < COMPONENTS; c++) size = fmax(size, fabs(given[c]));
     for (size_t k = still == 0 ? 0 : still - 1; k < top; k++)
         for (size_t c = k * COMPONENTS; c < (k + 1) * COMPONENTS; c++)
-            if (fabs(told[c] - before[c]) > SLIGHT * size) return k;
+            if (fabs(given[c] - before[c]) > SLIGHT * size) return k;
     return ORDERS;
 }
 
-/* Tell once if a path moves where derivatives that should be connected say that it does not; refuse a second such step. */
+/* Warn once of a path that moves while connected derivatives stay zero; refuse a second such step. */
 static Outcome require_agreement(Instance *instance, double time)
 {
-    State *state = &instance->state;
-    const size_t top = ORDERS_TOLD(state) - 1, k = contradicted(state, instance->told_inputs);
+    const State *state = &instance->state;
+    const size_t top = ORDERS_CONNECTED(state) - 1, k = contradicted(state, instance->step_inputs);
     const int again = state->now.is_odd;
     char above[LONGEST_MESSAGE / 4] = "";
     instance->work.is_odd = k < ORDERS;
-    if (k == ORDERS || (!again && state->warned & 1)) return GOOD;
+    if (k == ORDERS || (!again && instance->warned & 1)) return GOOD;
     for (size_t j = k + 1; j <= top; j++) {
         const size_t length = strlen(above);
         snprintf(above + length, sizeof above - length, "%s%s", j > k + 1 ? " and " : "", ORDER_NAMES[j]);
     }
-    state->warned |= again ? 0 : 1;
+    instance->warned |= again ? 0 : 1;
     return say(instance, again ? DISCARD : WARNING, "at t = %.6g s the " FOLLOWER "'s %s changes, but its %s %s zero: connect what"
                " is missing" OR_ESTIMATED "%s", time, ORDER_NAMES[k], above, top - k > 1 ? "stay" : "stays", ORDER_NAMES[k],
                again ? "" : "; the outputs are those of a " FOLLOWER " that stands still, and the next such step is refused");
@@ -316,24 +316,24 @@ static void within_limits(const Instance *instance, double *outputs)
     for (size_t k = 0; k < N_DRIVES; k++) outputs[k] = fmin(fmax(outputs[k], -most[k]), most[k]);
 }
 
-/* Say why there is no feedback in this step, once; the outputs are the feedforward then. */
+/* Warn once that this step has no feedback; its outputs are the feedforward. */
 static Outcome left_out(Instance *instance, int topic, const char *format, double time, double value, double limit)
 {
     Moment *work = &instance->work;
     work->remembers = 0;
     within_limits(instance, work->outputs);
-    if (instance->state.warned >> topic & 1) return GOOD;
-    instance->state.warned |= (int64_t)1 << topic; /* a step that is refused later keeps it said */
+    if (instance->warned >> topic & 1) return GOOD;
+    instance->warned |= 1 << topic;
     return say(instance, WARNING, format, time, value, limit);
 }
 
-/* Replace the drives' outputs of a step by those with feedback on what is measured. */
-static Outcome with_feedback(Instance *instance, const double *told, double time, double h)
+/* Add the feedback on measured values to the drives' outputs of a step. */
+static Outcome with_feedback(Instance *instance, const double *given, double time, double h)
 {
     const State *state = &instance->state;
     const double *p = state->parameters, *measured = state->inputs + N_PATH;
     const int at_end = state->choices[INPUT_TIME] == AT_END;
-    const double *before = at_end ? state->now.path : told;
+    const double *before = at_end ? state->now.path : given;
     Moment *work = &instance->work;
     Work *scratch = &instance->scratch;
     double feedforward[N_DRIVES], judged[3] = {0.0, NAN, NAN}, *found = scratch->drives;
@@ -369,7 +369,7 @@ static Outcome with_feedback(Instance *instance, const double *told, double time
         call(instance, at_end ? MATHEMATICS(begin_end) : MATHEMATICS(begin_start));
     }
     instance->arguments[0] = work->memory;
-    instance->arguments[1] = told;
+    instance->arguments[1] = given;
     instance->arguments[2] = before;
     instance->arguments[3] = measured;
     instance->arguments[4] = state->now.outputs; /* the drives' come first */
@@ -441,7 +441,7 @@ static Outcome move(Instance *instance, double time, double h)
         const Moment before = *work;
         const double end = k + 1.0 == count ? time + h : time + (k + 1.0) / count * h;
         for (size_t i = 0; i < N_NODES; i++)
-            path_within(state->choices[INPUT_TIME], state->now.path, instance->told_inputs, h,
+            path_within(state->choices[INPUT_TIME], state->now.path, instance->step_inputs, h,
                         i + 1 == N_NODES && k + 1.0 == count ? 1.0 : (k + NODES[i]) / count,
                         instance->scratch.nodes + i * N_PATH);
         outcome = checked_moment(instance, work, solve_step(instance, work, h / count), end);
@@ -454,22 +454,22 @@ static Outcome move(Instance *instance, double time, double h)
 }
 #else
 #if N_ROUTES > 0
-static Outcome reached(Instance *instance, const double *told, double time, double h)
+static Outcome reached(Instance *instance, const double *given, double time, double h)
 {
     double count;
     const Outcome outcome = divided(instance, h, &count);
-    return outcome == GOOD ? follow_route(instance, told, time, h, count) : outcome;
+    return outcome == GOOD ? follow_route(instance, given, time, h, count) : outcome;
 }
 #else
-/* Say why there is no instant at the end of a step: what is wrong may be so at its start, which the path is told for. */
-static Outcome refuse_instant(Instance *instance, const double *told, double time, double h)
+/* Refuse a step whose end has no solution; the cause may be at its start, the instant of the inputs. */
+static Outcome refuse_instant(Instance *instance, const double *given, double time, double h)
 {
     Moment *work = &instance->work;
     double ahead[N_PATH];
     int solved;
     memcpy(ahead, work->path, sizeof ahead);
     if (instance->state.choices[INPUT_TIME] == AT_START) {
-        memcpy(work->path, told, sizeof work->path);
+        memcpy(work->path, given, sizeof work->path);
         work->time = time;
         solved = solve_instant(instance, work);
         if (checked_moment(instance, work, solved, time) != GOOD) return DISCARD;
@@ -481,16 +481,16 @@ static Outcome refuse_instant(Instance *instance, const double *told, double tim
 }
 
 /* The instant at the end of a step, from the path alone. */
-static Outcome reached(Instance *instance, const double *told, double time, double h)
+static Outcome reached(Instance *instance, const double *given, double time, double h)
 {
     Moment *work = &instance->work;
     Outcome outcome;
     if (instance->state.choices[INPUT_TIME] == AT_START)
-        continued(told, h, work->path);
+        continued(given, h, work->path);
     else
-        memcpy(work->path, told, sizeof work->path);
+        memcpy(work->path, given, sizeof work->path);
     work->time = time + h;
-    if (!solve_instant(instance, work) || outside(instance)) return refuse_instant(instance, told, time, h);
+    if (!solve_instant(instance, work) || outside(instance)) return refuse_instant(instance, given, time, h);
     outcome = require_branch(instance, work, time + h);
     if (outcome == GOOD) keep_turning(work->outputs, instance->state.now.outputs);
     return outcome;
@@ -500,17 +500,17 @@ static Outcome reached(Instance *instance, const double *told, double time, doub
 static Outcome move(Instance *instance, double time, double h)
 {
 #if HAS_ESTIMATES
-    const double *told = completed(instance, h);
+    const double *given = completed(instance, h);
 #else
-    const double *told = instance->told_inputs;
+    const double *given = instance->step_inputs;
 #endif
-    const Outcome outcome = reached(instance, told, time, h);
+    const Outcome outcome = reached(instance, given, time, h);
     if (outcome != GOOD) return outcome;
 #if HAS_ESTIMATES
     judge_estimates(instance);
 #endif
 #if HAS_FEEDBACK
-    return with_feedback(instance, told, time, h);
+    return with_feedback(instance, given, time, h);
 #else
     return GOOD;
 #endif
@@ -539,7 +539,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
             double h = state->step / count;
             for (size_t i = 0; i < N_NODES; i++) {
                 const double fraction = i + 1 == N_NODES && k + 1.0 == count ? 1.0 : (k + NODES[i]) / count;
-                path_within(state->choices[INPUT_TIME], state->before.path, state->heard, state->step, fraction,
+                path_within(state->choices[INPUT_TIME], state->before.path, state->last_inputs, state->step, fraction,
                             instance->scratch.nodes + i * N_PATH);
                 path_within(state->choices[INPUT_TIME], none, input_seed, state->step, fraction,
                             instance->scratch.node_seeds + i * N_PATH);

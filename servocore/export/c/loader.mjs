@@ -23,7 +23,7 @@ export async function load(source) {
       return value >= min && value <= max ? value
         : refuse(`${name} = ${value} ${unit} is outside its range [${min}, ${max}] ${unit}`);
     });
-    // One after the other, behind what the module keeps for itself: these, the table of outputs, the verdicts.
+    // One after the other, behind the memory of the module: these, the table of outputs, the verdicts.
     const arrays = [times ?? new Float64Array(count), path, values];
     const lengths = [...arrays.map((each) => each.length), about.outputs.length * instants, instants];
     let end = Math.ceil(__heap_base.value / 8);

@@ -1,4 +1,4 @@
-/* The path between the instants at which it is told: Taylor's and Hermite's polynomials.
+/* The path between communication points: Taylor's and Hermite's polynomials.
 
    A path is an array of COMPONENTS positions, then as many velocities, accelerations and so on, ORDERS in all. */
 
@@ -61,16 +61,16 @@ static void joined(const double *first, const double *last, double h, double fra
     }
 }
 
-/* Evaluate the path of a whole step h at a fraction of it: ahead of what was told, or between the last and this. */
-static void path_within(int64_t input_time, const double *first, const double *told, double h, double fraction,
+/* Evaluate the path of a whole step h at a fraction of it: beyond the given instant, or between the last one and it. */
+static void path_within(int64_t input_time, const double *first, const double *given, double h, double fraction,
                         double *found)
 {
     if (input_time == AT_START)
-        continued(told, fraction * h, found);
+        continued(given, fraction * h, found);
     else if (fraction == 1.0)
-        memcpy(found, told, N_PATH * sizeof *found);
+        memcpy(found, given, N_PATH * sizeof *found);
     else
-        joined(first, told, h, fraction, found);
+        joined(first, given, h, fraction, found);
 }
 #endif
 

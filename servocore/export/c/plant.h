@@ -1,5 +1,5 @@
-/* Forward dynamics: where a system goes under its inputs, which run between communication points as is told, disturbed
-   by wind and a gust, and held by brakes until there is an input.
+/* Forward dynamics: the motion of a system under its inputs, held or extrapolated between communication points, under
+   wind and a gust, and held by brakes until an input is not zero.
 
    The mathematics is generated: `begin`, and steps and observation with inputs given or held. */
 
@@ -8,12 +8,12 @@
 
 #include "model.h"
 
-/* What belongs to one instant. */
+/* The data of one instant. */
 typedef struct {
     double time;
     double state[N_STATE];
-    double acting[N_INPUTS];      /* inputs at this instant, continued */
-    double last_step;             /* 0 if there is none to continue the inputs from */
+    double acting[N_INPUTS];      /* inputs at this instant, extrapolated */
+    double last_step;             /* 0 if there is none to extrapolate the inputs from */
     int64_t released;             /* 0 while the brakes hold */
     double outputs[N_OUTPUTS];
 } Moment;
@@ -28,11 +28,11 @@ typedef struct {
 #include "instance.h"
 
 #if N_OFFSETS == 0
-#define PLACE_OFFSETS 0           /* nothing is added to coordinates */
+#define PLACE_OFFSETS 0           /* coordinates have no offsets */
 #define COUNT_OFFSETS 0
 #endif
 #if N_ERRORS == 0
-#define PLACE_ERRORS 0            /* the plant is its model */
+#define PLACE_ERRORS 0            /* the plant has the parameters of its model */
 #define COUNT_ERRORS 0
 #endif
 CHECKED(GROUPS, COUNT_OFFSETS == N_OFFSETS && COUNT_ERRORS == N_ERRORS && COUNT_WIND == N_PUSHED &&
@@ -48,7 +48,7 @@ static int any(const double *values, size_t count)
     return 0;
 }
 
-/* How fast the plant's own parameters grow with those of the model, which they are larger than. */
+/* Ratio of a parameter of the plant to that of the model. */
 static double larger(const State *state, size_t place)
 {
     double factor = 1.0;
@@ -108,7 +108,7 @@ static void one_step(Instance *instance, double *state, const double *u, const d
     memcpy(state, work->next, sizeof work->next);
 }
 
-/* Look at a moment: outputs and margins, or their derivatives along work->state_seed and a direction of the inputs. */
+/* Compute outputs and margins of a moment, or their derivatives along work->state_seed and a direction of the inputs. */
 static void observe(Instance *instance, const Moment *moment, double *outputs, const double *u_seed)
 {
     Work *work = &instance->scratch;
@@ -134,7 +134,7 @@ static void observe(Instance *instance, const Moment *moment, double *outputs, c
 
 /* Steps -------------------------------------------------------------------------------------------------------------- */
 
-/* Whether the margins of limits, which have been worked out, are left. */
+/* Refuse negative margins of limits. */
 static Outcome within(const Instance *instance, double time, const Limit *limits, int count)
 {
     const double *margins = instance->scratch.margins;
@@ -183,21 +183,21 @@ static Outcome first_moment(Instance *instance)
     if (!all_finite(work->state, N_STATE))
         return say(instance, DISCARD, "at t = %.6g s no motion goes on with start.position and its derivatives", work->time);
     memcpy(work->acting, instance->state.inputs, sizeof work->acting);
-    /* A plant that starts in motion has them open: brakes keep velocities as they are, and would stop nothing. */
+    /* Brakes are open at a start in motion: they hold velocities constant, and would not stop it. */
     work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_MOTION + N_PUSHED, (N_STARTS - 1) * N_PUSHED) ||
                      instance->state.choices[BRAKES] == NO_BRAKES;
     return checked_moment(instance, work, 0.0);
 }
 
-/* Inputs at the start of a step, and how fast they change. */
-static void reconstructed(const State *state, const Moment *now, const double *u, const double *heard, double h,
+/* Compute the inputs at the start of a step, and their rates. */
+static void reconstructed(const State *state, const Moment *now, const double *u, const double *last, double h,
                           double *begin, double *slope)
 {
     const int held = state->choices[HOLD] == ZERO_ORDER || !now->released;
     const int reached = state->choices[INPUT_TIME] == AT_END;
     for (size_t k = 0; k < N_INPUTS; k++) {
-        begin[k] = !held && reached ? heard[k] : u[k];
-        slope[k] = held ? 0.0 : reached ? (u[k] - heard[k]) / h : now->last_step > 0.0 ? (u[k] - heard[k]) / now->last_step : 0.0;
+        begin[k] = !held && reached ? last[k] : u[k];
+        slope[k] = held ? 0.0 : reached ? (u[k] - last[k]) / h : now->last_step > 0.0 ? (u[k] - last[k]) / now->last_step : 0.0;
     }
 }
 
@@ -224,7 +224,7 @@ static Outcome through(Instance *instance, double time, double begin, double end
     return GOOD;
 }
 
-/* Go through a communication step, divided where the gust begins and ends. */
+/* Integrate a communication step, divided where the gust begins and ends. */
 static Outcome integrated(Instance *instance, double time, double h, const double *u, const double *slope,
                           const double *u_seed, const double *slope_seed)
 {
@@ -244,12 +244,12 @@ static Outcome move(Instance *instance, double time, double h)
 {
     State *state = &instance->state;
     Moment *work = &instance->work;
-    const double *told = instance->told_inputs;
-    const int released = work->released || any(told, N_INPUTS);
+    const double *given = instance->step_inputs;
+    const int released = work->released || any(given, N_INPUTS);
     double begin[N_INPUTS], slope[N_INPUTS];
     Outcome outcome;
     prepare(instance);
-    reconstructed(state, &state->now, told, state->heard, h, begin, slope);
+    reconstructed(state, &state->now, given, state->last_inputs, h, begin, slope);
     outcome = integrated(instance, time, h, released ? begin : NULL, slope, NULL, NULL);
     if (outcome != GOOD) return outcome;
     for (size_t k = 0; k < N_INPUTS; k++) work->acting[k] = begin[k] + slope[k] * h;
@@ -259,7 +259,7 @@ static Outcome move(Instance *instance, double time, double h)
     return checked_moment(instance, work, h);
 }
 
-/* While there may be brakes zeros are no inputs yet. */
+/* With brakes, zeros before the first other value are no inputs. */
 static size_t awaited(const State *state) { return state->choices[BRAKES] == UNTIL_INPUTS ? N_INPUTS : 0; }
 
 static Outcome remark_step(Instance *instance, double time)
@@ -286,7 +286,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
     if (state->steps > 0) {
         const double h = state->step;
         instance->work = state->before;
-        reconstructed(state, &state->before, state->heard, state->earlier, h, u, slope);
+        reconstructed(state, &state->before, state->last_inputs, state->earlier, h, u, slope);
         reconstructed(state, &state->before, input_seed, none, h, u_seed, slope_seed);
         if (integrated(instance, state->before.time, h, state->now.released ? u : NULL, slope, u_seed, slope_seed) != GOOD)
             return ERROR;

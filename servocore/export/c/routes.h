@@ -26,7 +26,7 @@ static Outcome require_route_branch(const Instance *instance, const Moment *mome
     return GOOD;
 }
 
-/* Whether the limits of the path are kept, at an instant that need not be solved. */
+/* Check the limits of the path, at an instant that is not solved yet. */
 static Outcome require_path(Instance *instance, const double *path, double time)
 {
     instance->arguments[0] = path;
@@ -36,7 +36,7 @@ static Outcome require_path(Instance *instance, const double *path, double time)
     return require_limits(instance, time);
 }
 
-/* Exact values for moment->path. */
+/* Compute exact values at moment->path. */
 static Outcome begin_route(Instance *instance, Moment *moment, double time)
 {
     const Route *route = chosen_route(&instance->state);
@@ -75,7 +75,7 @@ static int solve_route(Instance *instance, const Route *route, Moment *moment, d
     return solved;
 }
 
-/* Say which equation the first guess of a step violates most. */
+/* Refuse a step, naming the equation with the largest residual at the first guess. */
 static Outcome refuse_step(Instance *instance, const Route *route, const double *state, const double *path, double begin,
                            double end)
 {
@@ -95,7 +95,7 @@ static Outcome refuse_step(Instance *instance, const Route *route, const double 
                end, route->names[worst]);
 }
 
-/* The state that the method would have now had it always taken the step h. Before the first step its own start will do. */
+/* Compute the state that the method would have after a history of steps h. Before the first step it is that of a start. */
 static Outcome rebuild(Instance *instance, const Route *route, Moment *moment, double h)
 {
     const double settle = moment->inner > 0.0 ? route->settle : 0.0;
@@ -121,19 +121,19 @@ static Outcome rebuild(Instance *instance, const Route *route, Moment *moment, d
     return GOOD;
 }
 
-/* The path told for the start of a step, which so far was only continued. */
-static Outcome take_path(Instance *instance, Moment *moment, const double *told)
+/* Take the path at the start of a step, so far extrapolated, from the inputs. */
+static Outcome take_path(Instance *instance, Moment *moment, const double *given)
 {
-    if (moment->inner == 0.0 && memcmp(moment->path, told, sizeof moment->path) != 0) {
-        memcpy(moment->path, told, sizeof moment->path);
+    if (moment->inner == 0.0 && memcmp(moment->path, given, sizeof moment->path) != 0) {
+        memcpy(moment->path, given, sizeof moment->path);
         return begin_route(instance, moment, moment->time);
     }
-    memcpy(moment->path, told, sizeof moment->path);
-    return require_path(instance, told, moment->time);
+    memcpy(moment->path, given, sizeof moment->path);
+    return require_path(instance, given, moment->time);
 }
 
 /* Step instance->work through a communication step, in `count` steps of the method. */
-static Outcome follow_route(Instance *instance, const double *told, double time, double h, double count)
+static Outcome follow_route(Instance *instance, const double *given, double time, double h, double count)
 {
     const State *state = &instance->state;
     const Route *route = chosen_route(state);
@@ -142,7 +142,7 @@ static Outcome follow_route(Instance *instance, const double *told, double time,
     double first[N_PATH];
     Outcome outcome = GOOD;
     work->time = time;
-    if (state->choices[INPUT_TIME] == AT_START) outcome = take_path(instance, work, told);
+    if (state->choices[INPUT_TIME] == AT_START) outcome = take_path(instance, work, given);
     memcpy(first, work->path, sizeof first);
     if (outcome == GOOD && step >= SHORTEST_STEP && route->step != NULL && fabs(step - work->inner) > JITTER * step)
         outcome = rebuild(instance, route, work, step);
@@ -150,7 +150,7 @@ static Outcome follow_route(Instance *instance, const double *told, double time,
         const double begin = work->time, end = k + 1.0 == count ? time + h : time + (k + 1.0) * step;
         double before[N_OUTPUTS];
         memcpy(before, work->outputs, sizeof before);
-        path_within(state->choices[INPUT_TIME], first, told, h, k + 1.0 == count ? 1.0 : (k + 1.0) / count, work->path);
+        path_within(state->choices[INPUT_TIME], first, given, h, k + 1.0 == count ? 1.0 : (k + 1.0) / count, work->path);
         if (step < SHORTEST_STEP || route->step == NULL) {
             work->time = end;
             outcome = begin_route(instance, work, end);

@@ -1,4 +1,4 @@
-/* A path and its derivatives over time: a line from rest to rest by a time law, or a path that is baked in.
+/* A path and its derivatives over time: a line from rest to rest by a time law, or a built-in path.
 
    The time laws are generated: start, end, start time, end time, ramp and time -> the path, order by order. */
 
@@ -7,7 +7,7 @@
 
 #include "model.h"
 
-/* What belongs to one instant. */
+/* The data of one instant. */
 typedef struct {
     double time;
     double outputs[N_OUTPUTS];
@@ -35,7 +35,7 @@ static size_t piece_of(double time)
     return low;
 }
 
-/* The instant of the first period at which a path that repeats itself is where it is at another one. */
+/* Return the time within the first period of a periodic path. */
 static double within_period(double time)
 {
     const double since = time - KNOTS[0];
