@@ -1,4 +1,4 @@
-"""Drive any plant, as an FMU of the user's own, by our inputs, and see how far its load leaves the path."""
+"""Simulate a plant, an FMU of the user, under feedforward inputs, and compute the tracking error of its load."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
 
 GIVEN, SEEN = ("M_b", "F", "M_w"), ("x", "y", "z")
-"""What the plant is given, and what has to be seen of it: the load's position."""
+"""Inputs of the plant, and its outputs: the position of the load."""
 
 STEP = 0.01
-"""Longest communication step in s, where none is asked for."""
+"""Largest default communication step in s."""
 
 _OWN = dict(zip(SEEN, components("load.position"), strict=True))  # names in CranePlant.fmu
 
 
 @dataclass(frozen=True)
 class Driven:
-    """Where the load should have been, and where it was.
+    """Prescribed and simulated positions of the load.
 
     Attributes
     ----------
@@ -42,22 +42,21 @@ class Driven:
 
     @property
     def distances(self) -> Array:
-        """Of the load from its path in m, shape (n,)."""
-        distances: Array = np.linalg.norm(self.found - self.wanted, axis=1)
-        return distances
+        """Tracking errors of the load in m, shape (n,)."""
+        return np.asarray(np.linalg.norm(self.found - self.wanted, axis=1))
 
     def sentences(self) -> tuple[str, ...]:
-        """Say how far the load left its path.
+        """Return the tracking error as sentences.
 
         Returns
         -------
         tuple of str
-            One sentence; a second one where the load starts beside the path.
+            One sentence; a second one if the load does not start on the path.
         """
         off, worst = self.distances, int(self.distances.argmax())
         messages: tuple[str, ...] = (
-            f"The load leaves its path by {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s;"
-            f" at the end it is {1e3 * off[-1]:.3g} mm away.",
+            f"The tracking error of the load is {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s,"
+            f" and {1e3 * off[-1]:.3g} mm at the end.",
         )
         if off[0] > 1e-3:
             place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
@@ -67,7 +66,7 @@ class Driven:
         return messages
 
     def table(self) -> str:
-        """Return positions, found and wanted, and distances as the text of a CSV file.
+        """Return simulated and prescribed positions and tracking errors as the text of a CSV file.
 
         Returns
         -------
@@ -86,16 +85,16 @@ def drive(
     starts: Mapping[str, float],
     step: float | None = None,
 ) -> Driven:
-    """Drive a plant along a path by the inputs of the exact inversion.
+    """Simulate a plant under the feedforward inputs of exact inversion for a path.
 
     Parameters
     ----------
     plant : Path
-        An FMU that takes M_b, F, M_w and tells the load's position.
+        An FMU with inputs M_b, F, M_w and the position of the load as outputs.
     crane : Scene
         With its path, parameters and limits.
     names : mapping of str to str
-        The plant's variables by our names; what is not mapped has our name, or that in CranePlant.fmu.
+        Variables of the plant by M_b, F, M_w, x, y, z; default: the same name, or that in CranePlant.fmu.
     starts : mapping of str to float
         The plant's start values.
     step : float, optional
@@ -104,12 +103,12 @@ def drive(
     Returns
     -------
     Driven
-        Where the load should have been and where it was.
+        Prescribed and simulated positions of the load.
 
     Raises
     ------
     InvalidSetting
-        If a name is none of ours, or the FMU cannot be read or lacks a variable.
+        If a name is unknown, or the FMU cannot be read or lacks a variable.
     IntegrationFailed
         If it does not reach the end of the path.
     """
@@ -118,7 +117,12 @@ def drive(
             raise sc.InvalidSetting(f"there is no signal {name!r} to map; there are {', '.join((*GIVEN, *SEEN))}")
         if not isinstance(variable, str):
             raise sc.InvalidSetting(f"{name} must be the name of a variable, in quotes, not {variable!r}")
-    known = _variables(plant)
+    try:
+        described = fmpy.read_model_description(str(plant), validate=False)
+    except Exception as error:  # FMPy raises exceptions of many kinds
+        reason = getattr(error, "strerror", None) or error  # without the error number
+        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
+    known = {variable.name: variable.causality for variable in described.modelVariables}
     theirs = {name: _found(plant, known, name, names) for name in (*GIVEN, *SEEN)}
     for name in starts:
         if name not in known:
@@ -137,18 +141,8 @@ def drive(
     return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
 
-def _variables(plant: Path) -> dict[str, str]:
-    """Return the causality of an FMU's variables by name."""
-    try:
-        described = fmpy.read_model_description(str(plant), validate=False)
-    except Exception as error:  # FMPy raises what its parts raise
-        reason = getattr(error, "strerror", None) or error  # without the number that the machine has for it
-        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
-    return {variable.name: variable.causality for variable in described.modelVariables}
-
-
 def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str, str]) -> str:
-    """Return what a signal is called in the plant."""
+    """Return the name of a signal in the plant."""
     wanted = ("input",) if name in GIVEN else ("output", "local")
     candidates = [names[name]] if name in names else [name, _OWN.get(name, name)]
     for candidate in candidates:

@@ -1,4 +1,4 @@
-"""Files in folders, and folders that appear filled or not at all."""
+"""Files in folders, and folders that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from servocore.files import made_folder, require_writable, write_together
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write files into a folder that nobody else sees yet; those that it must have within are made.
+    """Write files into a temporary folder; its subfolders are made.
 
     Parameters
     ----------
     folder : Path
-        Where to.
+        The folder.
     contents : mapping of str to str or bytes
-        What, by paths in it; texts are written as UTF-8.
+        Contents by paths in the folder; texts are written as UTF-8.
     """
     for name, content in contents.items():
         file = folder / name
@@ -29,9 +29,9 @@ def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
 
 @contextmanager
 def filled_folder(target: Path) -> Iterator[Path]:
-    """Offer an empty folder whose content goes into `target` if all goes well.
+    """Yield an empty folder whose content is moved into `target` unless an exception is raised.
 
-    What `target` already holds stays, unless a new file has the same name.
+    Other files in `target` stay, unless a new file has the same name.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def filled_folder(target: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        Where to write; it is gone afterwards.
+        The folder to write into; it is removed afterwards.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def filled_folder(target: Path) -> Iterator[Path]:
         draft = Path(name)
         try:
             yield draft
-        except sc.InvalidSetting as error:  # what could not be written has a name that nobody knows
+        except sc.InvalidSetting as error:  # the message names a temporary file
             raise sc.InvalidSetting(str(error).replace(name, str(target))) from error
         files = [each for each in sorted(draft.rglob("*")) if each.is_file()]
         contents = {target / each.relative_to(draft): each.read_bytes() for each in files}
