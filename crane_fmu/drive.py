@@ -1,4 +1,4 @@
-"""Drive the user's plant, as an FMU, by feedforward inputs, and measure the tracking error of its load."""
+"""Simulate a plant, an FMU of the user, under feedforward inputs, and compute the tracking error of its load."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
 
 GIVEN, SEEN = ("M_b", "F", "M_w"), ("x", "y", "z")
-"""Inputs of the plant, and its observed outputs: the position of the load."""
+"""Inputs of the plant, and its outputs: the position of the load."""
 
 STEP = 0.01
-"""Longest default communication step in s."""
+"""Largest default communication step in s."""
 
 _OWN = dict(zip(SEEN, components("load.position"), strict=True))  # names in CranePlant.fmu
 
@@ -32,42 +32,41 @@ class Driven:
     ----------
     t : ndarray, shape (n,)
         Times in s.
-    prescribed, found : ndarray, shape (n, 3)
+    wanted, found : ndarray, shape (n, 3)
         Positions of the load in m.
     """
 
     t: Array
-    prescribed: Array
+    wanted: Array
     found: Array
 
     @property
     def distances(self) -> Array:
         """Tracking errors of the load in m, shape (n,)."""
-        distances: Array = np.linalg.norm(self.found - self.prescribed, axis=1)
-        return distances
+        return np.asarray(np.linalg.norm(self.found - self.wanted, axis=1))
 
     def sentences(self) -> tuple[str, ...]:
-        """Describe the tracking error.
+        """Return the tracking error as sentences.
 
         Returns
         -------
         tuple of str
-            One sentence; a second one where the load starts beside the path.
+            One sentence; a second one if the load does not start on the path.
         """
         off, worst = self.distances, int(self.distances.argmax())
         messages: tuple[str, ...] = (
-            f"The load leaves its path by {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s;"
-            f" at the end it is {1e3 * off[-1]:.3g} mm away.",
+            f"The tracking error of the load is {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s,"
+            f" and {1e3 * off[-1]:.3g} mm at the end.",
         )
         if off[0] > 1e-3:
-            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.prescribed[0])
+            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
             messages += (
                 f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m.",
             )
         return messages
 
     def table(self) -> str:
-        """Return simulated and prescribed positions, and distances, as the text of a CSV file.
+        """Return simulated and prescribed positions and tracking errors as the text of a CSV file.
 
         Returns
         -------
@@ -75,7 +74,7 @@ class Driven:
             A header and a row for each instant, in s and m.
         """
         names = ["time", *(column for name in SEEN for column in (name, f"{name}_wanted")), "distance"]
-        both = np.stack([self.found, self.prescribed], axis=2).reshape(len(self.t), -1)
+        both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
         return csv_text(names, [self.t, both, self.distances])
 
 
@@ -86,17 +85,16 @@ def drive(
     starts: Mapping[str, float],
     step: float | None = None,
 ) -> Driven:
-    """Drive a plant along a path by the inputs of the exact inversion.
+    """Simulate a plant under the feedforward inputs of exact inversion for a path.
 
     Parameters
     ----------
     plant : Path
-        An FMU with inputs M_b, F, M_w and outputs for the load's position.
+        An FMU with inputs M_b, F, M_w and the position of the load as outputs.
     crane : Scene
         With its path, parameters and limits.
     names : mapping of str to str
-        The plant's variables by the names in `GIVEN` and `SEEN`; other signals have these names, or those in
-        CranePlant.fmu.
+        Variables of the plant by M_b, F, M_w, x, y, z; default: the same name, or that in CranePlant.fmu.
     starts : mapping of str to float
         The plant's start values.
     step : float, optional
@@ -105,7 +103,7 @@ def drive(
     Returns
     -------
     Driven
-        Prescribed and simulated positions.
+        Prescribed and simulated positions of the load.
 
     Raises
     ------
@@ -119,7 +117,12 @@ def drive(
             raise sc.InvalidSetting(f"there is no signal {name!r} to map; there are {', '.join((*GIVEN, *SEEN))}")
         if not isinstance(variable, str):
             raise sc.InvalidSetting(f"{name} must be the name of a variable, in quotes, not {variable!r}")
-    known = _variables(plant)
+    try:
+        described = fmpy.read_model_description(str(plant), validate=False)
+    except Exception as error:  # FMPy raises exceptions of many kinds
+        reason = getattr(error, "strerror", None) or error  # without the error number
+        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
+    known = {variable.name: variable.causality for variable in described.modelVariables}
     theirs = {name: _found(plant, known, name, names) for name in (*GIVEN, *SEEN)}
     for name in starts:
         if name not in known:
@@ -134,27 +137,17 @@ def drive(
     )
     outputs = [theirs[name] for name in SEEN]
     found = simulated(plant, rows, step, starts, outputs)
-    prescribed = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
-    return Driven(found["time"], prescribed, np.stack([found[name] for name in outputs], axis=1))
-
-
-def _variables(plant: Path) -> dict[str, str]:
-    """Return the causality of an FMU's variables by name."""
-    try:
-        described = fmpy.read_model_description(str(plant), validate=False)
-    except Exception as error:  # FMPy raises any exception of its parts
-        reason = getattr(error, "strerror", None) or error  # without the number of the system error
-        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {reason}") from error
-    return {variable.name: variable.causality for variable in described.modelVariables}
+    wanted = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
+    return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
 
 def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str, str]) -> str:
-    """Return the plant's name of a signal."""
-    kinds = ("input",) if name in GIVEN else ("output", "local")
+    """Return the name of a signal in the plant."""
+    wanted = ("input",) if name in GIVEN else ("output", "local")
     candidates = [names[name]] if name in names else [name, _OWN.get(name, name)]
     for candidate in candidates:
-        if known.get(candidate) in kinds:
+        if known.get(candidate) in wanted:
             return candidate
-    there = ", ".join(each for each, causality in known.items() if causality == kinds[0]) or "none"
-    missing = f"no {kinds[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
-    raise sc.InvalidSetting(f"{plant.name} has {missing}; its {kinds[0]}s are {there}")
+    there = ", ".join(each for each, causality in known.items() if causality == wanted[0]) or "none"
+    what = f"no {wanted[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
+    raise sc.InvalidSetting(f"{plant.name} has {what}; its {wanted[0]}s are {there}")

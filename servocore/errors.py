@@ -1,4 +1,4 @@
-"""What can go wrong, as sentences: every error of the library derives from `ServocoreError`.
+"""Errors as sentences: every error of the library derives from `ServocoreError`.
 
 An error names the culprit, the limit it broke and, where there is one, the time. Command lines print the
 sentence and exit with code 2; nothing else is caught.
@@ -15,11 +15,11 @@ from typing import Any
 
 
 class ServocoreError(Exception):
-    """Base of all errors that a user can cause or meet."""
+    """Base of all errors that users can cause."""
 
 
 class ServocoreWarning(UserWarning):
-    """A warning that a run cannot do, or has not done, what its user expects."""
+    """A warning that a result differs from what its user may expect."""
 
 
 class InvalidModel(ServocoreError):
@@ -31,7 +31,7 @@ class InvalidReference(ServocoreError):
 
 
 class LimitBroken(InvalidReference):
-    """A motion breaks a limit of the scene; another law on the same way, or a slower one, may keep it."""
+    """A motion exceeds a limit of the scene; another or slower time law on the same path may keep it."""
 
 
 class InvalidSetting(ServocoreError):
@@ -47,7 +47,7 @@ class IntegrationFailed(ServocoreError):
 
 
 class PlanningFailed(ServocoreError):
-    """No law was found that keeps all limits and that the solver and a finer grid agree about."""
+    """No time law was found that keeps all limits on a finer grid as well."""
 
 
 _EXTRAS = {
@@ -66,24 +66,29 @@ _EXTRAS = {
 
 
 def missing_package(error: ImportError) -> InvalidSetting | None:
-    """Return the refusal for a package that an extra of the installation brings; None for any other import."""
+    """Return the refusal for a missing package of an extra; None for any other import."""
     package = (error.name or "").partition(".")[0]
     return _needed(package, _EXTRAS[package]) if package in _EXTRAS else None
 
 
 def require_package(package: str, extra: str | None = None) -> None:
-    """Raise `InvalidSetting` unless a package that an extra brings is there: before the work that ends with it."""
+    """Raise `InvalidSetting` if a package of an extra is missing: before the work that needs it."""
     if find_spec(package) is None:
         raise _needed(package, extra or _EXTRAS[package])
 
 
 def _needed(package: str, extra: str) -> InvalidSetting:
-    return InvalidSetting(f"the package {package} is needed for this: pip install 'servocore[{extra}]'")
+    return InvalidSetting(f"the package {package} is missing: {install(extra)}")
+
+
+def install(extra: str) -> str:
+    """Return the command that installs an extra: the project is not on the package index."""
+    return f"run pip install '.[{extra}]' in a clone of the project"
 
 
 @contextmanager
 def refused_if_missing() -> Iterator[None]:
-    """Refuse, by the name of its extra, a package that is imported inside and is not there.
+    """Refuse a missing package that is imported inside, by the name of its extra.
 
     Raises
     ------
@@ -97,14 +102,14 @@ def refused_if_missing() -> Iterator[None]:
 
 
 def extra(name: str) -> Any:
-    """Return a module of a package that an extra of the installation brings; raises what `refused_if_missing` does."""
+    """Return a module of a package of an extra; raises as `refused_if_missing` does."""
     with refused_if_missing():
         import_module(name.partition(".")[0])
         return import_module(name)
 
 
 def described(value: object) -> str:
-    """Return what messages call an argument that is of the wrong kind: the text 'a', the class A, a casadi.MX."""
+    """Return a description of an argument of the wrong kind for messages: the text 'a', the class A, a casadi.MX."""
     if value is None:
         return "None"
     if isinstance(value, str):
@@ -122,19 +127,19 @@ def described(value: object) -> str:
 def require_kind(
     value: object, kinds: type | tuple[type, ...], what: str, wanted: str, error: type[ServocoreError]
 ) -> None:
-    """Raise `error`, saying what was wanted and what was found, unless `value` is of one of some kinds."""
+    """Raise `error`, with the expected and the given value, unless `value` is of one of some kinds."""
     if not isinstance(value, kinds):
         raise error(f"{what} must be {wanted}, not {described(value)}")
 
 
 def require_count(value: object, least: int, what: str, error: type[ServocoreError]) -> None:
-    """Raise `error`, saying what was found, unless `value` is a whole number of at least `least`."""
+    """Raise `error`, with the given value, unless `value` is a whole number of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise error(f"{what} must be a whole number of at least {least}, not {described(value)}")
 
 
 def require_real(value: object, what: str, wanted: str, error: type[ServocoreError]) -> None:
-    """Raise `error`, saying what was wanted and what was found, unless `value` is a real number."""
+    """Raise `error`, with the expected and the given value, unless `value` is a real number."""
     sized = getattr(value, "ndim", 0) == 0
     if isinstance(value, bool | str | type) or not hasattr(value, "__float__") or not sized:
         raise error(f"{what} must be {wanted}, not {described(value)}")
@@ -170,7 +175,7 @@ def _offers(value: object, function: str) -> bool:
 
 
 def _written(value: object, hint: str = "") -> str:
-    """Return what to write in the place of a class or of what stands in the wrong place; empty if that is unknown."""
+    """Return the right form where a class or the wrong kind of object is given; empty if it is unknown."""
     if isinstance(value, type):
         return f"; an instance is wanted: {value.__name__}(...)"
     return f"{hint}{type(value).__name__}(...)" if hint else ""

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all; command lines around the library write theirs with it too."""
+"""Files that are written completely or not at all, by the library and its command lines."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -17,34 +18,34 @@ import numpy.typing as npt
 from servocore.errors import InvalidSetting, require_package
 
 PICTURES = (".png", ".svg", ".pdf")
-"""Endings of the files that figures are written to."""
+"""Endings of figure files."""
 
 FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
-"""Numbers of the errors of a disk that takes no more."""
+"""Error numbers of a full disk."""
 
 MORE_SPACE = "free some space"
-"""What helps then."""
+"""Remedy for a full disk."""
 
-_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the first date that archives know
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the first date of the ZIP format
 _ROWS = 4096  # of a piece
-_TRIAL = 4096  # bytes: a disk that is full takes a file, but nothing in it
+_TRIAL = 4096  # bytes: a full disk still takes an empty file
 
 
 def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> str:
-    """Return a table as the text of a CSV file; every number in as many digits as it takes to read back the same one.
+    """Return a table as the text of a CSV file; every number with the digits that restore it exactly.
 
     Parameters
     ----------
     names : sequence of str
-        What stands above the columns.
+        Header.
     columns : sequence of ndarray, shape (n,) or (n, k)
-        Values beside each other.
+        Columns, or groups of columns.
     """
     return "".join(csv_pieces(names, columns))
 
 
 def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> Iterator[str]:
-    """Give what `csv_text` returns piece by piece: a text of millions of rows would fill the memory."""
+    """Yield the text of `csv_text` in pieces: a text of millions of rows would fill the memory."""
     yield ",".join(names) + "\n"
     for first in range(0, len(columns[0]), _ROWS):
         rows = np.column_stack([column[first : first + _ROWS] for column in columns])
@@ -64,9 +65,9 @@ def cross_check_texts(
     Parameters
     ----------
     stem : str
-        What the names of the files begin with.
+        Beginning of the names of the files.
     inputs, results : mapping of str to ndarray, or None
-        What the FMU is given and what a run has to give, by the names of its variables, `time` first; None for nothing.
+        Inputs and outputs of the FMU in that run, by the names of its variables, `time` first; None for none.
     times : tuple of float
         Start and end of that run, and its communication step, in s.
     """
@@ -82,7 +83,7 @@ def cross_check_texts(
 
 
 def require_picture(file: Path | None) -> None:
-    """Raise `InvalidSetting` if a figure cannot be drawn: an ending that is not in `PICTURES`, or no Matplotlib."""
+    """Raise `InvalidSetting` if a figure cannot be drawn: the ending is not in `PICTURES`, or Matplotlib is missing."""
     if file is None:
         return
     if file.suffix.lower() not in PICTURES:
@@ -90,36 +91,42 @@ def require_picture(file: Path | None) -> None:
     require_package("matplotlib")
 
 
-def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | None] = ()) -> None:
-    """Refuse results that cannot be written: before the work rather than after it.
+def require_places(
+    results: Mapping[str, Path | None],
+    sources: Iterable[Path | None] = (),
+    folders: Mapping[str, Path | None] = MappingProxyType({}),
+) -> None:
+    """Refuse, before the work, results that cannot be written.
 
     Parameters
     ----------
     results : mapping of str to Path or None
-        Where each option wants its file; None where it was not given.
+        File of each option; None where it was not given.
     sources : iterable of Path or None
-        Files that are read and must survive.
+        Files that are read and must not be overwritten.
+    folders : mapping of str to Path or None
+        Folders that options name, which must not be files of others.
 
     Raises
     ------
     InvalidSetting
-        If two options name one file, or a file is read as well, is a folder, or is in none that can be written into.
+        If two options name one file, or a file is read as well, is a folder, or its folder cannot be written.
     """
     wanted = {option: file for option, file in results.items() if file is not None}
     read = {_place(file) for file in sources if file is not None}
-    taken: dict[Path, str] = {}
+    taken = {_place(folder): option for option, folder in folders.items() if folder is not None}
     for option, file in wanted.items():
         other = taken.setdefault(_place(file), option)
         if other != option:
-            raise InvalidSetting(f"{other} and {option} both name {wanted[other]}")
+            raise InvalidSetting(f"{other} and {option} both name {file}")
         if _place(file) in read:
             raise InvalidSetting(f"cannot write {file}: it is read as well")
         _require_file(file)
 
 
 def _require_file(file: Path) -> None:
-    if file == Path("-"):  # elsewhere the standard output stream
-        raise InvalidSetting("cannot write -: name a file; tables go to the standard output stream where none is named")
+    if file == Path("-"):  # other programs take it for the standard output stream
+        raise InvalidSetting("cannot write -: name a file; without a file, tables go to the standard output stream")
     folder = _place(file).parent
     try:
         if file.is_dir():
@@ -128,20 +135,20 @@ def _require_file(file: Path) -> None:
             raise InvalidSetting(f"cannot write {file}: it is no ordinary file")
         if not folder.exists():
             raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}; make it first")
-    except OSError as error:  # a folder that hides what it holds, a name that is too long
+    except OSError as error:  # a folder without permission to read, a name that is too long
         raise not_written(file, error) from None
     require_writable(folder, file)
 
 
 def require_writable(folder: Path, wanted: Path) -> None:
-    """Refuse a folder in which nothing can be written; one that is still to be made is in one that is there.
+    """Refuse a folder that cannot be written; of one that does not exist the nearest existing parent is tried.
 
     Parameters
     ----------
     folder : Path
-        The folder; a file without a name is written there, or around it, and is gone again.
+        The folder; a temporary file is written there, or in its parent.
     wanted : Path
-        What a refusal says cannot be written.
+        Result named in the refusal.
 
     Raises
     ------
@@ -163,39 +170,39 @@ def require_writable(folder: Path, wanted: Path) -> None:
 
 
 def not_written(place: Path, error: OSError) -> InvalidSetting:
-    """Return the refusal for a file or a folder whose writing failed, with what helps.
+    """Return the refusal for a file or a folder whose writing failed, with a remedy.
 
     Parameters
     ----------
     place : Path
-        What was to be written.
+        File or folder.
     error : OSError
-        What came of it.
+        The error.
     """
     remedy = f"{MORE_SPACE}, or name another place" if error.errno in FULL else "name another place"
     return InvalidSetting(f"cannot write {place}: {error.strerror or error}; {remedy}")
 
 
 def _place(file: Path) -> Path:
-    """Return where a file is, symbolic links followed; `Path.resolve` fails where they go in a circle."""
+    """Return the real path of a file; `Path.resolve` fails where symbolic links go in a circle."""
     return Path(os.path.realpath(file))
 
 
 @contextmanager
 def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
-    """Make a folder and those around it; what was made and holds nothing at the end is gone again.
+    """Make a folder and its parents; those that were made and are empty at the end are removed.
 
     Parameters
     ----------
     folder : Path
-        The folder to make; `require_writable` tells before what stands in its way.
+        The folder to make; `require_writable` checks it in advance.
     wanted : Path
-        What a refusal says cannot be written.
+        Result named in the refusal.
 
     Yields
     ------
     None
-        While the folder is there to be written.
+        While the folder exists.
 
     Raises
     ------
@@ -217,12 +224,12 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
 
 
 def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:
-    """Write several files or none: all are written beside their places first and then renamed.
+    """Write several files or none: all are written under temporary names in their folders, then renamed.
 
     Parameters
     ----------
     contents : mapping of Path to str, bytes or iterable of str
-        What goes where, also in pieces; texts are written as UTF-8.
+        Contents by file, also in pieces; texts are written as UTF-8.
 
     Raises
     ------
@@ -252,12 +259,12 @@ def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None
 
 
 def rename_together(moves: Sequence[tuple[Path, Path, Path]]) -> None:
-    """Rename several files or none, also over others: if one cannot be renamed, those before it are undone.
+    """Rename several files or none, also over others: if one cannot be renamed, the others are restored.
 
     Parameters
     ----------
     moves : sequence of tuple of Path
-        The file, its new place, and what a refusal says cannot be written.
+        The file, its new path, and the result named in the refusal.
 
     Raises
     ------
@@ -268,7 +275,7 @@ def rename_together(moves: Sequence[tuple[Path, Path, Path]]) -> None:
         for k, (part, file, wanted) in enumerate(moves):
             try:
                 if k == len(moves) - 1:
-                    pass  # nothing behind it can fail: what it replaces need not be kept, and is never missing
+                    pass  # the last one: no later rename can fail, so the replaced file need not be kept
                 elif file.is_symlink() or file.is_file():
                     old = part.with_name(f"{part.name}.old")
                     leftovers.callback(old.unlink, missing_ok=True)

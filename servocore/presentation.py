@@ -40,7 +40,7 @@ def figure_of(t: Array, curves: Sequence[Curve], title: str) -> Figure:
         If matplotlib is missing.
     """
     with refused_if_missing():
-        from matplotlib import pyplot  # noqa: PLC0415, only whoever plots needs it
+        from matplotlib import pyplot  # noqa: PLC0415 - for figures only
     names = list(dict.fromkeys(curve.name for curve in curves))
     columns = 1 if len(names) <= _ONE_COLUMN else 2
     rows = -(-len(names) // columns)
@@ -72,7 +72,7 @@ def _shown_unit(unit: str) -> tuple[str, float]:
 
 
 def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str:
-    """Return what a notebook shows: a heading, and of every trajectory name, unit, ends, extremes and meaning."""
+    """Return the HTML of a notebook: a heading, and name, unit, ends, extremes and meaning of every trajectory."""
     from html import escape  # noqa: PLC0415 - for notebooks
 
     rows = "".join(
@@ -81,7 +81,7 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
         + f"<td style='text-align:left'>{escape(curve.description)}</td></tr>"
         for curve in curves
     )
-    columns = ("", "unit", f"at {t[0]:g} s", f"at {t[-1]:g} s", "least", "largest", "")
+    columns = ("", "unit", f"at {t[0]:g} s", f"at {t[-1]:g} s", "minimum", "maximum", "")
     head = "".join(f"<th>{column}</th>" for column in columns)
     text = "<br>".join(escape(line) for line in heading if line)
     return f"<p>{text}</p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
@@ -123,7 +123,7 @@ def dataset(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
 
 @dataclass(frozen=True)
 class Motion:
-    """Parts between points, and where the points are at every instant.
+    """Parts between points, and the positions of the points at every instant.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Motion:
     parts : sequence of mapping
         Kind, name, places among the points, axis along which it runs, as a drawing gives them.
     colours : mapping of int to ndarray
-        By the number of a part: what colours it, over time.
+        By the number of a part: the quantity that colours it, over time.
     tracked : int or None
         The point that follows the path.
     flat : bool
@@ -149,7 +149,7 @@ class Motion:
     flat: bool
 
     def corners(self) -> tuple[Array, Array]:
-        """Return the lowest and the highest coordinates of all that moves, with some room around."""
+        """Return the lowest and the highest coordinates of the motion, with a margin."""
         low, high = self.places.min(axis=(0, 1)), self.places.max(axis=(0, 1))
         for part in self.parts:
             if part["kind"] == "bridge":
@@ -159,7 +159,7 @@ class Motion:
         return low - room, high + room
 
     def line(self, part: Mapping[str, Any], k: int) -> Array:
-        """Return the points that a part joins at an instant, shape (n, 3): its own, or how far it reaches."""
+        """Return the points that a part joins at an instant, shape (n, 3): its own, or its ends."""
         own: Array = self.places[k, part["places"]]
         if part["kind"] == "bridge":
             ways = self.places[:, part["places"][1]] - self.places[:, part["places"][0]]
@@ -186,7 +186,7 @@ _MOST_NAMES = 6
 
 
 def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAnimation:
-    """Return an animation of at most so many frames, each at an instant of the motion.
+    """Return an animation of at most `most` frames, each at an instant of the motion.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAni
         from matplotlib import animation, pyplot  # noqa: PLC0415
 
     class Shown(animation.FuncAnimation):
-        """An animation that a notebook shows by itself."""
+        """An animation that a notebook displays."""
 
         def _repr_html_(self) -> str:
             return str(self.to_jshtml())
@@ -234,16 +234,16 @@ def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAni
 
 
 def _shade(values: Array, k: int) -> tuple[float, float, float]:
-    """Return a colour from blue, where a quantity is least, to orange."""
+    """Return a colour from blue, at the minimum of a quantity, to orange."""
     low, high = float(values.min()), float(values.max())
     share = 0.5 if high - low <= 1e-9 * abs(high) else (float(values[k]) - low) / (high - low)
     return share * 213 / 255, (114 - 20 * share) / 255, 178 * (1 - share) / 255
 
 
 def _framed(axes: Any, motion: Motion, shown: Sequence[int]) -> None:
-    """Give axes equal scales, limits that hold everything, and names with units."""
+    """Set equal scales, limits around the whole motion, and labels with units."""
     low, high = motion.corners()
-    # What moves along one line needs some height to be seen.
+    # A motion along one line needs some height to be visible.
     wide = float((high - low).max())
     middle, half = (low + high) / 2, np.maximum(high - low, 0.3 * wide) / 2
     for name, axis in zip("xy" if motion.flat else "xyz", shown, strict=True):

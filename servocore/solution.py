@@ -1,4 +1,4 @@
-"""`Solution`: what a run returns, arrays by name with units."""
+"""`Solution`: the result of a run, arrays by name with units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a run took and how well it kept the equations.
+    """Effort of a run and residuals of the equations.
 
     Attributes
     ----------
@@ -35,17 +35,17 @@ class Statistics:
     constraint_violation, constraint_rate_violation : float
         Largest ``|g|`` and ``|dg/dt|``.
     rejected : int
-        Steps that error control took back.
+        Steps that error control rejected.
     error_estimate : float or None
         With error control: its estimate of the largest error of the inputs, relative to their peaks.
     choices_of_states : int
         How often the states of internal dynamics were chosen, the first time included.
     input_noise : float or None
-        Round-off floor of the inputs, relative to their peaks, as seen in the result: what in them alternates from
-        instant to instant. An upper bound, close where the step is small; None for runs too short to tell.
+        Round-off floor of the inputs, relative to their peaks: the part that alternates from instant to instant. An
+        upper bound, close for small steps; None for runs that are too short.
     branch : str
-        That the motion is one of those that the equations allow, and how that is known; where it passes an instant at
-        which several meet. Empty where it was not checked: with ``checks=False``, and from routes of one's own.
+        Branch of the solution and its verification, with instants at which branches meet. Empty where it was not
+        checked: with ``checks=False``, and from user-defined routes.
     """
 
     steps: int
@@ -63,16 +63,16 @@ class Statistics:
     branch: str = ""
 
 
-_SMALLEST_PEAK = 1e-6  # of the largest input: what is smaller may be all round-off
+_SMALLEST_PEAK = 1e-6  # of the largest input: a smaller one may be all round-off
 
 NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimate(Mapping[str, "float | None"]):
-    """How far the inputs of a run are from the exact ones: ``error["F"]`` is the largest error of F, in its unit.
+    """Estimated errors of the inputs of a run: ``error["F"]`` is the largest error of F, in its unit.
 
-    None stands for an error that is not known.
+    None stands for an unknown error. Errors of the path, such as those of a fit to samples, are not included.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class ErrorEstimate(Mapping[str, "float | None"]):
     peaks : mapping of str to float
         Largest magnitude of every input.
     basis : str
-        What the inputs were compared with, or why nothing is known.
+        Reference of the comparison, or the reason why no error is known.
     """
 
     absolute: Mapping[str, float | None]
@@ -90,13 +90,13 @@ class ErrorEstimate(Mapping[str, "float | None"]):
 
     @property
     def relative(self) -> Mapping[str, float | None]:
-        """Errors relative to the peaks; an input that is next to nothing counts as a millionth of the largest."""
+        """Errors relative to the peaks; the peak of an input is at least a millionth of the largest."""
         least = max(_SMALLEST_PEAK * max(self.peaks.values(), default=0.0), 1e-300)
         return {k: None if e is None else e / max(self.peaks[k], least) for k, e in self.absolute.items()}
 
     @property
     def largest(self) -> float | None:
-        """Largest of the relative errors that are known; None if none is."""
+        """Largest known relative error; None if none is known."""
         return max((error for error in self.relative.values() if error is not None), default=None)
 
     def __getitem__(self, name: str) -> float | None:
@@ -111,14 +111,14 @@ class ErrorEstimate(Mapping[str, "float | None"]):
 
 @dataclass(frozen=True)
 class Margin:
-    """How much a limit leaves.
+    """Margin of a limit.
 
     Attributes
     ----------
     slack : float
-        Distance from the nearer bound where it is least, negative beyond it.
+        Smallest distance to the nearer bound, negative beyond it.
     time, value, bound : float
-        When that is, the quantity then, and that bound.
+        Time of that distance, the quantity at that time, and that bound.
     unit : str
         Of all but the time.
     """
@@ -130,7 +130,7 @@ class Margin:
     unit: str
 
 
-NOTHING_KNOWN = ErrorEstimate({}, {}, "nobody compared these values with better ones")
+NOTHING_KNOWN = ErrorEstimate({}, {}, "these values were not compared with more accurate ones")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,13 +155,13 @@ class Solution:
     fit_error : float or None
         The reference's own estimate of its distance from the sampled positions it was fitted to, in m.
     advice : str
-        What the analysis said when it chose the formulation; empty when the caller chose.
+        Recommendation of the analysis that chose the formulation; empty when the caller chose.
     estimator : callable or None
-        What computes `error`, given this solution; left out of copies in files.
+        Function from the solution to `error`; omitted when the solution is pickled.
     margins : mapping of str to Margin
-        What every limit of the scene that is no limit of the path leaves, by its name; at the instants of the solution.
+        Margins of the limits of the scene (not of the path) by name, at the instants of the solution.
     origin : Problem or None
-        What was solved, for those who draw or compute it again; left out of copies in files.
+        The solved problem, for drawings and further computations; omitted when the solution is pickled.
     """
 
     t: Array
@@ -173,18 +173,18 @@ class Solution:
     advice: str = ""
     estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
     margins: Mapping[str, Margin] = field(default_factory=dict)
-    origin: Any = field(default=None, repr=False)  # a `Problem`, of a room above this one
+    origin: Any = field(default=None, repr=False)  # a `Problem`, of a higher layer
 
     def __post_init__(self) -> None:
         self._lock()
 
     def _lock(self) -> None:
-        """Let nobody write into the arrays: `error` and others were computed, or will be, from them as they are."""
+        """Make the arrays read-only: `error` and others are computed from them."""
         lock_arrays(self, "t", "values")
 
-    @cached_property  # it may take longer than the solution did, and is read again and again
+    @cached_property  # it may take longer than the solution
     def error(self) -> ErrorEstimate:
-        """How far the inputs are from the exact ones, computed at the first access."""
+        """Estimated errors of the inputs, computed at the first access."""
         return NOTHING_KNOWN if self.estimator is None else self.estimator(self)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -260,30 +260,30 @@ class Solution:
         KeyError
             If there is no trajectory of a name.
         InvalidSetting
-            If matplotlib is missing; the extra ``report`` brings it.
+            If matplotlib is missing; it is part of the extra ``report``.
         """
         return figure_of(self.t, self._curves(names), self.route)
 
     def animate(self, *, speed: float = 1.0, frames: int = 200) -> FuncAnimation:
-        """Return an animation of the system in space: what `view` draws, at instants of the solution.
+        """Return an animation of the system in space, drawn as by `view`, at instants of the solution.
 
         Parameters
         ----------
         speed : float
-            How much faster than in reality it plays.
+            Ratio of the playback speed to real time.
         frames : int
-            How many frames it has at most.
+            Largest number of frames.
 
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            A notebook shows it by itself; ``animation.save("crane.gif", writer="pillow")`` writes it.
+            A notebook displays it; ``animation.save("crane.gif", writer="pillow")`` writes it.
 
         Raises
         ------
         InvalidSetting
-            If the solution does not know what was solved, as from a file or a route of one's own, a number is not
-            positive, or matplotlib is missing; the extra ``report`` brings it.
+            If the solution lacks its problem, as from a file or a user-defined route, a number is not positive, or
+            matplotlib is missing; it is part of the extra ``report``.
         InvalidModel
             If the drawing of the scene cannot be drawn, or there is nothing to draw.
 
@@ -297,11 +297,11 @@ class Solution:
             if not isinstance(value, kind) or not value > 0:
                 raise InvalidSetting(f"an animation needs {what}, not {value!r}")
         if self.origin is None:
-            raise InvalidSetting("this solution does not know what was solved, so that it cannot be drawn")
+            raise InvalidSetting("this solution lacks its problem, as from a file, so that it cannot be drawn")
         return animation_of(self._motion(), self.origin.name.replace("_", " "), speed, frames)
 
     def _motion(self) -> Motion:
-        import casadi as ca  # noqa: PLC0415 - only who animates needs these
+        import casadi as ca  # noqa: PLC0415 - for animations only
 
         from servocore.model.drawing import picture_of  # noqa: PLC0415
         from servocore.numerics.components import filled  # noqa: PLC0415
@@ -333,7 +333,7 @@ class Solution:
         KeyError
             If there is no trajectory of a name.
         InvalidSetting
-            If pandas is missing; the extra ``sweep`` brings it.
+            If pandas is missing; it is part of the extra ``sweep``.
         """
         return data_frame(self.t, self._curves(names), {"route": self.route})
 
@@ -355,7 +355,7 @@ class Solution:
         KeyError
             If there is no trajectory of a name.
         InvalidSetting
-            If xarray is missing; the extra ``sweep`` brings it.
+            If xarray is missing; it is part of the extra ``sweep``.
         """
         return dataset(self.t, self._curves(names), {"route": self.route})
 
@@ -369,7 +369,7 @@ class Solution:
         names : sequence of str, optional
             Trajectories to write.
         """
-        from pathlib import Path  # noqa: PLC0415 - with what it imports, it would take longer than all other rooms
+        from pathlib import Path  # noqa: PLC0415 - its import takes longer than that of all other layers
 
         from servocore.files import csv_text, write_together  # noqa: PLC0415
 

@@ -62,7 +62,7 @@ OPTIONS = {
     "--duration": Option(LINES, "20s", 20.0),
     "--profile": Option(LINES, "degree-9"),
     "--ramp": Option(LINES, "500ms", 0.5),
-    "--limit": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "swing=5deg", ("swing=5deg",)),
+    "--limit": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "swing=5deg", ({"swing": "5deg"},)),
     "--limits": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "limits.toml", Path("limits.toml")),
     "--step": Option(
         of_both({"feedforward", "plan", "sensitivities", "view"}) | {"crane-fmu drive"}, "0.1", 0.1
@@ -79,13 +79,13 @@ OPTIONS = {
         of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | FMUS | {"crane-fmu demo"},
         "result", Path("result"),
     ),
-    "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ("load_mass=0.9..1.1",)),
+    "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ({"load_mass": (0.9, 1.1)},)),
     "--free": Option(of_both({"plan"}), "", True),
     "--keep-out": Option(of_both({"plan"}), "'sphere 1 2 -3 1'", ("sphere 1 2 -3 1",)),
     "--clearance-of": Option(of_both({"plan"}), "load,rope", "load,rope"),
     "--write-path": Option(of_both({"plan"}), "way.csv", Path("way.csv")),
     "--wrt": Option(of_servocore({"sensitivities"}), "load_mass", ("load_mass",)),
-    "--vary": Option(of_servocore({"sweep"}), "load_mass=50..150:3", ("load_mass=50..150:3",)),
+    "--vary": Option(of_servocore({"sweep"}), "load_mass=50..150:3", ({"load_mass": (50.0, 150.0, 3)},)),
     "--sample": Option(of_servocore({"sweep"}), "9", 9),
     "--seed": Option(of_servocore({"sweep"}), "0", 0),
     "--instants": Option(of_servocore({"sweep"}), "11", 11),
@@ -233,14 +233,14 @@ WRONG = [
     (f"{FF} --profile degree9", "a straight line also needs --from and --to and --duration"),
     ("servocore effects rotary_crane --from 5 0 -5", "a straight line also needs --to and --duration"),
     ("crane-fmu drive p.fmu --ramp 3", "a straight line also needs --from and --to and --duration"),
-    (f"crane-fmu plan {CRANE[:13]} --limit F=60", "no way is given: use --from and --to, --reference, or --waypoints"),
-    ("crane-fmu plan --limit F=60", "no way is given: use --from and --to, --reference, or --waypoints"),
+    (f"crane-fmu plan {CRANE[:13]} --limit F=60", "no path is given: use --from and --to, --reference, or --waypoints"),
+    ("crane-fmu plan --limit F=60", "no path is given: use --from and --to, --reference, or --waypoints"),
     *[(f"crane-fmu {command} --reference a.csv {other}", "a path is given either by --reference or by")
       for command in ("feedforward", "view", "ssp", "drive p.fmu")
       for other in ("--waypoints b.csv", "--from 5 0 -5", "--duration 3", "--profile degree9")],
     *[(f"crane-fmu {command} --tolerance 1mm {CRANE} {more}", "--tolerance belongs to --reference")
       for command, more in (("feedforward", "--duration 20"), ("plan", "--limit F=60"), ("view", "--duration 20"))],
-    ("servocore effects rotary_crane --tolerance 5mm", "how far the load may be off its path is --deviation, as in"),
+    ("servocore effects rotary_crane --tolerance 5mm", "the allowed tracking error is --deviation, as in"),
     (f"{FF} {CRANE} --duration 20 --ramp 3", "--ramp belongs to --profile three-phase"),
     (f"{FF} {CRANE} --duration 20 --profile three-phase --ramp 11", "at least 22.0 s, but its duration is 20.0 s"),
     (f"{FF} --output-step 0.1", "--output-step belongs to --rtol or --atol"),
@@ -248,11 +248,11 @@ WRONG = [
     (f"crane-fmu plan {CRANE} --keep-out 'sphere 1 2 -3 1' --limit F=60", "--keep-out belongs to --free"),
     (f"crane-fmu plan {CRANE} --free --clearance-of load --limit F=60", "--clearance-of belongs to --keep-out"),
     ("crane-fmu ssp --targets amiga", "no platform 'amiga'"),
-    ("servocore export cars --plant --trajectory -o x.fmu", "ask for one at a time"),
+    ("servocore export cars --plant --trajectory -o x.fmu", "export one at a time"),
     ("servocore export cars --from 0 --to 1 --duration 2 -o x.fmu", "--from belongs to --trajectory"),
     ("servocore export cars", "name the file to write with -o FILE.fmu"),
     ("servocore export cars --c d --targets host", "name it with -o FILE.fmu"),
-    ("servocore effects cars --open-loop --bandwidth 3", "--open-loop excludes --bandwidth"),
+    ("servocore effects cars --open-loop --bandwidth 3", "--open-loop excludes --bandwidth: there are no position"),
     # tolerances and deviations
     ("crane-fmu feedforward --reference path.csv --tolerance 1kg", "write it as in --tolerance 1mm"),
     ("crane-fmu feedforward --reference path.csv --tolerance wide", "write it as in --tolerance 1mm"),
@@ -271,19 +271,20 @@ WRONG = [
     ("servocore export cars -o x.fmu --fmi 1", "there are 2 and 3"),
     ("servocore export cars -o x.fmu --fmi two", "--fmi two is no version of FMI: write it as in --fmi 3"),
     ("servocore export cars -o x.fmu --targets amiga", "no platform 'amiga'"),
-    ("servocore cache empty", "followed by clear or by nothing, not by empty"),
+    ("servocore cache empty", "there is no action 'empty'; there are clear: write it as in clear"),
     # ranges
-    (f"{FF} --limit F", "is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60"),
+    (f"{FF} --limit F", "--limit F is no NAME=NUMBER or NAME=LOW..HIGH: write it as in --limit F=60"),
     (f"{FF} --limit M_w=-104:-92", "a range is written M_w=-104..-92"),
     (f"{FF} --limit F=60 --limit F=61", "--limit gives F twice"),
     (f"{FF} --limit F=5deg", "the limit of F is given in deg, but its unit is N"),
     (f"{FF} --limit swing=5", "write '5 deg'"),
     (f"{FF} --limit thrust=5", "reports nothing called thrust that could have a limit; there are"),
-    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9", "such as load_mass=0.9..1.1"),
-    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9:1.1", "such as load_mass=0.9..1.1"),
-    *[(f"servocore sweep rotary_crane -o s --vary {value}", "is not NAME=LOW..HIGH:COUNT, as in load_mass=50..150:100")
-      for value in ("load_mass", "load_mass=50:150:100", "load_mass=50..150", "load_mass=a..150:3")],
-    ("servocore sweep rotary_crane -o s --vary load_mass=50..150:3 --sample 5", "as in load_mass=50..150"),
+    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9", "NAME=LOW..HIGH: write it as in --robust load"),
+    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9:1.1", "NAME=LOW..HIGH: write it as in --robust load"),
+    *[(f"servocore sweep rotary_crane -o s --vary {value}", "NAME=LOW..HIGH:COUNT: write it as in --vary load")
+      for value in ("load_mass", "load_mass=50:150:100", "load_mass=a..150:3")],
+    ("servocore sweep rotary_crane -o s --vary load_mass=50..150", "is written load_mass=LOW..HIGH:COUNT"),
+    ("servocore sweep rotary_crane -o s --vary load_mass=50..150:3 --sample 5", "with --sample load_mass=LOW..HIGH"),
     ("servocore sweep rotary_crane -o s", "nothing varies: use --vary NAME=LOW..HIGH:COUNT"),
     # files
     *[(f"{FF} {option} ''", f"write it as in {option} FILE") for option in ("--output", "--reference", "--limits")],
@@ -312,8 +313,8 @@ WRONG = [
     ("servocore solve", "no such command 'solve'; see servocore --help"),
     ("crane-fmu", "see crane-fmu --help"),
     ("servocore levels cars", "levels is a benchmark: python -m benchmarks.levels SCENE"),
-    ("servocore -v", "the version is told by --version or -V"),
-    ("crane-fmu -v", "the version is told by --version or -V"),
+    ("servocore -v", "the version is printed by --version or -V"),
+    ("crane-fmu -v", "the version is printed by --version or -V"),
 ]  # fmt: skip
 
 
@@ -345,7 +346,7 @@ def test_what_is_advised_in_python_is_said_somewhere_in_the_library() -> None:
         file.read_text(encoding="utf-8") for file in (ROOT / "servocore").rglob("*.py") if "cli" not in file.parts
     ]
     whole = re.sub(r'"\s*\n\s*f?"', "", "\n".join(sources))
-    assert [each for each in ON_THE_COMMAND_LINE if each not in whole] == []
+    assert [each for each in ON_THE_COMMAND_LINE if not re.search(each, whole)] == []
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])

@@ -15,12 +15,10 @@ from test_command_lines import COMMANDS, ROOT, argument_of
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.command import Command
 from servocore.cli.effects import Question
-from servocore.cli.export import Products
 from servocore.cli.kinds import Kind
-from servocore.cli.options import Computation, GivenLimits, GivenPath
+from servocore.cli.options import Computation, GivenPath
 from servocore.cli.plan import Freedom
 from servocore.cli.sweep import Cases
-from servocore.model.limit_files import factors_of_texts, limits_given
 from servocore.references.profiles import TIME_LAWS
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
@@ -69,12 +67,10 @@ def filled(command: Command, words: list[str]) -> list[str]:
 
 CHECKS: dict[type, Callable[[Any], object]] = {
     GivenPath: lambda path: path.options(),
-    GivenLimits: lambda limits: limits_given(limits.limit, None),
     Computation: lambda how: (how.require(20.0), how.accuracy()),
-    Freedom: lambda freedom: (freedom.space(3), factors_of_texts(freedom.robust)),
+    Freedom: lambda freedom: freedom.space(3),
     Cases: lambda cases: cases.varied(),
     Question: lambda question: (question.allowed("m"), question.loops()),
-    Products: lambda products: products.require_apart(),
 }
 """What looks at values that a command reads once it has begun."""
 

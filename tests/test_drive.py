@@ -92,7 +92,7 @@ def renamed() -> Path:
 
 
 def farthest(said: str) -> float:
-    return float(said.split(" by ")[1].split(" mm", maxsplit=1)[0])
+    return float(said.split(" is ")[1].split(" mm", maxsplit=1)[0])
 
 
 def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path) -> None:

@@ -458,7 +458,7 @@ def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> N
     assert "the load keeps 20 mm with" in " ".join(result.stdout.split())
     assert "with_effects" not in result.stdout
     page = Path("page.md").read_text(encoding="utf-8")
-    assert page.startswith("# What overhead_crane may leave out")
+    assert page.startswith("# Effects that overhead_crane may neglect")
     assert "| effect | index | internal states |" in page
 
 
@@ -469,7 +469,7 @@ def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> N
         (("overhead_crane", "--deviation", "0mm"), ("the tolerance must be positive",)),
         (
             ("overhead_crane", "--deviation", "5"),
-            ("--deviation 5 is without its unit: write it as in --deviation 5mm",),
+            ("--deviation 5 has no unit: write it as in --deviation 5mm",),
         ),
         (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of position loops must be positive",)),
         (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("there are no position loops",)),

@@ -138,15 +138,15 @@ def test_equal_scenes_give_equal_bytes() -> None:
         (("cars", "-o", "x.fmu", "--c", "mine_too.py"), ("it is a file, not a folder",)),
         (("cars", "--c", "no/source"), ("there is no folder no",)),
         (("cars", "--c", "source", "--fmi", "4"), ("no export for FMI 4",)),
-        (("cars", "--c", "source", "--targets", "host"), ("--targets is about an FMU: name it with -o FILE.fmu",)),
-        (("cars", "--wasm", "x.wasm", "--fmi", "3"), ("--fmi is about an FMU: name it with -o FILE.fmu",)),
+        (("cars", "--c", "source", "--targets", "host"), ("--targets belongs to an FMU: name it with -o FILE.fmu",)),
+        (("cars", "--wasm", "x.wasm", "--fmi", "3"), ("--fmi belongs to an FMU: name it with -o FILE.fmu",)),
         (
             ("cars", "--wasm", "x.wasm", "--fmi", "3", "--targets", "all", "--cross-check"),
-            ("--fmi, --targets and --cross-check are about an FMU",),
+            ("--fmi belongs to an FMU: name it with -o FILE.fmu",),
         ),
         (("cars", "--wasm", "x.wasm", "-o", "x.wasm"), ("--output and --wasm both name x.wasm",)),
-        (("cars", "--wasm", "x.wasm", "-o", "x.mjs"), ("--output and the loader of --wasm both name x.mjs",)),
-        (("cars", "-o", "x", "--c", "./x"), ("--output and --c both name x",)),
+        (("cars", "--wasm", "x.wasm", "-o", "x.mjs"), ("cannot write x.mjs: the name of an FMU ends with .fmu",)),
+        (("cars", "-o", "x", "--c", "./x"), ("--c and --output both name x",)),
     ],
 )
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(
@@ -285,7 +285,9 @@ def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(targets, "zig", lambda: None)
     run.assert_refused(run("export", "cars", "-o", "x.fmu"), "needs a C compiler")
     run.assert_refused(
-        run("export", "cars", "-o", "x.fmu", "--targets", "all"), "needs the package ziglang", "servocore[native]"
+        run("export", "cars", "-o", "x.fmu", "--targets", "all"),
+        "needs the package ziglang",
+        "run pip install '.[native]' in a clone",
     )
     assert list(Path().iterdir()) == []
 

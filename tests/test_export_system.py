@@ -193,11 +193,11 @@ def test_the_command_writes_plant_and_trajectory(tmp_path: Path, monkeypatch: py
     [
         (("--plant", "--trajectory", "-o", "x.fmu"), "one at a time"),
         (("--plant", "--reference", "p.csv", "-o", "x.fmu"), "--reference belongs to --trajectory"),
-        (("--plant", "--c", "x"), "--c is about inverse models: not with --plant"),
-        (("--plant", "--wasm", "x.wasm"), "--wasm is about inverse models: not with --plant"),
+        (("--plant", "--c", "x"), "--c is for inverse models: not with --plant"),
+        (("--plant", "--wasm", "x.wasm"), "--wasm is for inverse models: not with --plant"),
         (
             ("--trajectory", "-o", "x.fmu", "--wasm", "x.wasm", "--cross-check"),
-            "--wasm and --cross-check are about inverse models: not with --trajectory",
+            "--wasm is for inverse models: not with --trajectory",
         ),
         (("--trajectory", "-o", "x.fmu", "--fmi", "1"), "no export for FMI 1"),
         (("--plant", "-o", "x.fmu", "--tolerance", "1"), "--tolerance belongs to --reference"),

@@ -354,5 +354,7 @@ def test_what_cannot_be_a_module_is_refused_with_a_sentence(tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     run.assert_refused(run("export", "cars", "--wasm", "cars.js"), "the name of a WebAssembly module ends with .wasm")
     monkeypatch.setattr(wasm, "zig", lambda: None)
-    run.assert_refused(run("export", "cars", "--wasm", "cars.wasm"), "pip install 'servocore[native]'")
+    run.assert_refused(
+        run("export", "cars", "--wasm", "cars.wasm"), "run pip install '.[native]' in a clone of the project"
+    )
     assert not any(tmp_path.iterdir())

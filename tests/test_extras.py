@@ -77,7 +77,7 @@ def test_nothing_native_imports_pythonfmu(tmp_path: Path) -> None:
 def test_the_extra_that_is_named_brings_the_package(package: str) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     said = str(missing_package(ImportError(name=package)))
-    named = said.partition("servocore[")[2].partition("]")[0]
+    named = said.partition("pip install '.[")[2].partition("]")[0]
     brought = " ".join(extras[named]).lower()
     assert any(name.lower() in brought for name in packages_distributions()[package])
     assert named in extras["all"][0]

@@ -43,7 +43,7 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path:
     for column, each in zip(values.T[1:], names[1:], strict=True):
         assert (column == expected[each]).all()
     assert "at rest at start and end" in done.stderr
-    assert "largest" in done.stderr
+    assert "peak" in done.stderr
 
 
 def with_units_and_commas(file: Path, scene: sc.Scene) -> Path:
@@ -97,7 +97,7 @@ def test_few_rows_are_waypoints_and_that_is_said() -> None:
     file = EXAMPLES / "working_cycle_waypoints.csv"
     done = servocore_command("feedforward", "rotary_crane", "--reference", file)
     asked = servocore_command("feedforward", "rotary_crane", "--waypoints", file)
-    assert "its 7 rows are taken as waypoints" in done.stderr
+    assert "its 7 rows are read as waypoints" in done.stderr
     assert done.stdout == asked.stdout
 
 

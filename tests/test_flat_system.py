@@ -204,5 +204,5 @@ def test_a_load_in_free_fall_has_no_state() -> None:
 
 def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(sc.InvalidSetting, match=r"pip install 'servocore\[control\]'"):
+    with pytest.raises(sc.InvalidSetting, match=r"pip install '\.\[control\]'"):
         sc.to_control(SCENES["cars"])

@@ -33,7 +33,7 @@ crane-fmu feedforward --from=5,0,-5 --to -2 2 -2 --duration= -> write it as in -
 crane-fmu feedforward {CRANE} --duration 0 -> the duration of a path must be a positive time, not 0.0 s
 crane-fmu feedforward {CRANE} --duration -5 -> the duration of a path must be a positive time, not -5.0 s
 crane-fmu feedforward {CRANE} --duration inf -> write it as in --duration 20
-crane-fmu feedforward {CRANE} --duration 1e12 -> the duration of 1e+12 s is longer than 1e+09 s: nothing would
+crane-fmu feedforward {CRANE} --duration 1e12 -> the duration of 1e+12 s is longer than the limit of 1e+09 s
 crane-fmu feedforward {CRANE} --duration 1e-12 -> the rope goes slack: g + z'' is
 crane-fmu feedforward {CRANE} --duration 20 s -> see crane-fmu feedforward --help
 crane-fmu feedforward --from inf 0 -5 --to 5 0 -5 --duration 20 -> start point 0, component 0 is inf, not a finite
@@ -96,7 +96,7 @@ crane-fmu feedforward --waypoints bad.csv -> bad.csv, line 1: the header time,x,
 crane-fmu feedforward --waypoints empty.csv -> empty.csv, line 1: the file is empty, but a header time,x,y,z
 crane-fmu feedforward --waypoints one.csv -> one.csv, line 2: the file ends after 1 rows of data, but such
 crane-fmu feedforward --waypoints back.csv -> back.csv, line 4, column time: 1 s does not come after 2 s of
-crane-fmu feedforward --waypoints way.csv --tolerance 1mm -> --tolerance belongs to --reference: it is how far the
+crane-fmu feedforward --waypoints way.csv --tolerance 1mm -> --tolerance belongs to --reference: it bounds the
 crane-fmu feedforward --parameters bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu feedforward --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there are
 crane-fmu feedforward --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
@@ -105,9 +105,9 @@ crane-fmu feedforward --parameters . -> . cannot be read: Is a directory
 crane-fmu feedforward --limits bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu feedforward --limits unknown.toml -> rotary crane, points reports nothing called nothing that
 crane-fmu feedforward --limits texts.toml -> rotary crane, points reports nothing called load_mass that
-crane-fmu feedforward --limit =60 -> --limit '=60' is not NAME=NUMBER or NAME=LOW..HIGH, such as
-crane-fmu feedforward --limit F= -> --limit 'F=' is not NAME=NUMBER or NAME=LOW..HIGH, such as
-crane-fmu feedforward --limit F=.. -> --limit 'F=..' is not NAME=NUMBER or NAME=LOW..HIGH, such as
+crane-fmu feedforward --limit =60 -> --limit =60 is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
+crane-fmu feedforward --limit F= -> --limit F= is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
+crane-fmu feedforward --limit F=.. -> --limit F=.. is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit F=60.. -> rotary_crane: at t = 0 s F goes beyond its lower limit of 60
 crane-fmu feedforward --limit F=10..5 -> the limit of F must run from a lower to an upper number, not
 crane-fmu feedforward --limit F=0 -> the limit of F is '0': one number is the largest magnitude
@@ -115,7 +115,7 @@ crane-fmu feedforward --limit F=-5 -> the limit of F is '-5': one number is the 
 crane-fmu feedforward --limit F=nan -> the limit of F is given as 'nan', which is no number with a
 crane-fmu feedforward --limit F=inf -> the limit of F is given as 'inf', which is no number with a
 crane-fmu feedforward --limit F=60N..5deg -> the limit of F is given in deg, but its unit is N
-crane-fmu feedforward --limit F:60 -> --limit 'F:60' is not NAME=NUMBER or NAME=LOW..HIGH, such as
+crane-fmu feedforward --limit F:60 -> --limit F:60 is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit swing=5grad -> the limit of swing is given in grad, which is no unit known
 crane-fmu feedforward --limit swing=5degs -> the limit of swing is given in degs, which is no unit known
 crane-fmu feedforward --limit s.speed=1 -> rotary crane, points reports nothing called s.speed that
@@ -147,17 +147,17 @@ servocore analyse cars --model none -> cars has no model none; it has points
 servocore analyse cars --parameters none.toml -> none.toml cannot be read: No such file or directory
 servocore analyse cars --parameters -> write it as in --parameters FILE
 servocore scenes cars -> see servocore scenes --help
-crane-fmu plan -> no way is given: use --from and --to, --reference, or
+crane-fmu plan -> no path is given: use --from and --to, --reference, or
 crane-fmu plan {CRANE} -> rotary_crane has no limits: without any there is no fastest
 crane-fmu plan {CRANE} --limit F=60 --duration 20 -> see crane-fmu plan --help
 crane-fmu plan {CRANE} --limit F=60 --profile degree9 -> see crane-fmu plan --help
 crane-fmu plan {CRANE} --limit F=60 --step 0 -> write it as in --step 0.1
 crane-fmu plan {CRANE} --limit F=60 --step -1 -> write it as in --step 0.1
-crane-fmu plan {CRANE} --limit F=60 --robust load_mass -> --robust 'load_mass' is not NAME=LOW..HIGH, such as
-crane-fmu plan {CRANE} --limit F=60 --robust load_mass=1.1..0.9 -> the range of load_mass must be a smallest and a
+crane-fmu plan {CRANE} --limit F=60 --robust load_mass -> --robust load_mass is no NAME=LOW..HIGH: write it as in
+crane-fmu plan {CRANE} --limit F=60 --robust load_mass=1.1..0.9 -> write it as in --robust load_mass=0.9..1.1
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=-1..1 -> parameter load_mass = -100 kg is outside its range
 crane-fmu plan {CRANE} --limit F=60 --robust nothing=0.9..1.1 -> rotary_crane has no parameter nothing
-crane-fmu plan {CRANE} --limit F=60 --robust load_mass=nan..1.1 -> the range of load_mass must be a smallest and a
+crane-fmu plan {CRANE} --limit F=60 --robust load_mass=nan..1.1 -> write it as in --robust load_mass=0.9..1.1
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9..1.1 --robust load_mass=0.8..1.2 -> --robust gives
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out sphere -> --keep-out 'sphere' is neither 'sphere' with a centre
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2' -> --keep-out 'sphere 1 2' is neither 'sphere'
@@ -169,7 +169,7 @@ crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 1' --cleara
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 inf' -> the radius of a sphere must be positive
 crane-fmu plan {CRANE} --via 1 2 -3 --limit F=60 --free -> a plan whose way is free runs from one point to another
 crane-fmu plan --from 5 0 -5 --to 5 0 -5 --limit F=60 -> waypoints 0 and 1 coincide: the path does not move there
-crane-fmu plan --via 1 1 -1 --limit F=60 -> no way is given: use --from and --to, --reference, or
+crane-fmu plan --via 1 1 -1 --limit F=60 -> no path is given: use --from and --to, --reference, or
 crane-fmu plan {CRANE} --limit F=60 --write-path x.csv -o x.csv -> --write-path and --output both name x.csv
 crane-fmu plan {CRANE} --limit F=60 --write-path no/x.csv -> cannot write no/x.csv: there is no folder no; make it first
 crane-fmu plan {CRANE} --reference way.csv --limit F=60 -> a path is given either by --reference or by --from, not by
@@ -213,7 +213,7 @@ crane-fmu drive afile --map bad.toml -> bad.toml is not a TOML file: Expected '=
 crane-fmu drive afile --set =3 -> write it as in --set start.swing=0.1
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
 crane-fmu drive afile --step 0 -> write it as in --step 0.1
-crane-fmu drive afile --limit F -> --limit 'F' is not NAME=NUMBER or NAME=LOW..HIGH, such as
+crane-fmu drive afile --limit F -> --limit F is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu drive afile {CRANE} --duration 20 -o afile -> cannot write afile: it is read as well
 crane-fmu drive afile bfile -> see crane-fmu drive --help
 crane-fmu demo out -> see crane-fmu demo --help
@@ -236,23 +236,23 @@ servocore sensitivities cars --output x.svg --plot x.svg -> --output and --plot 
 servocore sweep -> see servocore sweep --help
 servocore sweep cars -o s --vary -> write it as in --vary load_mass=50..150:100
 servocore sweep cars -o s --vary '' -> write it as in --vary load_mass=50..150:100
-servocore sweep cars -o s --vary =1..2:3 -> --vary =1..2:3 is not NAME=LOW..HIGH:COUNT, as in
-servocore sweep cars -o s --vary load=..2:3 -> --vary load=..2:3 is not NAME=LOW..HIGH:COUNT, as in
-servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is not NAME=LOW..HIGH:COUNT, as in
-servocore sweep cars -o s --vary load=1..2:0 -> --vary load=1..2:0: the range must be finite, from LOW to
-servocore sweep cars -o s --vary load=1..2:-3 -> --vary load=1..2:-3: the range must be finite, from LOW to
-servocore sweep cars -o s --vary load=1..2:2.5 -> --vary load=1..2:2.5 is not NAME=LOW..HIGH:COUNT, as in
-servocore sweep cars -o s --vary load=1..inf:3 -> --vary load=1..inf:3: the range must be finite, from LOW to
-servocore sweep cars -o s --vary load=1..nan:3 -> --vary load=1..nan:3: the range must be finite, from LOW to
-servocore sweep cars -o s --vary load=1kg..2kg:3 -> --vary load=1kg..2kg:3 is not NAME=LOW..HIGH:COUNT, as in
+servocore sweep cars -o s --vary =1..2:3 -> --vary =1..2:3 is no NAME=LOW..HIGH:COUNT: write it
+servocore sweep cars -o s --vary load=..2:3 -> --vary load=..2:3 is no NAME=LOW..HIGH:COUNT: write it
+servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is no NAME=LOW..HIGH:COUNT: write it
+servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs a count of at least 1: write it as in
+servocore sweep cars -o s --vary load=1..2:-3 -> --vary: the range of load needs a count of at least 1: write it as in
+servocore sweep cars -o s --vary load=1..2:2.5 -> --vary load=1..2:2.5 is no NAME=LOW..HIGH:COUNT: write it
+servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
+servocore sweep cars -o s --vary load=1..nan:3 -> --vary: the range 1..nan of load is not finite, or does not run
+servocore sweep cars -o s --vary load=1kg..2kg:3 -> --vary load=1kg..2kg:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary none=1..2:3 -> cars has no parameter none
 servocore sweep cars -o s --vary duration=-1..2:3 -> durations must be positive, not -1 s
 servocore sweep cars -o s --vary duration=0..2:3 -> durations must be positive, not 0 s
-servocore sweep cars -o s --vary duration=1..2:3 --vary duration=1..2:3 -> --vary names something twice
+servocore sweep cars -o s --vary duration=1..2:3 --vary duration=1..2:3 -> --vary gives duration twice
 servocore sweep cars -o s --vary duration=1..2 --sample 0 -> write it as in --sample 100
 servocore sweep cars -o s --vary duration=1..2 --sample 5 --seed -1 -> write it as in --seed 100
 servocore sweep cars -o s --vary duration=1..2:3 --seed 4 -> --seed belongs to --sample
-servocore sweep cars -o s --vary duration=2..1 --sample 5 -> --vary duration=2..1: the range must be finite, from LOW
+servocore sweep cars -o s --vary duration=2..1 --sample 5 -> --vary: the range 2..1 of duration is not finite, or does
 servocore sweep cars -o s --vary duration=1..2:3 --instants 1 -> instants must be a whole number of at least 2, not 1
 servocore sweep cars -o s --vary duration=1..2:3 --limit v=3 -> 2 cars, points reports nothing called v that could
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler nowhere -> no Dask scheduler answers at nowhere: missing
@@ -274,7 +274,7 @@ servocore effects overhead_crane --deviation infmm -> write it as in --deviation
 servocore effects overhead_crane --markdown no/e.md -> cannot write no/e.md: there is no folder no; make it first
 servocore effects overhead_crane --markdown . -> cannot write .: it is a folder; name a file
 servocore effects overhead_crane --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there
-servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth
+servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth: there are no position
 servocore effects cars --from 0 --to 1 -> a straight line also needs --duration
 servocore view -> see servocore view --help
 servocore view cars -o -> write it as in --output FILE
@@ -292,15 +292,15 @@ servocore export cars -o x.fmu --fmi '' -> write it as in --fmi 3
 servocore export cars -o x.fmu --targets '' -> write it as in --targets host
 servocore export cars -o x.fmu --targets linux64,linux64,foo -> FMI 3 has no platform 'linux64'; there are
 servocore export cars -o x.fmu --model none -> cars has no model none; it has points
-servocore export cars -o x.fmu --plant --cross-check -> --cross-check is about inverse models: not with --plant
-servocore export cars -o x.fmu --trajectory --wasm x.wasm -> --wasm is about inverse models: not with --trajectory
-servocore export cars --cross-check -> --cross-check is about an FMU: name it with -o FILE.fmu
-servocore export cars --fmi 3 -> --fmi is about an FMU: name it with -o FILE.fmu
+servocore export cars -o x.fmu --plant --cross-check -> --cross-check is for inverse models: not with --plant
+servocore export cars -o x.fmu --trajectory --wasm x.wasm -> --wasm is for inverse models: not with --trajectory
+servocore export cars --cross-check -> --cross-check belongs to an FMU: name it with -o FILE.fmu
+servocore export cars --fmi 3 -> --fmi belongs to an FMU: name it with -o FILE.fmu
 servocore export cars --wasm x.js -> cannot write x.js: the name of a WebAssembly module ends with
 servocore export cars --wasm no/x.wasm -> cannot write no/x.wasm: there is no folder no; make it first
 servocore export cars --c afile -> cannot write afile: it is a file, not a folder; name another
 servocore export cars --c '' -> write it as in --c DIR
-servocore export cars -o x.fmu --c x.fmu -> --output and --c both name x.fmu
+servocore export cars -o x.fmu --c x.fmu -> --c and --output both name x.fmu
 servocore export cars --plant -> name the file to write with -o FILE.fmu
 servocore export cars --trajectory -> name the file to write with -o FILE.fmu
 servocore export cars --trajectory -o x.fmu --from 0 -> a straight line also needs --to and --duration

@@ -167,7 +167,7 @@ def test_a_command_works_without_extras_or_names_the_one_that_it_needs(case: Cas
     if case.extra:
         assert run.returncode == 2
         assert run.stderr.count("\n") == 1
-        assert f"pip install 'servocore[{case.extra}]'" in run.stderr
+        assert f"run pip install '.[{case.extra}]' in a clone of the project" in run.stderr
         assert untouched(folder)
     else:
         assert run.returncode == 0, run.stderr
@@ -177,7 +177,9 @@ def test_a_package_is_asked_for_before_the_work_that_ends_with_it(folder: Path) 
     """No smooth law moves a crane with so little force, which planning finds out."""
     way = WAY.replace("F=60", "F=1e-9")
     run = without_extras(f"{CRANE}; main()", "plan", *shlex.split(way), "--plot", "new.png", folder=folder)
-    assert run.stderr == "crane-fmu: the package matplotlib is needed for this: pip install 'servocore[report]'\n"
+    assert run.stderr == (
+        "crane-fmu: the package matplotlib is missing: run pip install '.[report]' in a clone of the project\n"
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a stream that takes nothing is a device of Linux")

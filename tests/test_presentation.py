@@ -94,7 +94,7 @@ def test_an_animation_is_written_as_gif_and_shown_by_a_notebook(tmp_path: Path) 
 def test_an_animation_that_cannot_be_is_refused_with_a_sentence(solution: sc.Solution) -> None:
     with pytest.raises(sc.InvalidSetting, match="an animation needs a positive speed, not 0"):
         solution.animate(speed=0)
-    with pytest.raises(sc.InvalidSetting, match="this solution does not know what was solved"):
+    with pytest.raises(sc.InvalidSetting, match="this solution lacks its problem"):
         pickle.loads(pickle.dumps(solution)).animate()
 
 
@@ -129,5 +129,5 @@ def test_a_missing_package_is_told_with_its_extra(
     solution: sc.Solution, monkeypatch: pytest.MonkeyPatch, call: str, package: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(sc.InvalidSetting, match=rf"the package {package} is needed .* 'servocore\[{extra}\]'"):
+    with pytest.raises(sc.InvalidSetting, match=rf"the package {package} is missing: .* '\.\[{extra}\]'"):
         getattr(solution, call)()

@@ -461,7 +461,7 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
         interrupted.setattr(Zarr, "put", stop)
         run = line(*words)
     assert run.exit_code == 130
-    assert run.stderr.splitlines()[-1] == "servocore: stopped; --resume goes on after what is in study/sweep.zarr"
+    assert run.stderr.splitlines()[-1] == "servocore: stopped; --resume completes study/sweep.zarr"
     assert [each.name for each in (tmp_path / "study").iterdir()] == ["sweep.zarr"]
     run = line(*words, "--resume")
     assert run.exit_code == 0
@@ -477,7 +477,7 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
     run = CommandLine(app, "servocore")(*words, "-o", "study")
     assert run.exit_code == 0, run.stderr
     page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
-    assert "What varies: winch_radius from" in page
+    assert "Varied: winch_radius from" in page
     quantities = re.findall("<tr><td>(\\w+)", page)
     assert quantities == ["peak_F", "peak_M_b", "peak_M_w", "swing"]
     assert 'xarray.open_zarr("sweep.zarr")</code>' in page
@@ -491,12 +491,12 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
     ("words", "said"),
     [
         ("rotary_crane -o study", "nothing varies: use --vary"),
-        ("rotary_crane --vary load_mass=50..150 -o study", "is not NAME=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=a..150:3 -o study", "is not NAME=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=50..150:3 --vary load_mass=1..2:2 -o study", "names something twice"),
+        ("rotary_crane --vary load_mass=50..150 -o study", "is written load_mass=LOW..HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=a..150:3 -o study", "is no NAME=LOW..HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=50..150:3 --vary load_mass=1..2:2 -o study", "--vary gives load_mass twice"),
         ("rotary_crane --vary weight=1..2:2 -o study", "has no parameter weight"),
         ("rotary_crane --vary load_mass=50..150 --sample 0 -o study", "--sample 0 is no whole number of 1 or more"),
-        ("rotary_crane --vary load_mass=50..150:3 --sample 5 -o study", "beside --sample, which says how many"),
+        ("rotary_crane --vary load_mass=50..150:3 --sample 5 -o study", "with --sample load_mass=LOW..HIGH"),
     ],
 )
 def test_the_command_refuses_in_one_sentence(
@@ -516,5 +516,5 @@ def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: 
             without.setitem(sys.modules, package, None)
             without.delitem(sys.modules, "servocore.cli.sweep_figure", raising=False)
             run = line("sweep", "rotary_crane", "--vary", "load_mass=50..150:3", "-o", "study")
-        line.assert_refused(run, f"servocore[{extra}]")
+        line.assert_refused(run, f"pip install '.[{extra}]'")
         assert list(tmp_path.iterdir()) == []

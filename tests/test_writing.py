@@ -92,7 +92,7 @@ def test_a_place_that_can_be_written_is_accepted(tmp_path: Path) -> None:
         ("./folder/../read", "it is read as well"),
         ("nowhere/new", "cannot write nowhere/new: there is no folder nowhere"),
         ("pipe", "cannot write pipe: it is no ordinary file"),
-        ("-", "cannot write -: name a file; tables go to the standard output stream"),
+        ("-", "cannot write -: name a file; without a file, tables go to the standard output stream"),
         ("other", "--plot and --output both name other"),
     ],
 )

@@ -15,34 +15,35 @@ from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
 from servocore.cli.kinds import FILE_READ, FOLDER, NAMES, VALUE
-from servocore.cli.options import NO_POINTS_BETWEEN, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
+from servocore.cli.options import GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
-# What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
+# Modules that draw, build or run FMUs are imported by the commands that need them: the others start in half the time.
 
 NAME = "crane-fmu"
 
 CRANE: dict[str, object] = {"scene": "rotary_crane"}
-FMUS: dict[str, object] = {**CRANE, **NO_POINTS_BETWEEN, "model": None}
-"""Options that are fixed: for commands of the crane, and for those of its FMUs."""
+FMUS: dict[str, object] = {**CRANE, "model": None}
+"""Fixed options of commands of the crane, and of its FMUs."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where FMUs go, and in what language they are."""
+    """Folder and language of FMUs."""
 
     title = "Results"
 
     output: Path | None = output(
-        "DIR", "Write into this folder, which is made if need be. Default: here, system of ssp, out of demo.", FOLDER
+        "DIR", "Write into this folder, made if missing. Default of build: here; of ssp: system; of demo: out.", FOLDER
     )
-    native: bool = option("--native", help="FMUs in C, which need no Python where they run.")
+    native: bool = option("--native", help="FMUs in C, which run without Python.")
 
 
 def build(subject: Subject, place: Place, platforms: Platforms) -> None:
-    """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder.
+    """Build RotaryCrane.fmu, check it in a separate process and write it into a folder.
 
-    With --parameters the crane of the file is the FMU's default. It is the same as python build_fmu.py.
+    With --parameters the default crane of the FMU is that of the file. Without --targets the FMU has libraries for this
+    machine and 64-bit Windows. python build_fmu.py does the same.
     """
     from crane_fmu.build import build_fmu  # noqa: PLC0415
 
@@ -56,9 +57,10 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
-    Crane.ssp. Run it with a communication step of 0.01 s. With a path the load goes that way, with --profile alone
-    along the default line by that law, with --parameters the crane is that of the file, without anything to set in the
-    tool. With --native they are in C. All have libraries for the platforms of --targets.
+    Crane.ssp. Run it with a communication step of 0.01 s. The load follows the given path, with --profile alone the
+    default line by that time law; with --parameters the crane is that of the file. Nothing has to be set in the tool.
+    With --native the FMUs are in C. Without --targets they have libraries for this machine and 64-bit Windows, with
+    --native for all platforms if the package ziglang is installed, else for this machine.
     """
     crane = sc.scenes.rotary_crane()
     law = path.profile if path.options() == ["--profile"] else None
@@ -74,27 +76,27 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -
 
 @dataclass(frozen=True)
 class Plant:
-    """A crane of the user's own, as an FMU."""
+    """A crane as an FMU of the user."""
 
     title = "Plant"
 
-    plant: Path = option(kind=FILE_READ, metavar="PLANT.fmu", default=..., help="An FMU of a crane, your own say.")
+    plant: Path = option(kind=FILE_READ, metavar="PLANT.fmu", default=..., help="FMU of a crane.")
     mapped: tuple[dict[str, str], ...] = option(
         "--map", kind=NAMES, metavar="OURS=THEIRS", default=(),
-        help="What M_b, F, M_w and the load's x, y, z are called in the FMU, or a TOML file that says so.",
+        help="Name in the FMU of M_b, F, M_w or of the load's x, y, z; or a TOML file with such names.",
     )  # fmt: skip
     settings: tuple[dict[str, float], ...] = option(
         "--set", kind=VALUE, metavar="NAME=NUMBER", default=(),
-        help="A start value of the FMU, in its own unit.",
+        help="A start value of the FMU, in the unit of the variable.",
     )  # fmt: skip
 
 
 def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, rows: Rows, table: Table) -> None:
-    """Drive a crane of your own, an FMU, by our inputs, and say how far its load leaves the path.
+    """Simulate your own crane, an FMU, under the feedforward inputs, and print the tracking error of its load.
 
-    There is no feedback: what is seen is how well your crane and ours agree. Path and crane are given as for
-    feedforward. The --step is the one of communication; without it, it is 0.01 s or a little less to divide the
-    duration. With --output the motion goes into a table.
+    There is no feedback: the error shows how well the FMU and the model agree. Path and crane are given as for
+    feedforward. --step is the communication step; its default is 0.01 s, reduced if need be to divide the duration.
+    With --output the motion is written as a table.
     """
     from crane_fmu import drive as driving  # noqa: PLC0415
 
@@ -110,18 +112,18 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
 
 
 def run_demo(place: Place) -> None:
-    """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.
+    """Build the FMU, run it, compare it with the closed form and a forward simulation, and write a report.
 
     The folder then holds RotaryCrane.fmu, the folder system of the command ssp, inputs.csv, report.html and a folder
-    of figures. Inputs are those of the default, exact inversion; the scheme of the paper is shown beside it. Takes
-    half a minute.
+    of figures. The inputs are those of exact inversion; the scheme of the paper is shown for comparison. Takes half a
+    minute.
     """
     from crane_fmu.demo import REPORT, demo  # noqa: PLC0415
 
     with PatientProgress("demo") as progress:
         done = demo(place.output or Path("out"), progress.describe)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
+        sys.stdout.reconfigure(errors="replace")  # a stream without Greek letters gets question marks
     console = table_console()
     console.print(*done.summary, "", sep="\n")
     for table in done.tables:
@@ -139,12 +141,12 @@ _LINE = "--from 5 0 -5 --to -2 2 -2"
 
 app = CommandLine(
     NAME,
-    "Inputs that make the load of a rotary crane follow its path, and that crane as an FMU.",
+    "Feedforward inputs (inverse dynamics) of a rotary crane for a prescribed load path, and the crane as an FMU.",
     [
         Command(
             "feedforward", feedforward.feed_forward,
             (f"{_LINE} --duration 20", "--reference path.csv --parameters crane.toml --output inputs.csv"),
-            {**CRANE, **NO_POINTS_BETWEEN},
+            CRANE,
         ),
         Command(
             "plan", plan.plan_motion,
@@ -154,7 +156,7 @@ app = CommandLine(
         ),
         Command(
             "view", view.view_scene, ("", f"{_LINE} --duration 20 --limit F=60 -o mine.html"),
-            {**CRANE, **NO_POINTS_BETWEEN},
+            CRANE,
         ),
         Command("build", build, ("-o fmus",), {**FMUS, "native": False}),
         Command("ssp", ssp, ("-o system", "--reference way.csv -o system"), FMUS),

@@ -1,4 +1,4 @@
-"""The command ``servocore``, and what the command lines of this project share."""
+"""The command ``servocore``, and modules shared by the command lines of this project."""
 
 from servocore.cli.interruption import run_command_line
 

@@ -1,4 +1,4 @@
-"""The command ``servocore cache``: machine code that earlier runs have left, and how to be rid of it."""
+"""The command ``servocore cache``: describe or clear the machine code kept by earlier runs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from servocore.cli.command import option
 from servocore.cli.console import table_console
-from servocore.cli.kinds import text
+from servocore.cli.kinds import choice
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 
@@ -14,29 +14,27 @@ EXAMPLES = ("", "clear")
 
 
 @dataclass(frozen=True)
-class Order:
-    """What is to be done with the cache."""
+class Action:
+    """Action on the cache."""
 
     title = "Cache"
 
-    what: str | None = option(
-        kind=text("clear"), metavar="[clear]", help="Clear the cache; without this word it is only described."
-    )
+    clear: bool = option(
+        kind=choice("action", {"clear": True}), metavar="[clear]", default=False,
+        help="Clear the cache; without this word it is described.",
+    )  # fmt: skip
 
 
-def show_cache(order: Order) -> None:
-    """Say where compiled machine code is kept and how much there is, or remove it all.
+def show_cache(action: Action) -> None:
+    """Print place and size of the compiled machine code, or remove it.
 
-    Whatever is removed is compiled again when it is needed. The folder is the user's own for caches, or the one that
-    the environment variable SERVOCORE_CACHE names.
+    Removed code is compiled again when it is needed. The folder is the user's cache folder, or the one in the
+    environment variable SERVOCORE_CACHE.
     """
-    if order.what not in (None, "clear"):
-        raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {order.what}")
     kept = CodeCache.of_user()
-    refusal = kept.refusal()
-    if refusal:
-        raise InvalidSetting(f"no machine code is kept: {refusal}; {FOLDER} may name another folder")
-    if order.what:
+    if refusal := kept.refusal():
+        raise InvalidSetting(f"no machine code is kept: {refusal}; set {FOLDER} to another folder")
+    if action.clear:
         count, size = kept.clear()
         where = f"removed from {kept.folder}"
     else:

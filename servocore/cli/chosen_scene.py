@@ -1,4 +1,4 @@
-"""The scene that a command names, of the library or of the user's own."""
+"""The scene that a command names: of the library, or of a module of the user."""
 
 from __future__ import annotations
 
@@ -14,18 +14,10 @@ from servocore.scenes import REGISTRY
 
 
 def chosen_scene(name: str) -> Scene:
-    """Return the scene of a name.
+    """Return a scene of the library, or of a function ``module:function`` without arguments.
 
-    Parameters
-    ----------
-    name : str
-        A scene of the library, or ``module:function`` for a function without arguments that returns one; modules are
-        also looked for in the present folder.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no such scene, module or function, or it returns something else.
+    Modules are also searched for in the current folder. `InvalidSetting` is raised if there is no such scene, module or
+    function, or the function returns something else.
     """
     if ":" in name:
         return _scene_of_user(name)
@@ -38,7 +30,7 @@ def chosen_scene(name: str) -> Scene:
 
 
 def _scene_of_user(name: str) -> Scene:
-    """Return the scene that a function ``module:function`` of the user's own returns."""
+    """Return the scene that a function ``module:function`` returns."""
     function = _function_of_user(name)
     try:
         scene = function()
@@ -56,7 +48,7 @@ def _scene_of_user(name: str) -> Scene:
 
 
 def _function_of_user(name: str) -> Callable[[], object]:
-    """Import the function ``module:function``; modules are also looked for in the present folder."""
+    """Import the function ``module:function``; modules are also searched for in the current folder."""
     module_name, _, function_name = name.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import Field, field, fields
 from typing import Any, get_type_hints
 
 import click
@@ -19,7 +19,7 @@ from servocore.cli.kinds import PICTURE, Kind, flag_of
 from servocore.errors import InvalidSetting
 from servocore.files import require_picture, require_places
 
-_NUMBER = re.compile(r"[+-]?(\.?\d|nan|inf)\S*", re.IGNORECASE)  # or what was meant to be one, such as 5m
+_NUMBER = re.compile(r"[+-]?(\.?\d|nan|inf)\S*", re.IGNORECASE)  # or a malformed one, such as 5m
 _OPTION_BEGINS = re.compile(r" (?=--?[a-z])")
 HELP_FLAGS = ("-h", "--help")
 _EXAMPLE_WIDTH = 76
@@ -31,26 +31,30 @@ def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str =
     Parameters
     ----------
     *flags : str
-        What it is called; none for the argument of a command.
+        Its names; none for the argument of a command.
     kind : Kind, optional
-        What its value is; without it the option has none and is true where it is given.
+        Kind of its value; without it the option is a flag.
     metavar, help : str
-        What the help says of it.
+        Its row in the help.
     default : object
-        A tuple for options that may be repeated; ``...`` where one must be given.
+        A tuple for options that may be repeated; ``...`` for a required one.
     """
-    about = {"flags": flags, "kind": kind, "metavar": metavar, "help": help}
-    if default is ...:
-        return field(metadata=about)
-    return field(default=False if kind is None else default, metadata=about)
+    about: dict[str, Any] = {"help": help, "is_flag": True, "default": False}
+    if kind is not None:
+        about = {"type": kind, "metavar": metavar, "help": help, "required": default is ...}
+        about |= {} if default is ... else {"default": default}
+    if isinstance(default, tuple):
+        about |= {"multiple": True, "help": f"{help} May be repeated."}
+    declared = {"flags": flags, "kind": kind, "about": about}
+    return field(metadata=declared, **{"default": about["default"]} if "default" in about else {})
 
 
 class Argument(click.Argument):
-    """What a command is given without a flag, with a help of its own."""
+    """A positional argument with a row in the help."""
 
-    def __init__(self, name: str, about: Mapping[str, Any], **more: Any) -> None:
-        super().__init__([name], type=about["kind"], metavar=about["metavar"], **more)
-        self.row = (about["metavar"], about["help"])
+    def __init__(self, names: Sequence[str], help: str, **about: Any) -> None:  # noqa: A002
+        super().__init__(names, **about)
+        self.row = (about["metavar"], help)
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str]:  # noqa: ARG002
         """Return its row in the help."""
@@ -58,18 +62,9 @@ class Argument(click.Argument):
 
 
 class Command(click.Command):
-    """A command whose options are the fields of the groups that its function takes.
+    """A command whose options are the fields of the groups, dataclasses with a ``title``, that its function takes.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    function : callable
-        Its arguments are annotated with groups of options, dataclasses with a ``title``.
-    examples : sequence of str
-        What may follow the name, for the help.
-    fixed : mapping of str to object, optional
-        Values of options that the command does not offer, by the names of fields.
+    The help shows the `examples`. Options in `fixed`, values by the names of fields, are not offered.
     """
 
     def __init__(
@@ -91,17 +86,19 @@ class Command(click.Command):
         super().__init__(name, callback=self._run, params=params, help=text, short_help=text.partition("\n\n")[0])
 
     def _run(self, **values: Any) -> None:
-        """Call the function with its groups, once the places of all results can be written."""
+        """Call the function with its groups, after a check that all results can be written."""
         places = [(getattr(each.type, "role", ""), flag_of(each), values[str(each.name)]) for each in self.params]
-        written = {flag: place for role, flag, place in places if role == "written"}
-        require_places(written, [place for role, _, place in places if role == "read"])
+        files, folders = (
+            {flag: place for role, flag, place in places if role == kind} for kind in ("written", "folder")
+        )
+        require_places(files, [place for role, _, place in places if role == "read"], folders)
         for each in self.params:
             if each.type is PICTURE:
                 require_picture(values[str(each.name)])
         self.function(**self.given(values))
 
     def given(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the groups of its function, filled with values of options and those that are fixed."""
+        """Return the groups of its function with the values of options and the fixed ones."""
         known = {**values, **self.fixed}
         return {
             name: group(**{each.name: known[each.name] for each in fields(group) if each.name in known})
@@ -110,17 +107,11 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a command line."""
-        with augment_usage_errors(ctx):  # a refusal names the help of the command, not that of the program
+        with augment_usage_errors(ctx):  # a refusal refers to the help of the command, not of the program
             return super().parse_args(ctx, list(self._gathered(args)))
 
     def _gathered(self, words: list[str]) -> Iterator[str]:
-        """Give the words of a command line with those of a value together.
-
-        Raises
-        ------
-        InvalidSetting
-            If an option lacks its value.
-        """
+        """Yield the words of a command line, each option joined with its value; a missing value is refused."""
         known = {flag: each for each in self.params for flag in each.opts if isinstance(each, click.Option)}
         k = 0
         while k < len(words):
@@ -146,7 +137,7 @@ class Command(click.Command):
             yield f"{name}={value}"
 
     def format_arguments(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write nothing: an argument stands among the options of its group."""
+        """Write nothing: arguments are listed among the options of their group."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, a section for each group."""
@@ -159,7 +150,7 @@ class Command(click.Command):
                     formatter.write_dl(rows)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the examples as one may type them: long ones go on behind a backslash."""
+        """Write the examples, long ones continued after a backslash."""
         if self.examples:
             with formatter.section("Examples"):
                 for example in self.examples:
@@ -167,7 +158,7 @@ class Command(click.Command):
 
 
 def _continued(line: str, width: int) -> str:
-    """Return a command line in indented lines that a shell takes as one, broken before options."""
+    """Return a command line in indented lines joined by backslashes, broken before options."""
     lines = ["  "]
     for part in _OPTION_BEGINS.split(line):
         if len(lines[-1]) + len(part) > min(width, _EXAMPLE_WIDTH):
@@ -178,14 +169,5 @@ def _continued(line: str, width: int) -> str:
 
 def _parameter(declared: Field[Any]) -> click.Parameter:
     """Return the parameter of a field that `option` has declared."""
-    about, name, default = declared.metadata, declared.name, declared.default
-    given: dict[str, Any] = {"required": True} if default is MISSING else {"default": default}
-    if not about["flags"]:
-        return Argument(name, about, **{"required": False, **given})
-    words = [name, *about["flags"]]
-    if about["kind"] is None:
-        return click.Option(words, is_flag=True, default=False, help=about["help"])
-    again = ""
-    if isinstance(default, tuple):
-        given, again = {"multiple": True}, " May be repeated."
-    return click.Option(words, type=about["kind"], metavar=about["metavar"], help=f"{about['help']}{again}", **given)
+    flags, about = declared.metadata["flags"], declared.metadata["about"]
+    return (click.Option if flags else Argument)([declared.name, *flags], **about)

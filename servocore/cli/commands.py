@@ -1,4 +1,4 @@
-"""The command ``servocore``: which scenes there are, what kind of problem each is, and all that is done with one."""
+"""The command ``servocore``: list, analyse, invert, plan and export scenes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,21 @@ from servocore.analysis import analyse
 from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, sweep, view
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
-from servocore.cli.options import NO_POINTS_BETWEEN, Subject
+from servocore.cli.options import Subject
 from servocore.model.scene import Scene
 from servocore.scenes import REGISTRY
 
 NAME = "servocore"
 _INDENT = 22  # where the second column of a printed analysis begins
 
-FORMER = {"levels": "levels is a benchmark: python -m benchmarks.levels SCENE, in a clone of the project"}
-"""What to say of commands that there once were."""
-
 
 def list_scenes() -> None:
-    """List all scenes: what each is, its models (smallest first), its inputs and the outputs that follow the path."""
+    """List all scenes: description, models (smallest first), inputs, and the outputs that follow the path."""
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 1, 0))
     table.add_column("scene", no_wrap=True)
     for heading in ("models", "inputs", "outputs"):
         table.add_column(heading)
-    table.add_column("what it is and needs", ratio=1)
+    table.add_column("description and requirements", ratio=1)
     for name, factory in REGISTRY.items():
         scene = factory()
         model = scene.model()
@@ -56,11 +53,11 @@ def described(factory: Callable[[], Scene]) -> tuple[str, str]:
 
 
 def analyse_scene(subject: Subject) -> None:
-    """Say what kind of problem a scene is, before anything is solved.
+    """Analyse the problem of a scene, before anything is solved.
 
-    Prints index, internal dynamics with their eigenvalues, classification, what was done to the equations, the
-    condition of the system Jacobian along the default path, how often which equation is differentiated, and what to
-    do. A problem that is singular somewhere is an answer as well (exit code 0): the reason is printed, with the time.
+    Prints index, internal dynamics with their eigenvalues, classification, transformations of the equations, the
+    condition of the system Jacobian along the default path, the number of differentiations of each equation, and a
+    recommendation. For a singular problem the reason and the time are printed (exit code 0).
     """
     report = advised_here(str(analyse(subject.chosen(), model=subject.model)))
     console = table_console()
@@ -70,26 +67,25 @@ def analyse_scene(subject: Subject) -> None:
 
 
 def hanging(line: str, width: int) -> str:
-    """Break a line of a printed analysis so that its second column stays one."""
+    """Wrap a line of a printed analysis within its second column."""
     return textwrap.fill(line, max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT, break_on_hyphens=False) or line
 
 
 app = CommandLine(
     NAME,
-    "Servo constraint problems: the inputs that make a mechanical system's output follow a path.\n\nThese commands look"
-    " at scenes, those of the library and your own, compute their inputs along a path, plan their fastest motions, and"
-    " export them for other tools.",
+    "Inverse dynamics of underactuated mechanical systems by servo constraints.\n\nThe commands analyse scenes of the"
+    " library or your own, compute feedforward inputs for a prescribed path, plan time-optimal trajectories, and export"
+    " inverse models for other tools.",
     [
         Command("scenes", list_scenes),
         Command("analyse", analyse_scene, ("rotary_crane", "mass_on_car --model points --parameters heavy.toml")),
-        Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES, NO_POINTS_BETWEEN),
+        Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES),
         Command("plan", plan.plan_motion, plan.EXAMPLES, plan.FIXED),
         Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
-        Command("sweep", sweep.sweep_scene, sweep.EXAMPLES, NO_POINTS_BETWEEN),
-        Command("effects", effects.show_effects, effects.EXAMPLES, {**NO_POINTS_BETWEEN, "model": None}),
-        Command("view", view.view_scene, view.EXAMPLES, NO_POINTS_BETWEEN),
-        Command("export", export.export_scene, export.EXAMPLES, NO_POINTS_BETWEEN),
+        Command("sweep", sweep.sweep_scene, sweep.EXAMPLES),
+        Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
+        Command("view", view.view_scene, view.EXAMPLES),
+        Command("export", export.export_scene, export.EXAMPLES),
         Command("cache", cache.show_cache, cache.EXAMPLES),
     ],
-    FORMER,
 )

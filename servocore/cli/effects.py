@@ -1,4 +1,4 @@
-"""The command ``servocore effects``: which physical effects a scene may leave out, as table, page and verdict."""
+"""The command ``servocore effects``: the tracking errors by neglected physical effects, as table, page and verdict."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.model.parameter_files import read_parameters
+from servocore.model.units import unit_of
 
 EXAMPLES = (
     "rotary_crane",
@@ -25,19 +26,19 @@ EXAMPLES = (
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of effects."""
+    """Allowed tracking error, and the plant."""
 
     title = "Effects"
 
     deviation: str = option(
         "--deviation", kind=text("5mm"), metavar="LENGTH", default="5mm",
-        help="How far the load may be off its path, with its unit. Default: 5mm.",
+        help="Allowed tracking error of the load, with its unit. Default: 5mm.",
     )  # fmt: skip
     bandwidth: float | None = option(
         "--bandwidth", kind=NUMBER, metavar="W", help="Bandwidth of the drives' position loops (rad/s). Default: 6."
     )
-    open_loop: bool = option("--open-loop", help="Inputs alone drive the plant, without position loops.")
-    simulate: bool = option("--simulate", help="Simulate every plant, instead of those hard to estimate.")
+    open_loop: bool = option("--open-loop", help="Drive the plant by the inputs alone, without position loops.")
+    simulate: bool = option("--simulate", help="Simulate every plant, not only those whose error is hard to estimate.")
     markdown: Path | None = option("--markdown", kind=FILE, metavar="FILE.md", help="Write the table as a page too.")
 
     def loops(self) -> PositionLoops | None:
@@ -49,30 +50,27 @@ class Question:
         return PositionLoops() if self.bandwidth is None else PositionLoops(self.bandwidth)
 
     def allowed(self, unit: str) -> float:
-        """Return the deviation in a unit; a bare number is refused, since few who write 5 mean metres."""
-        try:
-            float(self.deviation)
-        except ValueError:
-            return quantity("--deviation", self.deviation, unit, "5mm")
-        raise InvalidSetting(f"--deviation {self.deviation} is without its unit: write it as in --deviation 5mm")
+        """Return the deviation in a unit; a bare number is refused, since 5 rarely means 5 m."""
+        if not unit_of(self.deviation):
+            raise InvalidSetting(f"--deviation {self.deviation} has no unit: write it as in --deviation 5mm")
+        return quantity("--deviation", self.deviation, unit, "5mm")
 
 
 def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
-    """Say which physical effects a scene may leave out, and what that costs.
+    """Estimate the tracking errors by neglected physical effects, and which may be neglected.
 
-    Each row is an effect that the scene lacks, or has and may do without: how far off its path the load goes where the
-    inputs of the model without it drive a plant with it. Errors are estimated from the inputs of both models, or
-    simulated where that is weak. The file of parameters may hold those of effects too.
+    Each row is an effect that the model neglects or includes: the tracking error of the load where the inputs of the
+    model without it drive a plant with it. Errors are estimated from the inputs of both models, or simulated where
+    the estimate is unreliable. The file of parameters may hold those of effects too.
     """
     if path.tolerance is not None and path.reference is None:
         raise InvalidSetting(
-            "--tolerance belongs to --reference; how far the load may be off its path is --deviation, as in"
+            "--tolerance belongs to --reference; the allowed tracking error is --deviation, as in"
             f" --deviation {path.tolerance}"
         )
     scene, loops = chosen_scene(subject.scene), question.loops()
     declared = scene.effects.parameters
-    file = subject.parameters
-    given = {} if file is None else read_parameters(file, scene, declared.values())
+    given = {} if subject.parameters is None else read_parameters(subject.parameters, scene, declared.values())
     own = scene.model().parameters.names
     scene = scene.with_parameters(**{name: value for name, value in given.items() if name in own})
     moved = path.along(scene)
@@ -86,5 +84,5 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
             simulate=question.simulate,
         )
     if question.markdown is not None:
-        write_together({question.markdown: f"# What {moved.name} may leave out\n\n{found.markdown()}"})
+        write_together({question.markdown: f"# Effects that {moved.name} may neglect\n\n{found.markdown()}"})
     table_console().print(str(found), markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""The command ``feedforward``: the inputs of a scene along a path, as a table."""
+"""The command ``feedforward``: the feedforward inputs of a scene for a prescribed path, as a table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from servocore.cli.console import PatientProgress, deliver, end_as_of_no_use, held_notes
+from servocore.cli.console import PatientProgress, ResultOfNoUse, deliver
 from servocore.cli.options import Computation, GivenLimits, GivenPath, Subject, Table
 from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
@@ -21,24 +21,23 @@ EXAMPLES = (
 )
 
 FAR_OFF = 0.5
-"""Of its peak: an input that is off by this or more is of no use."""
+"""Error of an input relative to its peak from which on the inputs are of no use."""
 
-_UNNOTICED = 1e-3  # of the largest input: what is smaller may be all round-off
+_UNNOTICED = 1e-3  # of the largest input: a smaller one may be all round-off
 
 
 def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Computation, table: Table) -> None:
-    """Compute the inputs that make a scene's outputs follow a path, as a table.
+    """Compute the feedforward inputs for a prescribed path (inverse dynamics), as a table.
 
     The path is a file of samples (--reference) or of waypoints (--waypoints), a line from rest to rest (--from, --to,
-    --duration), or else the scene's own. The table has one row a step: time, inputs, what the model reports, outputs.
-    Peaks, rest, and how far the inputs are from right are told on the error stream. Where an input is off by half of
-    its peak or more, which can happen with a --formulation, the exit code is 1.
+    --duration), or else that of the scene. The table has one row a step: time, inputs, observables, outputs. Peaks,
+    rest at the ends and the estimated error of the inputs are printed on the error stream. Where an input is off by
+    50 % of its peak or more, which can happen with a --formulation, the exit code is 1.
     """
     accuracy, scene = how.accuracy(), subject.chosen()
     names = chosen_columns(table.columns, scene, subject.model)
-    bounds = limits.bounds()
-    with held_notes() as notes, PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):
-        moved = path.along(scene.with_limits(**bounds), subject.model)  # what is not finite is refused, not warned of
+    with PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):  # not finite is refused
+        moved = path.along(scene.with_limits(**limits.bounds()), subject.model)
         how.require(moved.reference.duration)
         began = clocks()
         with shortest_duration_told(moved, subject.model):
@@ -48,20 +47,18 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
             )  # fmt: skip
         seconds = [end - begin for begin, end in zip(began, clocks(), strict=True)]
         useless = None if isinstance(how.formulation, Reduced | None) else _far_off(moved, solution, subject.model)
-        told = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
-        if useless:
-            notes.clear()  # one sentence says it all
+        lines = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
         contents = table.picture(lambda _: solution.plot(names))
     deliver(table_pieces(solution, names), table.output, contents)
     if useless:
-        end_as_of_no_use(useless)
-    print(*told, sep="\n", file=sys.stderr)
+        raise ResultOfNoUse(useless)
+    print(*lines, sep="\n", file=sys.stderr)
 
 
 def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:
-    """Tell which input of a run is off from the closed form by `FAR_OFF` of its peak or more; None if none is."""
+    """Return a sentence if an input is off from the closed form by `FAR_OFF` of its peak or more, else None."""
     if scene.closed_form is None or scene.independent_solution is not None:
-        return None  # there is no formula that is exact
+        return None  # no exact formula
     exact = scene.exact(solution.t)
     inputs = [quantity.name for quantity in scene.model(model).inputs]
     peaks = {name: float(np.abs(exact[name]).max()) for name in inputs}
@@ -73,7 +70,7 @@ def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:
         return None
     unit, k = solution.unit(worst), int(off[worst].argmax())
     return (
-        f"{solution.route}: these inputs are of no use; {worst} is off by {100.0 * shares[worst]:.3g} % of its peak, at"
-        f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} and should be {exact[worst][k]:.4g} {unit};"
-        " with --formulation reduced they are exact"
+        f"{solution.route}: these inputs are of no use: {worst} is off by {100.0 * shares[worst]:.3g} % of its peak; at"
+        f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} instead of {exact[worst][k]:.4g} {unit};"
+        " --formulation reduced is exact"
     )

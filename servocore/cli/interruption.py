@@ -15,26 +15,26 @@ from types import FrameType
 from typing import Any, TextIO, cast
 
 INTERRUPTED = 130
-"""Exit code of a command that was stopped, as shells have it: 128 and the number of the signal."""
+"""Exit code of an interrupted command, as shells have it: 128 and the number of the signal."""
 
-_asked = threading.Event()
-
-
-def was_asked() -> bool:
-    """Return whether Ctrl-C was pressed while the present command runs."""
-    return _asked.is_set()
+_pressed = threading.Event()
 
 
-def stop_if_asked() -> None:
-    """Raise `KeyboardInterrupt` if Ctrl-C was pressed and whoever ran then went on regardless."""
-    if _asked.is_set():
+def was_interrupted() -> bool:
+    """Return whether Ctrl-C was pressed since the command began."""
+    return _pressed.is_set()
+
+
+def stop_if_interrupted() -> None:
+    """Raise `KeyboardInterrupt` if Ctrl-C was pressed and a library swallowed it."""
+    if _pressed.is_set():
         raise KeyboardInterrupt
 
 
 @contextmanager
 def heeded_interruption() -> Iterator[None]:
     """Remember Ctrl-C inside; where it is ignored, as in the background of a shell, it stays so."""
-    _asked.clear()
+    _pressed.clear()
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
         yield
@@ -43,16 +43,16 @@ def heeded_interruption() -> Iterator[None]:
     errors, unraisable = sys.stderr, sys.unraisablehook
 
     def heed(number: int, frame: FrameType | None) -> None:
-        _asked.set()
+        _pressed.set()
         sys.stderr = cast("TextIO", _WithoutCasadi(errors))
         signal.default_int_handler(number, frame)
 
-    def tell_of_others(swallowed: sys.UnraisableHookArgs) -> None:
-        if not isinstance(swallowed.exc_value, KeyboardInterrupt):  # as in a callback: `stop_if_asked` comes to it
+    def show_others(swallowed: sys.UnraisableHookArgs) -> None:
+        if not isinstance(swallowed.exc_value, KeyboardInterrupt):  # as in a callback
             unraisable(swallowed)
 
     signal.signal(signal.SIGINT, heed)
-    sys.unraisablehook = tell_of_others
+    sys.unraisablehook = show_others
     try:
         yield
     finally:
@@ -61,38 +61,30 @@ def heeded_interruption() -> Iterator[None]:
 
 
 def run_command_line(name: str, module: str) -> None:
-    """Import a module and run its command line ``app``; Ctrl-C in between ends with the same sentence as behind it.
-
-    Parameters
-    ----------
-    name : str
-        What the command is called.
-    module : str
-        Where its ``app`` is.
-    """
+    """Import a module and run its command line ``app``; Ctrl-C during the import ends in the same way as after it."""
     try:
         with heeded_interruption():
             app = import_module(module).app
-            stop_if_asked()
+            stop_if_interrupted()
             app(prog_name=name)
-    except (Exception, KeyboardInterrupt) as error:  # an import may make another error of it
-        if not (was_asked() or isinstance(error, KeyboardInterrupt)):
+    except (Exception, KeyboardInterrupt) as error:  # an import may turn it into another error
+        if not (was_interrupted() or isinstance(error, KeyboardInterrupt)):
             raise
         print(f"{name}: stopped", file=sys.stderr)
         sys.exit(INTERRUPTED)
 
 
 class _WithoutCasadi:
-    """The error stream without CasADi's lines, which come in pieces: it warns of Ctrl-C, which is told once."""
+    """The error stream without CasADi's warnings of Ctrl-C, whose lines come in pieces."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream, self._left_out = stream, False
+        self._stream, self._skipping = stream, False
 
     def write(self, text: str) -> int:
-        self._left_out |= text.startswith("CasADi - ")
-        if not self._left_out:
+        self._skipping |= text.startswith("CasADi - ")
+        if not self._skipping:
             return self._stream.write(text)
-        self._left_out = not text.endswith("\n")
+        self._skipping = not text.endswith("\n")
         return len(text)
 
     def __getattr__(self, name: str) -> Any:

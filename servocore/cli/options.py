@@ -1,9 +1,9 @@
-"""Groups of options that commands share, each option declared once, and what follows from them."""
+"""Groups of options that commands share; each option is declared once."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
@@ -12,13 +12,27 @@ from typing import Any, ClassVar
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
-from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, STEP, TIME, Kind, choice, quantity, text
+from servocore.cli.kinds import (
+    FILE,
+    FILE_READ,
+    LIMIT,
+    NUMBER,
+    PICTURE,
+    POINT,
+    STEP,
+    TIME,
+    Kind,
+    choice,
+    once,
+    quantity,
+    text,
+)
 from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
 from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.limit_files import limits_given
+from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
@@ -26,8 +40,6 @@ from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
 from servocore.references.profiles import (
-    DEGREE9,
-    DEGREE13,
     TIME_LAWS,
     Profile,
     ThreePhaseProfile,
@@ -38,36 +50,36 @@ from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
 from servocore.solvers.route import Adaptive
 
-NO_POINTS_BETWEEN: dict[str, object] = {"by": ()}
-"""Points between the ends of a line belong to plans: other commands do not offer them."""
-
 MOST_ROWS = 1e7
-"""A table with more rows is taken for a mistake: it would fill the memory first."""
+"""Largest number of rows of a table: more are taken for a mistake, for they would fill the memory."""
 
-_LONGEST_DURATION = 1e9  # s; beyond it the derivatives of a path vanish in rounding
+_LONGEST_DURATION = 1e9  # s; with a longer one the derivatives of a path are round-off
 
 
 def output(metavar: str, help: str, kind: Kind = FILE, default: Any = None) -> Any:  # noqa: A002
-    """Declare where the result of a command goes."""
+    """Declare the option that names the result of a command."""
     return option("-o", "--output", kind=kind, metavar=metavar, help=help, default=default)
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The system that a command looks at."""
+    """The system that a command computes."""
 
     title: ClassVar[str] = "System"
 
     scene: str = option(
         kind=Kind("scene", "rotary_crane", str), metavar="SCENE", default=...,
-        help="A scene of the library, as servocore scenes lists them, or module:function of your own.",
+        help="A scene of the library, as listed by servocore scenes, or module:function of your own.",
     )  # fmt: skip
     parameters: Path | None = option(
         "--parameters", kind=FILE_READ, metavar="FILE.toml",
-        help="Other data in SI units, one line each, such as load_mass = 80.0; what is left out keeps its default.",
+        help="Parameters in SI units, one line each, such as load_mass = 80.0; the others keep their defaults.",
     )  # fmt: skip
     model: str | None = option(
-        "--model", kind=text("points"), metavar="NAME", help="Model of the scene. Default: its first, the smallest."
+        "--model",
+        kind=text("points"),
+        metavar="NAME",
+        help="Model of the scene. Default: the first, the smallest.",
     )
 
     def chosen(self) -> Scene:
@@ -82,18 +94,18 @@ class Subject:
 
 @dataclass(frozen=True)
 class GivenPath:
-    """The path that the outputs of a scene follow: of a file, or a straight line; the scene's own without options."""
+    """The prescribed path of the outputs: from a file, or a straight line; without options that of the scene."""
 
     title: ClassVar[str] = "Path"
 
     reference: Path | None = option(
         "--reference", kind=FILE_READ, metavar="FILE.csv",
-        help="A sampled path: its header is time and the outputs' names, optionally followed by their derivatives, as"
-        " vx,vy,vz. Few rows are taken as waypoints. A plan takes the curve alone.",
+        help="Sampled path: the header is time and the names of the outputs, optionally followed by derivatives, as"
+        " vx,vy,vz. Few rows are read as waypoints. A plan keeps the geometry alone.",
     )  # fmt: skip
     tolerance: str | None = option(
         "--tolerance", kind=text("1mm"), metavar="LENGTH",
-        help="How far the path may stay away from rounded or noisy samples: 1mm, or a number of metres.",
+        help="Largest distance of the path from rounded or noisy samples: 1mm, or a number of metres.",
     )  # fmt: skip
     waypoints: Path | None = option(
         "--waypoints", kind=FILE_READ, metavar="FILE.csv",
@@ -103,39 +115,28 @@ class GivenPath:
         "--from", kind=POINT, metavar="X Y ...", help="Start of a line: as many numbers as the scene has outputs."
     )
     end: tuple[float, ...] | None = option("--to", kind=POINT, metavar="X Y ...", help="End of the line.")
-    by: tuple[tuple[float, ...], ...] = option(
-        "--via", kind=POINT, metavar="X Y ...", default=(), help="Lead a plan through this point."
-    )
-    duration: float | None = option("--duration", kind=TIME, metavar="T", help="Time of the motion on the line (s).")
+    duration: float | None = option("--duration", kind=TIME, metavar="T", help="Duration of the motion (s).")
     profile: Profile | None = option(
         "--profile", kind=choice("profile", TIME_LAWS), metavar="NAME",
-        help=f"Time law on the line: {', '.join(TIME_LAWS)}. Default: the first that is smooth enough for the scene.",
+        help=f"Time law along the line: {', '.join(TIME_LAWS)}. Default: the first that is smooth enough.",
     )  # fmt: skip
     ramp: float | None = option(
-        "--ramp", kind=TIME, metavar="TAU0", help="Of three-phase: time to accelerate (s). Default: duration/4."
+        "--ramp", kind=TIME, metavar="TAU0", help="With three-phase: acceleration time (s). Default: duration/4."
     )
 
     def options(self) -> list[str]:
-        """Return the options that describe a path.
-
-        Raises
-        ------
-        InvalidSetting
-            If they exclude each other.
-        """
-        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) not in (None, ())]
-        if "--tolerance" in given:
-            if self.reference is None:
-                raise InvalidSetting(
-                    "--tolerance belongs to --reference: it is how far the path may stay from its samples"
-                )
+        """Return the options that describe a path; raises `InvalidSetting` if they exclude each other."""
+        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) is not None]
+        if self.tolerance is not None:
             given.remove("--tolerance")
+            if self.reference is None:
+                raise InvalidSetting("--tolerance belongs to --reference: it bounds the distance from its samples")
         if len(given) > 1 and (self.reference or self.waypoints):
             raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
         return given
 
     def path(self, scene: Scene, model: str | None = None) -> Reference | None:
-        """Return the path, as smooth as the inputs of a scene need it; None without options."""
+        """Return the path, with as many continuous derivatives as the scene requires; None without options."""
         given = self.options()
         if not given:
             return None
@@ -148,23 +149,24 @@ class GivenPath:
             missing = [each for each in ("--from", "--to", "--duration") if each not in given]
             if missing:
                 raise InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
-            first, *_, last = self.points(scene, model)
-            return self._line(first, last, rest_order)
+            return self._line(scene, model, rest_order)
         tolerance = None if self.tolerance is None else quantity("--tolerance", self.tolerance, units[0], "1mm")
         path, rows = samples_or_waypoints(self.reference, names, tolerance, rest_order, units)
         if rows is not None:
             warnings.warn(
-                f"{self.reference}: its {rows} rows are taken as waypoints, for samples of a path are"
-                f" {fewest_samples(rest_order)} or more",
+                f"{self.reference}: its {rows} rows are read as waypoints; a sampled path has at least"
+                f" {fewest_samples(rest_order)} rows",
                 ServocoreWarning,
                 stacklevel=2,
             )
         return path
 
-    def points(self, scene: Scene, model: str | None = None) -> list[tuple[float, ...]]:
-        """Return start, points on the way and end; raises `InvalidSetting` unless all have the scene's dimension."""
+    def points(
+        self, scene: Scene, model: str | None = None, via: Sequence[tuple[float, ...]] = ()
+    ) -> list[tuple[float, ...]]:
+        """Return start, via points and end; raises `InvalidSetting` unless all have the dimension of the scene."""
         names = [output.name for output in scene.model(model).outputs]
-        found = [("--from", self.start or ()), *(("--via", point) for point in self.by), ("--to", self.end or ())]
+        found = [("--from", self.start or ()), *(("--via", point) for point in via), ("--to", self.end or ())]
         for name, point in found:
             if len(point) != len(names):
                 shown = "".join(f" {each:g}" for each in point)
@@ -174,20 +176,20 @@ class GivenPath:
         return [point for _, point in found]
 
     def along(self, scene: Scene, model: str | None = None) -> Scene:
-        """Return the scene with this path, or as it is without one."""
+        """Return the scene with this path; unchanged without one."""
         path = self.path(scene, model)
         return scene if path is None else scene.with_reference(path)
 
-    def _line(self, first: tuple[float, ...], last: tuple[float, ...], rest_order: int) -> Reference:
-        duration, law = self.duration, self.profile
+    def _line(self, scene: Scene, model: str | None, rest_order: int) -> Reference:
+        (first, last), duration, law = self.points(scene, model), self.duration, self.profile
         assert duration is not None
         if duration > _LONGEST_DURATION:
             raise InvalidReference(
-                f"the duration of {duration:g} s is longer than {_LONGEST_DURATION:g} s: nothing would move"
+                f"the duration of {duration:g} s is longer than the limit of {_LONGEST_DURATION:g} s"
             )
         if law is None:
-            smooth: list[Profile] = [each for each in (DEGREE9, DEGREE13) if each.smoothness >= rest_order]
-            law = smooth[0] if smooth else polynomial(2 * rest_order + 1)
+            fewest = 2 * rest_order + 1
+            law = polynomial(next(degree for degree in (9, 13, fewest) if degree >= fewest))
         if self.ramp is not None:
             if not isinstance(law, ThreePhaseProfile):
                 raise InvalidSetting("--ramp belongs to --profile three-phase")
@@ -197,33 +199,33 @@ class GivenPath:
 
 @dataclass(frozen=True)
 class GivenLimits:
-    """Limits of what moves."""
+    """Limits of inputs, observables, outputs and their rates."""
 
     title: ClassVar[str] = "Limits"
 
-    limit: tuple[str, ...] = option(
-        "--limit", kind=text("F=60"), metavar="NAME=VALUE", default=(),
-        help="A limit of an input, of what is reported, or of its rate: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2.",
+    limit: tuple[Mapping[str, Bounds], ...] = option(
+        "--limit", kind=LIMIT, metavar="NAME=VALUE", default=(),
+        help="A limit of an input, observable or output, or of its rate: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2.",
     )  # fmt: skip
     limits: Path | None = option(
         "--limits", kind=FILE_READ, metavar="FILE.toml",
-        help='More of them: F = 60, M_w = [-104, -92], swing = "5 deg"; --limit replaces those of the same names.',
+        help='More limits: F = 60, M_w = [-104, -92], swing = "5 deg"; --limit replaces those of the same names.',
     )  # fmt: skip
 
     def bounds(self) -> Mapping[str, Bounds]:
-        """Return them as `Scene.with_limits` takes them; raises `InvalidSetting` or `InvalidModel` if one is none."""
-        return limits_given(self.limit, self.limits)
+        """Return limits for `Scene.with_limits`; raises `InvalidSetting` or `InvalidModel` if one is malformed."""
+        return {**({} if self.limits is None else read_limits(self.limits)), **once("--limit", self.limit)}
 
 
 @dataclass(frozen=True)
 class Rows:
-    """How far the rows of a result are apart."""
+    """Time between the rows of a result."""
 
     title: ClassVar[str] = "Computation"
 
     step: float | None = option(
         "--step", kind=STEP, metavar="H",
-        help="Time between rows (s). It divides the duration; a plan takes the next smaller one that does. Default:"
+        help="Time between rows (s). It must divide the duration; a plan reduces it to the next that does. Default:"
         " duration/200.",
     )  # fmt: skip
 
@@ -237,22 +239,22 @@ class Rows:
 
 @dataclass(frozen=True)
 class Computation(Rows):
-    """How inputs are computed: by what the analysis recommends without options."""
+    """Formulation, method and accuracy; without options those that the analysis recommends."""
 
     formulation: Formulation | None = option(
         "--formulation", kind=choice("formulation", FORMULATIONS), metavar="NAME",
-        help=f"One of {', '.join(FORMULATIONS)}. Default: what the analysis recommends.",
+        help=f"One of {', '.join(FORMULATIONS)}. Default: recommended by the analysis.",
     )  # fmt: skip
     method: Method | None = option(
         "--method", kind=choice("method", METHODS), metavar="NAME",
-        help=f"One of {', '.join(METHODS)}. Default: what the analysis recommends, {next(iter(METHODS))} with"
-        " --formulation.",
+        help=f"One of {', '.join(METHODS)}. Default: recommended by the analysis;"
+        f" {next(iter(METHODS))} with --formulation.",
     )  # fmt: skip
     rtol: float | None = option(
-        "--rtol", kind=NUMBER, metavar="R", help="In place of a step: error of the inputs relative to their peaks."
+        "--rtol", kind=NUMBER, metavar="R", help="Instead of a step: tolerance of the inputs relative to their peaks."
     )
     atol: float | None = option(
-        "--atol", kind=NUMBER, metavar="A", help="In place of a step: error of the inputs in their own units."
+        "--atol", kind=NUMBER, metavar="A", help="Instead of a step: absolute tolerance of the inputs, in their units."
     )
     output_step: float | None = option(
         "--output-step", kind=STEP, metavar="H",
@@ -260,7 +262,7 @@ class Computation(Rows):
     )  # fmt: skip
 
     def accuracy(self) -> float | Adaptive | None:
-        """Return what `solve` takes as its step; raises `InvalidSetting` if options contradict each other."""
+        """Return the step or tolerance for `solve`; raises `InvalidSetting` if options exclude each other."""
         if self.rtol is None and self.atol is None:
             if self.output_step is not None:
                 raise InvalidSetting("--output-step belongs to --rtol or --atol; without them every step is a row")
@@ -272,23 +274,22 @@ class Computation(Rows):
 
 @dataclass(frozen=True)
 class Table:
-    """The table of a result, and what goes beside it."""
+    """The table of a result, and its picture."""
 
     title: ClassVar[str] = "Results"
 
-    output: Path | None = output("FILE.csv", "Where the table goes. Default: the standard output stream.")
+    output: Path | None = output("FILE.csv", "The table to write. Default: standard output.")
     columns: str | None = option(
         "--columns", kind=text("F,swing"), metavar="NAMES",
-        help="What the table holds after the time, divided by commas: inputs, observables such as swing, outputs,"
-        " coordinates.",
+        help="Columns after the time, separated by commas: inputs, observables such as swing, outputs, coordinates.",
     )  # fmt: skip
     plot: Path | None = option(
-        "--plot", kind=PICTURE, metavar="FILE.png", help=f"Draw a picture; {', '.join(PICTURES)} are known."
+        "--plot", kind=PICTURE, metavar="FILE.png", help=f"Draw a picture: {', '.join(PICTURES)}."
     )
-    verbose: bool = option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
+    verbose: bool = option("-v", "--verbose", help="Print counts of the run, its time, and all versions as well.")
 
     def picture(self, draw: Callable[[Any], Any]) -> dict[Path, str | bytes]:
-        """Return the picture by its place, none without --plot; `draw` is given the module of pictures."""
+        """Return the picture by its file, none without --plot; `draw` takes the module of pictures."""
         if self.plot is None:
             return {}
         pictures = import_module("servocore.cli.pictures")  # slow, for it imports Matplotlib
@@ -297,12 +298,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Platforms:
-    """For which machines is compiled."""
+    """Platforms to compile for."""
 
     title: ClassVar[str] = "Platforms"
 
     targets: str | None = option(
         "--targets", kind=text(HOST), metavar="LIST",
-        help=f"all, {HOST}, or some of {', '.join(TARGETS)}, with commas. Default: all with the package ziglang, else"
-        f" {HOST}.",
+        help=f"all, {HOST} (this machine), or some of {', '.join(TARGETS)}, separated by commas.",
     )  # fmt: skip

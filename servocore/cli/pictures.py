@@ -1,4 +1,4 @@
-"""Pictures: a plan between its limits, beside the polynomial law that takes longer; effects of parameters."""
+"""Figures: a plan within its limits beside a polynomial time law; effects of parameters."""
 
 from __future__ import annotations
 
@@ -30,14 +30,9 @@ _BOUND = {"color": "#000000", "linewidth": 0.8, "linestyle": ":"}
 
 
 def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
-    """Return a picture of the limited quantities of a plan, active limits coloured, beside the polynomial law.
+    """Return a figure of the limited quantities of a plan and of the polynomial time law, active limits coloured.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the limits.
-    path, report
-        What `fastest` returned.
+    The scene has the limits; path and report are the results of `fastest`.
     """
     problem = Problem.of(scene.with_reference(path))
     limits, laws = motion_limits(problem), [(problem, dict[str, object](_PLAN))]
@@ -61,7 +56,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
 
 
 def _limited(problem: Problem, t: Array) -> Array:
-    """Return the limited quantities at instants, not a number behind the end of the path, shape (limits, N)."""
+    """Return the limited quantities at instants, NaN after the end of the path, shape (limits, N)."""
     within = t <= problem.reference.end_time
     values = np.full((len(motion_limits(problem)), len(t)), np.nan)
     values[:, within] = limited_values(problem, exact_states(problem, prepared_table(problem)), t[within])
@@ -69,7 +64,7 @@ def _limited(problem: Problem, t: Array) -> Array:
 
 
 def sensitivities_figure(result: Sensitivities) -> Figure:
-    """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
+    """Return a figure of the effects of one per cent more of each parameter, one panel a quantity."""
     looks = zip(result.parameters, result.sizes, cycle(("-", "--", "-.", ":")), strict=False)
     curves = [
         Curve(each.name, each.unit, "", result[each.name, name] * size / 100.0, {"linestyle": style, "label": name})
@@ -80,7 +75,7 @@ def sensitivities_figure(result: Sensitivities) -> Figure:
 
 
 def saved_figure(figure: Figure, file: Path) -> bytes:
-    """Return a figure as the content of a PNG, SVG or PDF file, alike from run to run."""
+    """Return a figure as the content of a PNG, SVG or PDF file, the same bytes in every run."""
     stream, kind = io.BytesIO(), file.suffix[1:].lower()
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     figure.savefig(stream, format=kind, metadata=metadata)

@@ -1,8 +1,9 @@
-"""The command ``plan``: the fastest law along a way within limits, as a table."""
+"""The command ``plan``: the time-optimal trajectory along a path within limits, as a table."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +11,10 @@ import numpy as np
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.kinds import FILE, text
+from servocore.cli.kinds import FILE, POINT, RANGE, once, text
 from servocore.cli.options import GivenLimits, GivenPath, Rows, Subject, Table
 from servocore.cli.run_summary import chosen_columns, table_pieces
 from servocore.errors import InvalidSetting
-from servocore.model.limit_files import factors_of_texts
 from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
@@ -30,29 +30,32 @@ EXAMPLES = (
 )
 
 FIXED: dict[str, object] = {"duration": None, "profile": None, "ramp": None, "verbose": False}
-"""A plan finds its duration and its law."""
+"""Options that a plan does not offer: it computes duration and time law."""
 
 _ROWS = 200
 
 
 @dataclass(frozen=True)
 class Freedom:
-    """What a plan may choose, and what it must keep for."""
+    """Freedom of a plan, and the variations for which it must keep the limits."""
 
     title = "Plan"
 
-    robust: tuple[str, ...] = option(
-        "--robust", kind=text("load_mass=0.9..1.1"), metavar="NAME=LOW..HIGH", default=(),
+    via: tuple[tuple[float, ...], ...] = option(
+        "--via", kind=POINT, metavar="X Y ...", default=(), help="Lead the path through this point."
+    )
+    robust: tuple[Mapping[str, tuple[float, float]], ...] = option(
+        "--robust", kind=RANGE, metavar="NAME=LOW..HIGH", default=(),
         help="Keep the limits for these factors of a parameter, too: load_mass=0.9..1.1.",
     )  # fmt: skip
-    free: bool = option("--free", help="Let the plan choose the way between --from and --to, too.")
+    free: bool = option("--free", help="Optimize the path between --from and --to, too.")
     keep_out: tuple[str, ...] = option(
         "--keep-out", kind=text("'sphere 1 2 -3 0.5'"), metavar="BODY", default=(),
         help="With --free: 'sphere X Y Z RADIUS' or 'box X Y Z HALF HALF HALF' (m) for load and rope.",
     )  # fmt: skip
     clearance_of: str | None = option(
         "--clearance-of", kind=text("load,rope"), metavar="LIST",
-        help="With --keep-out: what keeps clear, of load,rope,bridge. Default: load,rope.",
+        help="With --keep-out: parts that keep clear, of load,rope,bridge. Default: load,rope.",
     )  # fmt: skip
     path: Path | None = option(
         "--write-path", kind=FILE, metavar="FILE.csv",
@@ -60,13 +63,7 @@ class Freedom:
     )  # fmt: skip
 
     def space(self, dimension: int) -> Space | None:
-        """Return what a free way keeps clear of; None unless it is free.
-
-        Raises
-        ------
-        InvalidSetting
-            If one option lacks another, or there is no such body or part.
-        """
+        """Return the obstacles of a free path, None unless it is free; refuse options that lack another."""
         if self.keep_out and not self.free:
             raise InvalidSetting("--keep-out belongs to --free")
         if self.clearance_of is not None and not self.keep_out:
@@ -77,23 +74,27 @@ class Freedom:
 def plan_motion(
     subject: Subject, path: GivenPath, limits: GivenLimits, freedom: Freedom, rows: Rows, table: Table
 ) -> None:
-    """Find the fastest law along a way that keeps all limits, and write it as a table.
+    """Plan the time-optimal trajectory along a path within limits.
 
-    The way is a line (--from, --to), a smooth curve through more points (--via), or the curve of a path in a file
-    (--reference, --waypoints). Everything starts and ends at rest, inputs without a jump. The table is that of
-    feedforward, and holds all that the model reports. How good the plan is, and how it is known that it keeps the
-    limits, is printed when the table goes into a file.
+    The path is a line (--from, --to), a smooth curve through more points (--via), or the geometry of a path in a file
+    (--reference, --waypoints). The motion starts and ends at rest, and the inputs have no jumps. The table is that of
+    feedforward with all observables. With --output a report is printed: duration, distance from the optimum, and how
+    the limits were verified.
     """
     scene, bounds = subject.chosen(), limits.bounds()
-    if freedom.path is not None:
-        _require_a_path_file(scene, subject.model)
-    way = _way(scene, subject.model, path)
+    written = len(PREFIXES) - 1
+    if freedom.path is not None and (needed := Problem.of(scene, subject.model).array.reference_order) > written:
+        raise InvalidSetting(
+            f"--write-path: a file holds {written} derivatives of a path, but the inputs of {scene.name} depend on"
+            f" {needed}"
+        )
+    way = _way(scene, subject.model, path, freedom.via)
     space = freedom.space(len(scene.model(subject.model).outputs))
-    ranges = factors_of_texts(freedom.robust)
+    factors = once("--robust", freedom.robust)
     names = chosen_columns(table.columns, scene, subject.model, more=True)
     with PatientProgress("planning") as progress:
         found, report = fastest(
-            scene, way, bounds, free=space, robust=ranges, model=subject.model, progress=progress.describe
+            scene, way, bounds, free=space, robust=factors, model=subject.model, progress=progress.describe
         )
         rows.require(found.duration)
         count = _ROWS if rows.step is None else math.ceil(found.duration / rows.step * (1.0 - 1e-12))
@@ -105,23 +106,15 @@ def plan_motion(
     deliver(table_pieces(solution, names), table.output, contents, report)
 
 
-def _require_a_path_file(scene: Scene, model: str | None) -> None:
-    """Refuse to write a path whose file would lack derivatives that the scene's inputs hold."""
-    needed, written = Problem.of(scene, model).array.reference_order, len(PREFIXES) - 1
-    if needed > written:
-        raise InvalidSetting(
-            f"--write-path: a file holds {written} derivatives of a path, and {scene.name} needs {needed}, or inputs"
-            " are wrong"
-        )
-
-
-def _way(scene: Scene, model: str | None, path: GivenPath) -> Reference | np.ndarray:
-    """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
-    given = path.options()
-    if path.reference is not None or path.waypoints is not None:
-        found = path.path(scene, model)
-        assert found is not None
-        return found
-    if not {"--from", "--to"} <= set(given):
-        raise InvalidSetting("no way is given: use --from and --to, --reference, or --waypoints")
-    return np.array(path.points(scene, model))
+def _way(scene: Scene, model: str | None, path: GivenPath, via: Sequence[tuple[float, ...]]) -> Reference | np.ndarray:
+    """Return the path to plan along; raises `InvalidSetting` if options give none, or two."""
+    given = [*path.options(), *(["--via"] if via else [])]
+    if path.reference is None and path.waypoints is None:
+        if not {"--from", "--to"} <= set(given):
+            raise InvalidSetting("no path is given: use --from and --to, --reference, or --waypoints")
+        return np.array(path.points(scene, model, via))
+    if via:
+        raise InvalidSetting(f"a path is given either by {given[0]} or by --via, not by both")
+    found = path.path(scene, model)
+    assert found is not None
+    return found

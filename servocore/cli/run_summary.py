@@ -13,43 +13,26 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
 
-_REST = 1e-6  # of the largest speed, acceleration, ...: what is smaller is round-off of a path at rest
-_MANY = 100_000  # rows; to solve a million again takes gigabytes
+_REST = 1e-6  # of the largest speed, acceleration, ...: less is round-off of a path at rest
+_MANY = 100_000  # rows; an error estimate solves again, which takes gigabytes for a million
 _RATES = {0: "speed", 1: "acceleration", 2: "jerk"}
 
 COLUMNS = {"rotary_crane": ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")}
-"""Columns after the time, by scene, where tables have others than `column_names`."""
-
-
-def column_names(system: MechanicalSystem) -> list[str]:
-    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
-    return list(dict.fromkeys(quantity.name for quantity in [*system.inputs, *system.observables, *system.outputs]))
+"""Columns after the time of scenes whose tables do not have all inputs, observables and outputs."""
 
 
 def chosen_columns(wanted: str | None, scene: Scene, model: str | None, more: bool = False) -> list[str]:
-    """Return the names that a user chose, or those of the scene.
+    """Return the columns of a table after the time, from names separated by commas.
 
-    Parameters
-    ----------
-    wanted : str or None
-        Names with commas between.
-    scene, model : Scene, str or None
-        Whose they are.
-    more : bool
-        Whether all that the model reports goes behind what a table of the scene has.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no such name, or one is given twice.
+    Without names they are those of the scene, with `more` all observables as well. `InvalidSetting` is raised if a name
+    is unknown or given twice.
     """
     system = scene.model(model)
-    own = column_names(system)
+    own = list(dict.fromkeys(quantity.name for quantity in [*system.inputs, *system.observables, *system.outputs]))
     if wanted is None:
         first = list(COLUMNS.get(scene.name, own))
         return list(dict.fromkeys([*first, *own])) if more else first
@@ -69,7 +52,7 @@ def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
 
 
 def summary(solution: Solution) -> list[str]:
-    """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
+    """Return the lines printed after a run: peaks, swing, rest at the ends, fit, error of the inputs."""
     problem: Problem = solution.origin
     system, path = problem.system, problem.reference
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
@@ -77,49 +60,49 @@ def summary(solution: Solution) -> list[str]:
         k = int(np.abs(solution[name]).argmax())
         value, unit = float(solution[name][k]), solution.unit(name)
         shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
-        lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
-    lines += [f"  {_undefined(solution, name)}" for name in solution.names if np.isnan(solution[name]).any()]
+        lines.append(f"  {name}: peak {shown} at t = {solution.t[k]:.6g} s")
+    for name in solution.names:
+        gaps = np.flatnonzero(np.isnan(solution[name]))
+        if gaps.size:
+            first = f"first at t = {solution.t[gaps[0]]:.6g} s"
+            lines.append(f"  {name}: undefined in {len(gaps)} of {len(solution.t)} rows, {first}")
     lines.append(
         f"  ends: {_rest(path, problem.array.reference_order, [quantity.unit for quantity in system.outputs])}"
     )
+    numerical = "numerical error"
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
+        numerical = "numerical error (without that of the fit)"
     if len(solution.t) > _MANY:
-        return [*lines, f"  inputs: how far they are off is not told for more than {_MANY} rows"]
+        return [*lines, f"  inputs: their error is not estimated for more than {_MANY} rows"]
     error = solution.error
     if error.largest is not None:
-        lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
+        lines.append(f"  inputs: {numerical} at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
     return lines
 
 
-def _undefined(solution: Solution, name: str) -> str:
-    """Say of a trajectory how often it is not a number."""
-    gaps = np.flatnonzero(np.isnan(solution[name]))
-    return f"{name}: undefined in {len(gaps)} of {len(solution.t)} rows, first at t = {solution.t[gaps[0]]:.6g} s"
-
-
 def clocks() -> tuple[float, float]:
-    """Return the seconds of the processor and those of the clock."""
+    """Return processor time and wall-clock time, in s."""
     return time.process_time(), time.perf_counter()
 
 
 def details(solution: Solution, seconds: Sequence[float]) -> list[str]:
-    """Return what is told with --verbose, a line each: counts, violations, times, versions."""
+    """Return the lines of --verbose: counts, violations, times, versions."""
     counts = solution.statistics
     versions = [f"{name} {metadata.version(name)}" for name in ("servocore", "casadi", "numpy")]
     return [
         f"  run: {counts.steps} steps, {counts.newton_iterations} Newton iterations, {counts.factorizations}"
         f" factorizations, {counts.rejected} steps rejected; worst residual {counts.worst_residual:.1e}",
-        f"  equations: outputs off their path by {counts.servo_violation:.1e}, constraints by"
+        f"  residuals: servo constraints {counts.servo_violation:.1e}, geometric constraints"
         f" {counts.constraint_violation:.1e}",
         *([f"  branch: {counts.branch}"] if counts.branch else []),
-        f"  time: {seconds[0]:.3g} s of the processor, {seconds[1]:.3g} s by the clock",
+        f"  time: {seconds[0]:.3g} s of processor time, {seconds[1]:.3g} s of wall time",
         f"  versions: {', '.join(versions)}, Python {platform.python_version()}, {platform.system()}",
     ]
 
 
 def _rest(path: Reference, order: int, units: Sequence[str]) -> str:
-    """Say at which ends a path rests, up to a derivative, and what moves at the others."""
+    """Return at which ends a path rests, up to a derivative, and the speed or higher derivative at the others."""
     order = min(order, path.max_order)
     jets = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, 101), order)[:, 1:], axis=-1)
     moving = []
@@ -132,6 +115,6 @@ def _rest(path: Reference, order: int, units: Sequence[str]) -> str:
     if not moving:
         return "at rest at start and end"
     return (
-        f"not at rest: {' and '.join(moving)}, so that the inputs jump there; let the file begin and end with rows at"
-        " rest, or take --waypoints"
+        f"not at rest: {' and '.join(moving)}, so that the inputs jump there; add rows at rest at both ends of the"
+        " file, or use --waypoints"
     )

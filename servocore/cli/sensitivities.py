@@ -1,4 +1,4 @@
-"""The command ``servocore sensitivities``: how inputs and load change with the parameters, as table and figure."""
+"""The command ``servocore sensitivities``: sensitivities of inputs and load to the parameters, as table and figure."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from servocore.planning.sensitivities import Sensitivities, sensitivities
 
 EXAMPLES = ("rotary_crane", "overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png")
 
-FIXED: dict[str, object] = {"by": (), "columns": None, "verbose": False}
+FIXED: dict[str, object] = {"columns": None, "verbose": False}
 
 
 @dataclass(frozen=True)
 class ByParameters:
-    """By what is differentiated."""
+    """Parameters to differentiate by."""
 
     title = "Sensitivities"
 
@@ -33,11 +33,11 @@ class ByParameters:
 
 
 def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows: Rows, results: Table) -> None:
-    """Say how inputs and load change with the parameters.
+    """Compute the sensitivities of inputs and load to the parameters.
 
-    The derivatives are exact. The table tells the largest effect of one per cent more of each parameter: on the inputs
-    that the path asks for, and on where the load goes (drift) if the inputs stay as they were. With --output all
-    derivatives over time go into a file.
+    The derivatives are exact. The table shows the largest effect of one per cent more of each parameter: on the inputs
+    for the prescribed path, and on the position of the load (drift) under unchanged inputs. With --output all
+    derivatives over time are written to a file.
     """
     moved = path.along(subject.chosen(), subject.model)
     rows.require(moved.reference.duration)
@@ -50,7 +50,7 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
 
 def _table(result: Sensitivities) -> rich.table.Table:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("of")
+    table.add_column("quantity")
     for name in result.parameters:
         table.add_column(f"by {name}", justify="right")
     for quantity in result.quantities:

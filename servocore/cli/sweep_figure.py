@@ -1,4 +1,4 @@
-"""The page of a sweep: the peak of the first input over what varies, and a table of all that was computed."""
+"""The page of a sweep: the peak of the first input over the varied parameters, and a table of all results."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import html
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,9 @@ img {{ max-width: 100%; }} table {{ border-collapse: collapse; }}
 td, th {{ padding: 0.2rem 1rem 0.2rem 0; text-align: left; }}
 td + td, th + th {{ text-align: right; }} .wide {{ overflow-x: auto; }}</style></head>
 <body><h1>Sweep of {title}</h1>
-<p>{cases} cases, {failed} not solved. What varies: {varied}.</p>
+<p>{cases} cases, {failed} not solved. Varied: {varied}.</p>
 <img alt="{alt}" src="data:image/png;base64,{picture}">
-<div class="wide"><table><tr><th>quantity</th><th>unit</th><th>least</th><th>median</th><th>largest</th></tr>
+<div class="wide"><table><tr><th>quantity</th><th>unit</th><th>minimum</th><th>median</th><th>maximum</th></tr>
 {rows}</table></div>
 {failures}<p>Open the numbers with <code>{opening}</code>.</p></body></html>
 """
@@ -39,11 +39,11 @@ def sweep_page(swept: Any, title: str, store: str) -> tuple[str, bytes]:
     axes.set_title("")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
-    return _page(swept, title, first, stream.getvalue(), store), stream.getvalue()
+    return _page(swept, settings["varied"], title, first, stream.getvalue(), store), stream.getvalue()
 
 
 def _draw(axes: Axes, swept: Any, varied: Sequence[str], name: str) -> None:
-    """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
+    """Draw a peak over one or two varied parameters; over further dimensions its maximum."""
     x, y = (*varied, name)[:2]
     if "case" in swept.sizes:
         swept.plot.scatter(x=x, y=y, ax=axes, s=5, edgecolors="none", **({} if y == name else {"hue": name}))
@@ -60,13 +60,13 @@ def _draw(axes: Axes, swept: Any, varied: Sequence[str], name: str) -> None:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """Return what sorts the variables of a dataset: a store gives them in no order of its own."""
+    """Return the sort key of a variable of a dataset: a store has no order."""
     return (name.startswith("margin_") - name.startswith("peak_"), name)
 
 
-def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str:
+def _page(swept: Any, varied: Mapping[str, Any], title: str, first: str, picture: bytes, store: str) -> str:
     failures = swept.failure.to_numpy().ravel()
-    told = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
+    reasons = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
     rows = []
     for name in sorted(swept, key=_order):
         if name == "failure" or "instant" in swept[name].dims:
@@ -76,16 +76,12 @@ def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str
         shown = [f"{value:.4g}" for value in np.quantile(finite, (0.0, 0.5, 1.0))] if finite.size else ["–"] * 3
         cells = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in (name, swept[name].attrs["units"], *shown))
         rows.append(f"<tr>{cells}</tr>\n")
-    sentences = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in told[:_SENTENCES])
-    more = f"<p>Cases that are not solved say, among others:</p><ul>{sentences}</ul>\n" if told else ""
-    settings = json.loads(swept.attrs["settings"])
-    varied = ", ".join(
-        f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
-        for name, (_, values) in settings["varied"].items()
-    )
+    sentences = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in reasons[:_SENTENCES])
+    more = f"<p>Reasons why cases are not solved, among others:</p><ul>{sentences}</ul>\n" if reasons else ""
+    ranges = [f"{name} from {min(row):g} to {max(row):g} ({len(row)})" for name, (_, row) in varied.items()]
     opening = f'{"pandas.read_parquet" if store.endswith(".parquet") else "xarray.open_zarr"}("{store}")'
     return _PAGE.format(
-        title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()), varied=html.escape(varied),
-        alt=f"{first} over what varies", picture=base64.b64encode(picture).decode(), rows="".join(rows), failures=more,
-        opening=html.escape(opening, quote=False),
+        title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()),
+        varied=html.escape(", ".join(ranges)), alt=f"{first} over the varied parameters", rows="".join(rows),
+        picture=base64.b64encode(picture).decode(), failures=more, opening=html.escape(opening, quote=False),
     )  # fmt: skip

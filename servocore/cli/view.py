@@ -16,7 +16,7 @@ EXAMPLES = ("rotary_crane", "my_module:my_scene -o mine.html --reference cycle.c
 
 @dataclass(frozen=True)
 class Page:
-    """Where the page goes."""
+    """The page to write."""
 
     title = "Results"
 
@@ -26,9 +26,9 @@ class Page:
 def view_scene(subject: Subject, path: GivenPath, limits: GivenLimits, rows: Rows, page: Page) -> None:
     """Write a scene as a live page: one HTML file that opens without a server.
 
-    It shows the system in space and moving, and its inputs over time. Sliders for data, duration, start and target
-    compute everything again while one drags, and limits light up when exceeded. Scenes with internal dynamics are
-    shown as solved.
+    It shows the motion of the system in space, and its inputs over time. Sliders for parameters, duration, start and
+    target recompute the motion while they are dragged; exceeded limits are highlighted. For scenes with internal
+    dynamics the page shows the solution without sliders.
     """
     scene = subject.chosen()
     file = require_page(page.output or f"{scene.name}.html")

@@ -19,7 +19,7 @@ from functools import partial
 from importlib import metadata
 from pathlib import Path
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, install
 from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import c_compiler, compile_in
 
@@ -121,8 +121,7 @@ def chosen_targets(targets: str | None, fmi: int) -> tuple[str, ...]:
     foreign = [name for name in names if name != host()]
     if foreign and zig() is None:
         raise InvalidSetting(
-            f"building for {', '.join(foreign)} needs the package ziglang: pip install 'servocore[native]',"
-            f" or use --targets {HOST}"
+            f"building for {', '.join(foreign)} needs the package ziglang: {install('native')}, or use --targets {HOST}"
         )
     return tuple(dict.fromkeys(names))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import casadi as ca
 
-from servocore.errors import InvalidModel, InvalidSetting
+from servocore.errors import InvalidModel, InvalidSetting, install
 from servocore.export.building import followed, inverse_model
 from servocore.export.c_functions import c_source, checked_once, copied_in_one_place, scratch_of
 from servocore.export.inverse_model import InverseModel
@@ -84,7 +84,7 @@ def require_module(path: str | Path) -> Path:
         raise InvalidSetting(f"cannot write {file}: the name of a WebAssembly module ends with .wasm")
     require_places({"the module": file, "its loader": loader_beside(file)})
     if zig() is None:
-        raise InvalidSetting("WebAssembly is built by the package ziglang: pip install 'servocore[native]'")
+        raise InvalidSetting(f"WebAssembly is built by the package ziglang: {install('native')}")
     return file
 
 
@@ -188,7 +188,7 @@ def _without_margins(begin: ca.Function) -> ca.Function:
 def _compiled(source: str, title: str) -> bytes:
     command = zig()
     if command is None:
-        raise InvalidSetting("WebAssembly is built by the package ziglang: pip install 'servocore[native]'")
+        raise InvalidSetting(f"WebAssembly is built by the package ziglang: {install('native')}")
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         Path(folder, "module.c").write_text(source, encoding="utf-8")
         call = [*command, "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]

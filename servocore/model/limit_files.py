@@ -1,97 +1,13 @@
-"""Limits from texts and files: what command lines are given, as `Scene.with_limits` takes it."""
+"""Limits from files, as `Scene.with_limits` takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
-from servocore.errors import InvalidModel, InvalidSetting
+from servocore.errors import InvalidModel
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_table
-
-
-def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
-    """Return limits from texts such as ``F=60``, ``M_w=-104..-92`` or ``swing=5 deg``.
-
-    Parameters
-    ----------
-    texts : iterable of str
-        One a limit.
-
-    Raises
-    ------
-    InvalidSetting
-        If a text is none, or a name is given twice.
-    """
-    by_name: dict[str, Bounds] = {}
-    for text in texts:
-        name, equals, bounds = (part.strip() for part in text.partition("="))
-        lower, pair, upper = (side.strip() for side in bounds.partition(".."))
-        if name in by_name:
-            raise InvalidSetting(f"--limit gives {name} twice, the second time as {text!r}")
-        if not (name and equals and bounds.strip(".")):
-            raise InvalidSetting(
-                f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60, M_w=-104..-92, swing=5deg or"
-                f" s.rate=1.2"
-            )
-        if ":" in bounds:
-            raise InvalidSetting(f"--limit {text!r}: a range is written {name}={bounds.replace(':', '..', 1)}")
-        by_name[name] = (lower or None, upper or None) if pair else lower
-    return by_name
-
-
-def limits_given(texts: Iterable[str] | None, file: str | Path | None) -> dict[str, Bounds]:
-    """Return the limits of a file, if there is one, and of texts, which replace those of the file.
-
-    Parameters
-    ----------
-    texts : iterable of str or None
-        One a limit: ``F=60``, ``M_w=-104..-92``, ``swing=5 deg`` or ``s.rate=1.2``.
-    file : str, Path or None
-        TOML, see `read_limits`.
-
-    Returns
-    -------
-    dict
-        For `Scene.with_limits`, which knows the names.
-
-    Raises
-    ------
-    InvalidModel, InvalidSetting
-        If the file cannot be read or a limit is none.
-    """
-    return {**({} if file is None else read_limits(file)), **limits_of_texts(texts or ())}
-
-
-def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Return factors of parameters from texts such as ``load_mass=0.9..1.1``.
-
-    Parameters
-    ----------
-    texts : iterable of str
-        One a parameter.
-
-    Returns
-    -------
-    dict of str to tuple of float
-        Lower and upper factor by the name of the parameter.
-
-    Raises
-    ------
-    InvalidSetting
-        If a text is none, or a name is given twice.
-    """
-    factors: dict[str, tuple[float, float]] = {}
-    for text in texts:
-        name, _, both = (part.strip() for part in text.partition("="))
-        low, _, high = both.partition("..")
-        if name in factors:
-            raise InvalidSetting(f"--robust gives {name} twice, the second time as {text!r}")
-        try:
-            factors[name] = (float(low), float(high))
-        except ValueError:
-            raise InvalidSetting(f"--robust {text!r} is not NAME=LOW..HIGH, such as load_mass=0.9..1.1") from None
-    return factors
 
 
 def read_limits(path: str | Path) -> dict[str, Bounds]:
