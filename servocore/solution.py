@@ -173,7 +173,7 @@ class Solution:
     advice: str = ""
     estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
     margins: Mapping[str, Margin] = field(default_factory=dict)
-    origin: Any = field(default=None, repr=False)  # a `Problem`, of a room above this one
+    origin: Any = field(default=None, repr=False)  # a `Problem`, of a higher layer
 
     def __post_init__(self) -> None:
         self._lock()
@@ -369,7 +369,7 @@ class Solution:
         names : sequence of str, optional
             Trajectories to write.
         """
-        from pathlib import Path  # noqa: PLC0415 - with what it imports, it would take longer than all other rooms
+        from pathlib import Path  # noqa: PLC0415 - with what it imports, it would take longer than all other modules
 
         from servocore.files import csv_text, write_together  # noqa: PLC0415
 
