@@ -59,7 +59,10 @@ class ExactEvaluation:
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at instants (N,), shape (rows, N) each; NaN where they are not solved."""
-        results = self.by_expression(problem, t)
+        return self.completed(problem, t, self.by_expression(problem, t))
+
+    def completed(self, problem: Problem, t: Array, results: list[Array]) -> list[Array]:
+        """Return results of `by_expression` with Newton's method in the place of NaN."""
         left = self._left(results)
         if len(left):
             jets = problem.reference.jet(t[left], self.by_expression.order)
