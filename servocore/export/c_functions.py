@@ -9,12 +9,12 @@ from pathlib import Path
 
 import casadi as ca
 
+from servocore.numerics.machine_code import code_generator
+
 
 def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
     """Return header and C source of functions, in files of a name."""
-    generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
-    for function in functions:
-        generator.add(function)
+    generator = code_generator(name, functions, with_header=True, casadi_int="int")
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         generator.generate(f"{folder}/")
         header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
@@ -79,12 +79,6 @@ _COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
 def copied_in_one_place(source: str) -> str:
     """Return C source that calls its function for copies of arrays, of which there are many, and repeats it nowhere."""
     return _COPY.sub("__attribute__((noinline)) ", source)
-
-
-def renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function by another name, with results that have all their numbers."""
-    arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])
 
 
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
 from servocore.export.variables import Choice, order_name
+from servocore.numerics.machine_code import renamed
 
 _NAMES = ("first_samples", "estimate", "worth")
 

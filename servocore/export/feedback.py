@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.c_functions import renamed
 from servocore.export.variables import INPUT_TIME
 from servocore.model.quantity import Quantity
+from servocore.numerics.machine_code import renamed
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,14 +84,11 @@ class Projection:
         Basis of its kernel, shape (n, n - m), equation (26).
     W : casadi.SX
         Shape (n, m) with M W = C^T, so that W^T stands for C M^-1 in (27) even when M is singular.
-    boolean : bool
-        Whether C and D hold zeros and ones only, each row of C a single one.
     """
 
     C: ca.SX
     D: ca.SX
     W: ca.SX
-    boolean: bool
 
 
 def project(system: MechanicalSystem) -> Projection:
@@ -110,14 +107,14 @@ def project(system: MechanicalSystem) -> Projection:
     W = mass_inverse_times(system, C.T)
     if selected is not None:
         free = [k for k in range(C.size2()) if k not in selected]
-        return Projection(C, ca.SX.eye(C.size2())[:, free], W, boolean=True)
+        return Projection(C, ca.SX.eye(C.size2())[:, free], W)
     dependent = system.dependent_coordinates()
     free = [k for k in range(C.size2()) if k not in dependent]
     D = ca.SX.zeros(C.size2(), len(free))
     D[free, :] = ca.SX.eye(len(free))
     if free:
         D[dependent, :] = -ca.solve(C[:, dependent], C[:, free])
-    return Projection(C, ca.sparsify(D), W, boolean=False)
+    return Projection(C, ca.sparsify(D), W)
 
 
 def _boolean_columns(C: ca.SX) -> list[int] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
@@ -25,9 +26,16 @@ _SECOND = 2  # call from which on it is worth a look
 Loaded = TypeVar("Loaded")
 
 
-def pays(calls: int, count: int) -> bool:
-    """Whether so many calls, this one included, or so many instants are worth writing a source and compiling it."""
-    return calls >= _SECOND or count >= MANY
+@dataclass
+class Use:
+    """Counter of calls that decides whether machine code is worth its compilation."""
+
+    calls: int = 0
+
+    def pays(self, count: int, called: bool = True) -> bool:
+        """Count a call if this is one; return whether the calls, or so many instants, are worth a compilation."""
+        self.calls += called
+        return self.calls >= _SECOND or count >= MANY
 
 
 class JustInTime(Generic[Loaded]):
@@ -58,7 +66,7 @@ class JustInTime(Generic[Loaded]):
         native: bool | None = None,
         again: bool = False,
     ) -> None:
-        self._make, self._load, self._calls = make, load, int(again)
+        self._make, self._load, self._use = make, load, Use(int(again))
         self._build: Build | None = None
         self._loaded: Loaded | None = None
         self._settled = native is not None
@@ -70,8 +78,7 @@ class JustInTime(Generic[Loaded]):
 
     def best(self, count: int, called: bool = True) -> Loaded | None:
         """Return machine code for so many instants if it is there; a call (is this one?) brings it nearer."""
-        self._calls += called
-        if not self._settled and pays(self._calls, count):
+        if self._use.pays(count, called) and not self._settled:
             self._look()
         return self._loaded
 

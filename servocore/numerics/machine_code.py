@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -265,10 +265,8 @@ def compiled(function: ca.Function, of_what: str) -> ca.Function:
 
 def build_of(functions: Mapping[str, ca.Function], of_what: str) -> Build:
     """Return what is to be built of functions by any name."""
-    generator = ca.CodeGenerator("program.c")
-    for name, function in functions.items():
-        generator.add(_renamed(function, f"sc_native_{name}"))
-    return Build(generator.dump(), of_what)
+    named = [renamed(function, f"sc_native_{name}") for name, function in functions.items()]
+    return Build(code_generator("program", named).dump(), of_what)
 
 
 def loaded(library: Path, name: str) -> ca.Function:
@@ -276,7 +274,15 @@ def loaded(library: Path, name: str) -> ca.Function:
     return ca.external(f"sc_native_{name}", str(library))
 
 
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function of another name: names must differ within a library, and none is longer than C allows."""
+def code_generator(name: str, functions: Iterable[ca.Function], **options: bool | str) -> ca.CodeGenerator:
+    """Return CasADi's generator of the C source of functions, in files of a name."""
+    generator = ca.CodeGenerator(f"{name}.c", options)
+    for function in functions:
+        generator.add(function)
+    return generator
+
+
+def renamed(function: ca.Function, name: str) -> ca.Function:
+    """Return a function of another name with dense results: names differ in a library, and C bounds their length."""
     arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, list(function.call(arguments)))
+    return ca.Function(name, arguments, [ca.densify(result) for result in function.call(arguments)])

@@ -80,29 +80,6 @@ class Plant:
         # step late on average, and a closed loop would be of first order in h.
         return call_of(self.step)(state, u, u_dot, d, p, h)[0]
 
-    def advance_held(self, state: Array, d: Array, p: Array, h: float) -> Array:
-        """Return the state after one step with the inputs held.
-
-        Parameters
-        ----------
-        state : ndarray, shape (2 n,)
-            (q, v) before the step.
-        d : ndarray, shape (m,)
-            Forces of a disturbance along the servo outputs.
-        p : ndarray
-            Parameters.
-        h : float
-            Step in s.
-
-        Returns
-        -------
-        ndarray, shape (2 n,)
-            (q, v) after the step.
-        """
-        # Brakes keep B v, the velocities along the inputs, at what they are: d(B v)/dt = 0 replaces known inputs, and u
-        # comes out as the multipliers of these rows. A plant that moves when they close keeps moving.
-        return call_of(self.held_step)(state, d, p, h)[0]
-
     def values(self, state: Array, u: Array | None, d: Array, p: Array) -> dict[str, float]:
         """Return the values of the channels by name; `u` is None where the inputs are held.
 
@@ -157,7 +134,8 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     h = ca.MX.sym("h")
     # Four stages with the input linear over the step: explicit, so that a plant in an FMU costs the same each step.
     free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
-    # Held inputs are forces of the constraints B v = const: they come out of the bordered system.
+    # Brakes keep B v, the velocities along the inputs: d(B v)/dt = 0 replaces known inputs, and u comes out as the
+    # multipliers of these rows. A plant that moves when they close keeps moving.
     held = _runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.just_in_time import MANY, pays
+from servocore.numerics.just_in_time import MANY, Use
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem
@@ -34,7 +34,7 @@ class PathFunction:
     def __init__(self, function: ca.Function, native: bool | None, of_what: str) -> None:
         self.function, self._native, self._of_what = function, native, of_what
         self.order = int(function.size2_in(0)) - 1
-        self._calls = 0
+        self._use = Use()
         # The path that machine code was last called with, at most one: to choose again takes longer than to evaluate.
         self._last: list[tuple[Reference, Vectorized, Array]] = []
 
@@ -97,10 +97,9 @@ class PathFunction:
         That pays from the second call on.
         """
         formula = reference.formula
-        self._calls += called
         # To put a path inside means to write and to compile a function: a single call is over before.
-        inside = self._native or (pays(self._calls, count) and (self._native is None or count <= _FEW))
-        if not inside or formula is None or not self.function.is_a("SXFunction"):
+        pays = self._use.pays(count, called) and (self._native is None or count <= _FEW)
+        if not (self._native or pays) or formula is None or not self.function.is_a("SXFunction"):
             return self._of_jets, None
         return _inside(self.function, formula, self._native, self._of_what), formula
 
