@@ -1,6 +1,6 @@
 """The projected equations: (29) on redundant coordinates, (19) on generalized ones.
 
-`project` gives the matrices C, D and C M^-1 by which they split the momentum equation, (14) to (28).
+`project` returns the matrices C, D and C M^-1 that split the momentum equation, (14) to (28).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Projected:
     Attributes
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     """
 
     name: str = "projected"
@@ -37,7 +37,7 @@ class Projected:
         """Return q_dot = v, D^T M v_dot = -D^T {...}, 0 = C M^-1 {...} - xi, 0 = c, 0 = g."""
         projection = project(system)
         forces = system.bias + system.constraint_forces
-        # c'' = 0 gives C v_dot = gamma'' - C_dot v; xi is minus that, and no v_dot is left in the algebraic rows.
+        # c'' = 0 yields C v_dot = gamma'' - C_dot v = -xi, so that the algebraic rows contain no v_dot.
         xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.path[:, 2]
         return mechanical_dae(
             system,
@@ -56,7 +56,7 @@ class Projected:
 
 
 def _index(system: MechanicalSystem, W: ca.SX) -> int:
-    """Return the differentiation index of (29) from what (1) has to be differentiated.
+    """Return the differentiation index of (29) from the numbers of differentiations of (1).
 
     The second derivative of c = 0 stands among the rows of (29) already, which saves two differentiations of it. But
     c = 0 itself has to be differentiated twice, for v_dot along C occurs nowhere else, and once more unless that row
@@ -92,7 +92,7 @@ class Projection:
 
 
 def project(system: MechanicalSystem) -> Projection:
-    """Find C, D and W of a system.
+    """Return C, D and W of a system.
 
     D is the Boolean complement of a Boolean C. Otherwise C = [C_d, C_i] is split into dependent and independent
     columns, and D = [-C_d^-1 C_i; I].

@@ -1,4 +1,4 @@
-"""Limits from texts and files: what command lines are given, as `Scene.with_limits` takes it."""
+"""Limits from texts and files, as arguments of `Scene.with_limits`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     Parameters
     ----------
     texts : iterable of str
-        One a limit.
+        One per limit.
 
     Raises
     ------
     InvalidSetting
-        If a text is none, or a name is given twice.
+        If a text is not a limit, or a name is given twice.
     """
     by_name: dict[str, Bounds] = {}
     for text in texts:
@@ -41,24 +41,24 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
 
 
 def limits_given(texts: Iterable[str] | None, file: str | Path | None) -> dict[str, Bounds]:
-    """Return the limits of a file, if there is one, and of texts, which replace those of the file.
+    """Return the limits of a file and of texts, which replace those of the file.
 
     Parameters
     ----------
     texts : iterable of str or None
-        One a limit: ``F=60``, ``M_w=-104..-92``, ``swing=5 deg`` or ``s.rate=1.2``.
+        One per limit: ``F=60``, ``M_w=-104..-92``, ``swing=5 deg`` or ``s.rate=1.2``.
     file : str, Path or None
         TOML, see `read_limits`.
 
     Returns
     -------
     dict
-        For `Scene.with_limits`, which knows the names.
+        Arguments of `Scene.with_limits`.
 
     Raises
     ------
     InvalidModel, InvalidSetting
-        If the file cannot be read or a limit is none.
+        If the file cannot be read or a limit is invalid.
     """
     return {**({} if file is None else read_limits(file)), **limits_of_texts(texts or ())}
 
@@ -69,7 +69,7 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     Parameters
     ----------
     texts : iterable of str
-        One a parameter.
+        One per parameter.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     Raises
     ------
     InvalidSetting
-        If a text is none, or a name is given twice.
+        If a text is not a limit, or a name is given twice.
     """
     factors: dict[str, tuple[float, float]] = {}
     for text in texts:
@@ -105,13 +105,13 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     Returns
     -------
     dict
-        For `Scene.with_limits`, which knows the names. Beside a limit of ``s``, that of its rate stands in quotation
-        marks, ``"s.rate" = 1.2``: TOML takes ``s.rate`` for a part of a table ``s``.
+        Arguments of `Scene.with_limits`. Beside a limit of ``s``, that of its rate needs quotation marks,
+        ``"s.rate" = 1.2``: in TOML ``s.rate`` is a key of a table ``s``.
 
     Raises
     ------
     InvalidModel
-        If the file cannot be read or is not TOML, or a value is no number, text or pair of these.
+        If the file cannot be read or is not TOML, or a value is not a number, a text or a pair of these.
     """
     path = Path(path)
     try:
@@ -128,7 +128,7 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
         table = dict(inner)
     limits: dict[str, Bounds] = {}
     for name, value in table.items():
-        if isinstance(value, Mapping):  # TOML takes s.rate for a table s
+        if isinstance(value, Mapping):  # in TOML s.rate is a table s
             limits |= {
                 f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
                 for derivative, inside in value.items()

@@ -1,4 +1,4 @@
-"""Just-in-time compilation: what is interpreted becomes machine code where that pays."""
+"""Just-in-time compilation of interpreted functions where the work is worth it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
     from servocore.numerics.machine_code import Build
 
-# Compilers are imported where one is needed: a program that solves once needs none.
+# The compiler's modules are imported on use: a program that solves once needs none.
 
 MANY = 10_000
-"""Instants from which on machine code is worth being made for a first call."""
+"""Number of instants from which on a first call is worth a compilation."""
 
 NAME, LANES = "sc_run", 8
-"""What a function of many instants is called in its library, and how many of them it takes at once, at least."""
+"""Name of a function of many instants in its library, and the least number of instants that it takes."""
 
-_SECOND = 2  # call from which on it is worth a look
+_SECOND = 2  # call from which on a compilation is worth it
 
 Loaded = TypeVar("Loaded")
 
@@ -39,19 +39,19 @@ class Use:
 
 
 class JustInTime(Generic[Loaded]):
-    """Machine code that is there as soon as it is worth being made.
+    """Machine code that is compiled in the background, as soon as the work is worth it.
 
     Parameters
     ----------
     make : callable
-        () -> what is to be built; None if it cannot be written as C, or is too long.
+        () -> the build; None if it cannot be written as C, or is too long.
     load : callable
-        Library -> what runs from it.
+        Library -> the loaded function.
     native : bool or None
-        True makes it now, False never; with None it is used if it was made before, and made in the background when
-        there is enough to do.
+        True compiles at once, False never. None takes a library from the cache, and compiles in the background if the
+        work is worth it.
     again : bool
-        Whether what it is for was evaluated before.
+        Whether the function was evaluated before.
 
     Raises
     ------
@@ -77,13 +77,13 @@ class JustInTime(Generic[Loaded]):
             self._loaded = load(built(build))
 
     def best(self, count: int, called: bool = True) -> Loaded | None:
-        """Return machine code for so many instants if it is there; a call (is this one?) brings it nearer."""
+        """Return machine code for so many instants if it is compiled; with `called`, count a call."""
         if self._use.pays(count, called) and not self._settled:
-            self._look()
+            self._obtain()
         return self._loaded
 
-    def _look(self) -> None:
-        """Take machine code that is there; have it built if it is not."""
+    def _obtain(self) -> None:
+        """Load machine code from the cache, or start its compilation in the background."""
         from servocore.numerics.machine_code import BACKGROUND, automatic, library_of  # noqa: PLC0415
 
         if self._build is None:
@@ -95,14 +95,14 @@ class JustInTime(Generic[Loaded]):
             if library is not None:
                 with suppress(OSError, RuntimeError):  # a library that cannot be loaded
                     self._loaded = self._load(library)
-            self._settled = library is not None or not BACKGROUND.ask(self._build)
+            self._settled = library is not None or not BACKGROUND.start(self._build)
 
 
 Holder = TypeVar("Holder")
 
 
 def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
-    """Return a value with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
+    """Return an object with some of its functions as machine code; `of_what` names it in messages, see `JustInTime`."""
 
     def make() -> Build:
         from servocore.numerics.machine_code import build_of  # noqa: PLC0415
