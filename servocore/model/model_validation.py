@@ -349,26 +349,17 @@ def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _
     outputs, constraints : sequence of names, and casadi.SX
         Names of the rows, and the rows.
     """
-    for name, expression in _named_rows(*outputs):
-        velocities = _velocities(expression, v)
-        if velocities:
-            raise InvalidModel(
-                f"{system}: the output {name} depends on velocities ({velocities}), but a servo constraint prescribes a"
-                " function of the coordinates alone; where the output is the rate of such a function, prescribe that"
-                " function, along the integral of the path"
-            )
-    for name, expression in _named_rows(*constraints):
-        velocities = _velocities(expression, v)
-        if velocities:
-            raise InvalidModel(
-                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints"
-                " are not solved; give its integral if it has one (rolling along a line has), or replace it by a"
-                " force f(q, v) that opposes the forbidden velocity"
-            )
-
-
-def _named_rows(names: Sequence[str], column: ca.SX) -> list[tuple[str, ca.SX]]:
-    return list(zip(names, ca.vertsplit(ca.SX(column)), strict=False))
+    advice = {
+        "output": "but a servo constraint prescribes a function of the coordinates alone; where the output is the rate"
+        " of such a function, prescribe that function, along the integral of the path",
+        "constraint": "and nonholonomic constraints are not solved; give its integral if it has one (rolling along a"
+        " line has), or replace it by a force f(q, v) that opposes the forbidden velocity",
+    }
+    for kind, (names, column) in (("output", outputs), ("constraint", constraints)):
+        for name, expression in zip(names, ca.vertsplit(ca.SX(column)), strict=False):
+            velocities = _velocities(expression, v)
+            if velocities:
+                raise InvalidModel(f"{system}: the {kind} {name} depends on velocities ({velocities}), {advice[kind]}")
 
 
 def _velocities(expression: ca.SX, v: ca.SX) -> str:

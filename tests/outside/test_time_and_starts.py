@@ -137,7 +137,7 @@ def test_a_time_that_is_no_symbol_is_refused() -> None:
 
 
 def test_a_plant_knows_no_time() -> None:
-    with pytest.raises(sc.InvalidModel, match="depend on the time, which is not part of a plant.s state; use simulate"):
+    with pytest.raises(sc.InvalidModel, match="depend on the time, which is not part of a plant's state; use simulate"):
         sc.compile_plant(timed.crane_on_a_ship())
 
 
