@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flexible import dalembert, wave_time
+from flexible import wave_time
 from numpy.polynomial import Polynomial
 from numpy.polynomial.legendre import leggauss
 from present import present
@@ -15,7 +15,7 @@ from present import present
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
-from servocore.scenes.elastic_bar import elastic_bar
+from servocore.scenes.elastic_bar import dalembert, elastic_bar
 
 DURATION = 2.0
 COUNTS = (2, 3, 6, 12)

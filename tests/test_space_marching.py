@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.integrate
-from flexible import dalembert, wave_time
+from flexible import wave_time
 
 import servocore as sc
 from servocore import periodic
 from servocore.scenes.bar_marching import BarMotion, march_bar
+from servocore.scenes.elastic_bar import dalembert
 
 BAR = sc.scenes.elastic_bar()
 VALUES = BAR.parameter_values()

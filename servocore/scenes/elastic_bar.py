@@ -11,7 +11,7 @@ the nodes. An inner node carries the mass of one piece, rho A L/(N - 1), an end 
 Left out: damping, bending, large strain.
 
 The chain is that of the cars: index 2 N + 1, no internal dynamics, closed form by jets. The bar itself obeys the wave
-equation, and d'Alembert's solution moves its free end along gamma, with c = sqrt(E A/(rho A)):
+equation, and d'Alembert gives what moves its free end along gamma (`dalembert`), with c = sqrt(E A/(rho A)):
 
     w(X, t) = (gamma(t + X/c) + gamma(t - X/c))/2 + c m/(2 E A) (gamma'(t + X/c) - gamma'(t - X/c)),
     u(t) = E A/(2 c) (gamma'(t + L/c) - gamma'(t - L/c)) + m/2 (gamma''(t + L/c) + gamma''(t - L/c)).
@@ -28,9 +28,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter, Parameters
+from servocore.numerics.compiled_calls import Array
+from servocore.references.base import Reference
 from servocore.scenes.cars import Chain, Values
 
 PARAMETERS = Parameters(
@@ -68,6 +72,38 @@ class Bar(Chain):
         """Return where the nodes are: displacements count from where they rest."""
         rest = (v["length"] * i / (self.count - 1) for i in range(self.count))
         return [x + displacement for x, displacement in zip(rest, super().places(v), strict=True)]
+
+
+def dalembert(
+    t: Array, reference: Reference, parameters: Mapping[str, float], section: float | None = None
+) -> dict[str, Array]:
+    """Exact solution of the continuous bar at one of its sections, when the free end follows the path.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times in s, also before the start of the path and after its end.
+    reference : Reference
+        Path of the free end, with two derivatives, at rest before and after.
+    parameters : mapping of str to float
+        All four parameters.
+    section : float, optional
+        X in m, distance from the free end; the driven end, X = L, when not given.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        u, force through the section in N, positive in tension: at the driven end the input; w, its displacement in m.
+    """
+    length, axial_stiffness, line_mass, end_mass = (parameters[name] for name in PARAMETERS.names)
+    speed = np.sqrt(axial_stiffness / line_mass)
+    delay = (length if section is None else section) / speed
+    early, late = (np.moveaxis(reference.jet(t + shift, 2)[..., 0], -1, 0) for shift in (delay, -delay))
+    difference, total = early - late, early + late
+    return {
+        "u": axial_stiffness / (2 * speed) * difference[1] + end_mass / 2 * total[2],
+        "w": total[0] / 2 + speed * end_mass / (2 * axial_stiffness) * difference[1],
+    }
 
 
 def elastic_bar(count: int = 3) -> Scene:
