@@ -1,8 +1,8 @@
-"""`Dae`: the waist of the library, equation (20). Formulations make one, methods step one.
+"""`Dae`: equation (20), the interface between formulations, which make one, and methods, which step one.
 
     H(x) x_dot = f(x, z, t),    0 = h(x, z, t)
 
-Time enters through the reference gamma(t) and its derivatives only, so they stand in the place of t.
+Time enters through the reference gamma(t) and its derivatives only, which replace t.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from servocore.numerics.expressions import highest_derivative
 
 @dataclass(frozen=True)
 class Unknown:
-    """What a formulation says of one of its unknowns.
+    """Description of an unknown of a `Dae`.
 
     Parameters
     ----------
     variable : str
-        The mechanical variable it belongs to: ``q.s``, ``lam.3``, ``u.F``.
+        The mechanical variable: ``q.s``, ``lam.3``, ``u.F``.
     order : int
-        Which time derivative of the variable it is: 0, or 1 for a velocity.
+        Order of the time derivative of the variable: 0, or 1 for a velocity.
     nominal : float
         Typical magnitude in SI units.
     """
@@ -37,7 +37,7 @@ class Unknown:
     def level(self) -> int:
         """0 for positions, 1 for velocities, 2 for accelerations, multipliers and inputs, and so on.
 
-        An error e of the positions shows as e/h^level, so unknowns are scaled by h^-level.
+        An error e of the positions appears as e/h^level, so that unknowns are scaled by h^-level.
         """
         return self.order + (0 if self.variable.startswith("q.") else 2)
 
@@ -49,14 +49,14 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Equation:
-    """What a formulation says of one of its equations.
+    """Description of an equation of a `Dae`.
 
     Parameters
     ----------
     name : str
-        For messages.
+        Name in messages.
     level : int
-        As `Unknown.level`: how often h divides an error of it.
+        As `Unknown.level`: the power of 1/h in an error of it.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Dae:
     f, h : casadi.SX
         Right-hand sides; together as many rows as unknowns.
     gamma : casadi.SX
-        Symbols of the reference, shape (m, orders); `reference_order` says how many are used.
+        Symbols of the reference, shape (m, orders); columns up to `reference_order` are used.
     p : casadi.SX
         Parameters.
     unknowns, equations : tuples
@@ -129,9 +129,9 @@ class Dae:
         expression : casadi.SX
             In the symbols of this equation, such as `f` or `h`.
         x, z : casadi.SX
-            What stands in the place of the unknowns.
+            Replacements of the unknowns.
         reference : casadi.SX
-            What stands in the place of gamma, shape (m, reference_order + 1).
+            Replacement of gamma, shape (m, reference_order + 1).
 
         Returns
         -------
@@ -147,7 +147,7 @@ class Dae:
         Parameters
         ----------
         nodes : int
-            How many.
+            Number of nodes.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class Dae:
     def scales(self, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the magnitudes of unknowns and equations, by which Newton's system becomes well conditioned.
 
-        An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index
+        An error e of the positions appears as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index
         one or less nothing is divided by h, and nothing needs scaling.
 
         Parameters
@@ -172,7 +172,7 @@ class Dae:
         Returns
         -------
         tuple of casadi.SX
-            One entry an unknown, and one an equation.
+            One entry per unknown, and one per equation.
         """
         if self.index <= 1:
             return ca.SX([unknown.nominal for unknown in self.unknowns]), ca.SX.ones(len(self.equations))

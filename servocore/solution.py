@@ -369,7 +369,7 @@ class Solution:
         names : sequence of str, optional
             Trajectories to write.
         """
-        from pathlib import Path  # noqa: PLC0415 - its import takes longer than that of all other layers
+        from pathlib import Path  # noqa: PLC0415 - with what it imports, it would take longer than all other modules
 
         from servocore.files import csv_text, write_together  # noqa: PLC0415
 

@@ -36,7 +36,7 @@ SHARED_MODULES = {
 }
 """Modules of servocore without public names that crane_fmu may import."""
 LONGEST_FUNCTION, LONGEST_FILE = 60, 400
-NUMERICAL_ROOMS = ("formulations", "methods", "numerics", "solvers", "stepping", "structure")
+NUMERICAL_PACKAGES = ("formulations", "methods", "numerics", "solvers", "stepping", "structure")
 LEAST_COMMENTS = 2  # per hundred lines that are not blank
 CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PUBLIC = [(name, getattr(sc, name)) for name in sc.__all__]
@@ -85,10 +85,10 @@ def lines_without_docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int
     return length
 
 
-@pytest.mark.parametrize("room", NUMERICAL_ROOMS)
-def test_a_numerical_room_is_commented(room: str) -> None:
+@pytest.mark.parametrize("package", NUMERICAL_PACKAGES)
+def test_a_numerical_package_is_commented(package: str) -> None:
     comments = lines = 0
-    for path in (ROOT / "servocore" / room).glob("*.py"):
+    for path in (ROOT / "servocore" / package).glob("*.py"):
         text = path.read_text(encoding="utf-8")
         comments += sum(is_comment(each) for each in tokenize.generate_tokens(io.StringIO(text).readline))
         lines += sum(bool(line.strip()) for line in text.splitlines())
@@ -127,16 +127,16 @@ OXFORD = re.compile(  # stems that take -ize; other words do not: otherwise, pre
     r"|recogni|regulari|seriali|stabili|summari|symmetri|synchroni|utili|vectori|visuali)s(e|ing|ation|able)",
     re.IGNORECASE,
 )
-PUBLIC_SPELLING = re.compile(r"\b(generalize|[Dd]iscretis(e|ation)|factorizations|linearized?)\b|emphasis")
+PUBLIC_SPELLING = re.compile(r"\b(generalise|[Dd]iscretis(e|ation)|factorizations|linearized?)\b|emphasis")
 
 
 def test_words_are_spelled_as_in_oxford() -> None:
-    """With -ize where the ending is Greek, but analyse; public names keep theirs."""
-    rooms = ("servocore/", "crane_fmu/", "docs/", "examples/", "tests/", "README.md", "CONTRIBUTING.md")
+    """With -ize where the ending is Greek, but analyse; public names, former ones too, keep theirs."""
+    covered = ("servocore/", "crane_fmu/", "docs/", "examples/", "tests/", "README.md", "CONTRIBUTING.md")
     wrong = [
         f"{name}: {word[0]}"
         for name, text in tracked_texts()
-        if name.startswith(rooms) and not name.endswith((".svg", "0110-words.md", "check_project.py"))
+        if name.startswith(covered) and not name.endswith((".svg", "0110-words.md", "check_project.py"))
         for word in OXFORD.finditer(PUBLIC_SPELLING.sub("", text))
     ]
     assert wrong == []

@@ -186,8 +186,7 @@ class ProjectedModelSuite:
 
     def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, scene_name: str, model: str) -> None:  # noqa: N802
         system = scene(scene_name).model(model)
-        found = project(system)
-        evaluate = ca.Function("CDWM", [system.q, system.p], [found.C, found.D, found.W, system.mass])
+        evaluate = ca.Function("CDWM", [system.q, system.p], [system.C, *project(system), system.mass])
         q, p = system.home_configuration()
         q = q + 0.1 * np.sin(1.0 + np.arange(len(q)))
         C, D, W, M = (np.asarray(each) for each in evaluate(q, p))

@@ -139,7 +139,7 @@ def test_a_case_takes_smaller_steps_where_it_needs_them_and_gives_no_numbers_whe
 def test_what_is_wrong_with_internal_dynamics_is_named() -> None:
     with pytest.raises(sc.InvalidReference, match=r"case 1 of a batch: its path runs from 0 s to 2 s, and the times"):
         sc.Batch(CAR)(INSTANTS, paths=[CAR.reference, sc.rest_to_rest((0.0,), (1.0,), 2.0)])
-    with pytest.raises(sc.InvalidSetting, match="takes no start"):
+    with pytest.raises(sc.InvalidSetting, match="without a start"):
         sc.Batch(CRANE, start={"s": 0.1})
     with pytest.raises(sc.InvalidSetting, match="between 0 and 1"):
         sc.Batch(CAR, tolerance=2.0)

@@ -102,7 +102,7 @@ def test_error_control_takes_no_more_steps_than_it_did(rtol: float) -> None:
     assert found.newton_iterations <= SLACK * iterations
 
 
-def test_a_first_solve_compiles_no_search_and_imports_no_room_that_it_does_not_need() -> None:
+def test_a_first_solve_compiles_no_search_and_imports_no_package_that_it_does_not_need() -> None:
     script = """
 import sys
 import servocore as sc
@@ -118,13 +118,13 @@ print(*sorted({name.split(".")[1] for name in sys.modules if name.count(".") > 1
 print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=600)
-    compiled, rooms, more = done.stdout.splitlines()
+    compiled, packages, more = done.stdout.splitlines()
     assert compiled == "[]"
-    assert rooms == "checks formulations methods model numerics references scenes solvers stepping structure"
+    assert packages == "checks formulations methods model numerics references scenes solvers stepping structure"
     assert more == "[]"
 
 
-def test_functions_keep_their_names_whatever_room_is_imported_first() -> None:
+def test_functions_keep_their_names_whatever_package_is_imported_first() -> None:
     script = "import servocore.cli.effects, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=600)
     assert done.stdout.count("<function") == 2

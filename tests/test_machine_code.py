@@ -373,7 +373,7 @@ def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache: code_ca
     assert stat.S_IMODE(own_cache.folder.stat().st_mode) == 0o700
     assert own_cache.find("a" * 40) is not None
     own_cache.folder.chmod(0o755)
-    assert "mode 0755: it must be its user's alone" in own_cache.refusal()
+    assert "mode 0755: only its user may have access" in own_cache.refusal()
     assert own_cache.find("a" * 40) is None
     assert own_cache.store("b" * 40, b"code") is None
     refused = CliRunner().invoke(app, ["cache"])

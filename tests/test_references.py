@@ -441,8 +441,8 @@ import servocore.references.csv_file, servocore.references.periodic, servocore.s
 from servocore.references.rest_to_rest import rest_to_rest
 rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
-    room = Path(__file__).resolve().parents[1] / "servocore"
-    subprocess.run([sys.executable, "-c", script, str(room)], check=True, timeout=600)
+    package = Path(__file__).resolve().parents[1] / "servocore"
+    subprocess.run([sys.executable, "-c", script, str(package)], check=True, timeout=600)
 
 
 # Stretches -----------------------------------------------------------------------------------------------------------

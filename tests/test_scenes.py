@@ -36,14 +36,14 @@ import servocore as sc
 from servocore.numerics.compiled_calls import Array
 
 
-def exported_implementations(room: str) -> set[str]:
-    """Names of the public classes of a room that are named, without protocols and the values they exchange."""
+def exported_implementations(package: str) -> set[str]:
+    """Names of the public classes of a package that are named, without protocols and the values they exchange."""
     classes = (getattr(sc, name) for name in sc.__all__)
     return {
         each.__name__
         for each in classes
         if isinstance(each, type)
-        and each.__module__.startswith(f"servocore.{room}.")
+        and each.__module__.startswith(f"servocore.{package}.")
         and not getattr(each, "_is_protocol", False)
         and hasattr(each, "name")
     }

@@ -226,7 +226,10 @@ def test_cranes_with_more_physics_are_drawn_as_well(name: str, effect: str) -> N
 @pytest.mark.parametrize(
     ("drawing", "sentence"),
     [
-        (lambda v: [sc.Part("body", ((v["nothing"], 0, 0),))], "its drawing asks for 'nothing'; there are"),
+        (
+            lambda v: [sc.Part("body", ((v["nothing"], 0, 0),))],
+            "its drawing uses 'nothing', which is not reported; there are",
+        ),
         (lambda v: [sc.Part("body", ((v["rope"], 0, 0),), colour="heat")], "coloured by heat, which is not reported"),
         (lambda _: ["body"], "must be a sequence of Part"),
     ],

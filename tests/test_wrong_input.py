@@ -332,7 +332,7 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], sa
         (lambda: a_scene(limits="none"), "mine: limits must be a tuple of Limit, not the text 'none'"),
         (lambda: a_scene(closed_form=3), "mine: closed_form must be a function, not 3"),
         (lambda: sc.analyse("crane"), "what is to be solved must be a Scene, not the text 'crane'"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.compile_plant(CRANE), "what is to be compiled must be a MechanicalSystem, not a Scene"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.compile_plant(CRANE), "the system to be compiled must be a MechanicalSystem, not a Scene"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: rl.revolute(rl.GROUND, rl.GROUND), "a joint is between two places, not a Frame; frame.at(...) is one"),  # type: ignore[arg-type]  # wrong on purpose
         (
             lambda: rl.Assembly((), sc.Parameters(), (0.0, -9.81)),

@@ -236,6 +236,6 @@ def broken_limit(name: str, limit: Limit, first: float, worst: float, value: flo
     if not np.isfinite(value):
         return f"{name}: at t = {first:.6g} s{why} {limit.quantity} is not finite, and has a limit"
     return (
-        f"{name}: at t = {first:.6g} s{why} {limit.quantity} goes beyond its {which} limit of {limit.told(bound)};"
-        f" it reaches {limit.told(value)} at t = {worst:.6g} s"
+        f"{name}: at t = {first:.6g} s{why} {limit.quantity} goes beyond its {which} limit of {limit.with_unit(bound)};"
+        f" it reaches {limit.with_unit(value)} at t = {worst:.6g} s"
     )

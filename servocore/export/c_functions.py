@@ -9,12 +9,12 @@ from pathlib import Path
 
 import casadi as ca
 
+from servocore.numerics.machine_code import code_generator, renamed
+
 
 def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
-    """Return header and C source of functions, for files with this name."""
-    generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
-    for function in functions:
-        generator.add(function)
+    """Return header and C source of functions, in files with this name."""
+    generator = code_generator(name, functions, with_header=True, casadi_int="int")
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         generator.generate(f"{folder}/")
         header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
@@ -79,12 +79,6 @@ _COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
 def copied_in_one_place(source: str) -> str:
     """Return C source whose function for copies of arrays, called very often, is not inlined."""
     return _COPY.sub("__attribute__((noinline)) ", source)
-
-
-def renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function under another name, with dense results."""
-    arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])
 
 
 def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:

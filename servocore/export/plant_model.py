@@ -10,7 +10,6 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.c_functions import renamed
 from servocore.export.directional_derivatives import tangent
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import Bound, NativeModel
@@ -18,6 +17,7 @@ from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.stepping.forward_dynamics import Plant, compile_plant
 from servocore.structure.inversion import inversion

@@ -10,13 +10,14 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
-from servocore.export.c_functions import c_source, renamed
+from servocore.export.c_functions import c_source
 from servocore.export.inverse_model import InverseModel
 from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
+from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.stepping.observation import compile_margins
 from servocore.stepping.program import Program, program_of

@@ -1,4 +1,4 @@
-"""What every formulation offers, and what those in the mechanical variables share."""
+"""The protocol of formulations, and the form shared by those in the mechanical variables."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def mechanical_dae(
     form : str
         Name of the formulation.
     H, f, h : casadi.SX
-        H v_dot = f, 0 = h: what stands in the place of the momentum equation.
+        H v_dot = f, 0 = h, in place of the momentum equation.
     described : sequence of Equation
-        These rows.
+        Names and levels of these rows.
     index : int
         Differentiation index of the form.
     """

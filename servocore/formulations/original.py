@@ -1,4 +1,4 @@
-"""The equations of motion as they stand, equation (1), or (10) on generalized coordinates."""
+"""The unchanged equations of motion, equation (1), or (10) on generalized coordinates."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from servocore.structure.derivative_array import derivative_array
 class Original:
     """Equation (1): index 5 for the crane, 2 n + 1 for n cars.
 
-    A backward Euler step divides position errors by h^4 to get the inputs, so small steps destroy them. The form
-    is kept to show that, and for systems of lower index.
+    A backward Euler step divides position errors by h^4 to get the inputs, so that round-off spoils them at small
+    steps. For comparison, and for systems of lower index.
 
     Attributes
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     """
 
     name: str = "original"

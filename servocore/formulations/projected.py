@@ -1,6 +1,6 @@
 """The projected equations: (29) on redundant coordinates, (19) on generalized ones.
 
-`project` gives the matrices C, D and C M^-1 by which they split the momentum equation, (14) to (28).
+`project` returns the matrices D and W, for C M^-1, that split the momentum equation, (14) to (28).
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ class Projected:
     Attributes
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     """
 
     name: str = "projected"
 
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return q_dot = v, D^T M v_dot = -D^T {...}, 0 = C M^-1 {...} - xi, 0 = c, 0 = g."""
-        projection = project(system)
+        D, W = project(system)
         forces = system.bias + system.constraint_forces
-        # c'' = 0 gives C v_dot = gamma'' - C_dot v; xi is minus that, and no v_dot is left in the algebraic rows.
+        # c'' = 0 yields C v_dot = gamma'' - C_dot v = -xi, so that the algebraic rows contain no v_dot.
         xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.path[:, 2]
         return mechanical_dae(
             system,
             "projected",
             # C D = 0: these rows are the momentum along the directions in which no servo output moves.
-            H=ca.mtimes(projection.D.T, system.mass),
-            f=-ca.mtimes(projection.D.T, forces),
-            # W^T stands for C M^-1, which does not exist where massless coordinates make M singular.
-            h=ca.mtimes(projection.W.T, forces) - xi,
+            H=ca.mtimes(D.T, system.mass),
+            f=-ca.mtimes(D.T, forces),
+            # W^T replaces C M^-1, which does not exist where massless coordinates make M singular.
+            h=ca.mtimes(W.T, forces) - xi,
             described=[
-                *(Equation(f"projected momentum {k + 1}", 2) for k in range(projection.D.size2())),
+                *(Equation(f"projected momentum {k + 1}", 2) for k in range(D.size2())),
                 *(Equation(f"servo acceleration of {quantity.name}", 2) for quantity in system.outputs),
             ],
-            index=_index(system, projection.W),
+            index=_index(system, W),
         )
 
 
 def _index(system: MechanicalSystem, W: ca.SX) -> int:
-    """Return the differentiation index of (29) from what (1) has to be differentiated.
+    """Return the differentiation index of (29) from the numbers of differentiations of (1).
 
     The second derivative of c = 0 stands among the rows of (29) already, which saves two differentiations of it. But
     c = 0 itself has to be differentiated twice, for v_dot along C occurs nowhere else, and once more unless that row
@@ -72,30 +72,11 @@ def _index(system: MechanicalSystem, W: ca.SX) -> int:
     return max(2 if forces_follow else 3, max(others, max(offsets[n : n + m]) - 2) + signature.algebraic)
 
 
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """The matrices that split the momentum equation.
+def project(system: MechanicalSystem) -> tuple[ca.SX, ca.SX]:
+    """Return the matrices D and W that split the momentum equation.
 
-    Attributes
-    ----------
-    C : casadi.SX
-        Servo Jacobian, shape (m, n), equation (23).
-    D : casadi.SX
-        Basis of its kernel, shape (n, n - m), equation (26).
-    W : casadi.SX
-        Shape (n, m) with M W = C^T, so that W^T stands for C M^-1 in (27) even when M is singular.
-    boolean : bool
-        Whether C and D hold zeros and ones only, each row of C a single one.
-    """
-
-    C: ca.SX
-    D: ca.SX
-    W: ca.SX
-    boolean: bool
-
-
-def project(system: MechanicalSystem) -> Projection:
-    """Find C, D and W of a system.
+    D, shape (n, n - m), is a basis of the kernel of C, equation (26). W, shape (n, m), satisfies M W = C^T, so that W^T
+    replaces C M^-1 in (27) even where M is singular.
 
     D is the Boolean complement of a Boolean C. Otherwise C = [C_d, C_i] is split into dependent and independent
     columns, and D = [-C_d^-1 C_i; I].
@@ -110,14 +91,14 @@ def project(system: MechanicalSystem) -> Projection:
     W = mass_inverse_times(system, C.T)
     if selected is not None:
         free = [k for k in range(C.size2()) if k not in selected]
-        return Projection(C, ca.SX.eye(C.size2())[:, free], W, boolean=True)
+        return ca.SX.eye(C.size2())[:, free], W
     dependent = system.dependent_coordinates()
     free = [k for k in range(C.size2()) if k not in dependent]
     D = ca.SX.zeros(C.size2(), len(free))
     D[free, :] = ca.SX.eye(len(free))
     if free:
         D[dependent, :] = -ca.solve(C[:, dependent], C[:, free])
-    return Projection(C, ca.sparsify(D), W, boolean=False)
+    return ca.sparsify(D), W
 
 
 def _boolean_columns(C: ca.SX) -> list[int] | None:

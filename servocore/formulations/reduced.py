@@ -1,4 +1,4 @@
-"""The index-reduced problem: the derivative array of the signature method, solved as it stands."""
+"""The index-reduced problem: the derivative array of the signature method."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from servocore.structure.derivative_array import DerivativeArray, derivative_arr
 class Reduced:
     """The derivative array as a `Dae` of index at most one; exact where there are no internal dynamics.
 
-    The equations and their derivatives, as many as the signature method asks for, determine all derivatives of all
+    The equations and their derivatives, as often as the signature method requires, determine all derivatives of all
     variables but the states of the internal dynamics; those become the differential unknowns. Without internal
-    dynamics (every crane here) nothing is left to integrate: the inputs at an instant follow from the reference and its
-    derivatives at that instant, to round-off, whatever the step.
+    dynamics (every crane here) nothing is integrated: the inputs at an instant follow from the reference and its
+    derivatives at that instant, to round-off, for any step.
 
     Parameters
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     states : tuple of (str, int), optional
         States of the internal dynamics, each a variable and the order of its derivative: ("q.s", 0), ("q.s", 1). Chosen
-        by pivoting when not given, and chosen again by `solve` where they become a bad choice during a run.
+        by pivoting when not given, and again by `solve` during a run where they become ill-conditioned.
     """
 
     name: str = "reduced"
@@ -44,7 +44,7 @@ class Reduced:
         Returns
         -------
         DerivativeArray
-            Found once for a system.
+            The derivative array, the same object for the same system.
         """
         array = derivative_array(system)
         if not self.states:
@@ -62,7 +62,7 @@ class Reduced:
             x=array.column(array.states),
             z=array.column(array.determined),
             H=ca.SX.eye(size_x),
-            # The next derivative of a state is an unknown of the array itself, so that the ODE is explicit: H = 1.
+            # The next derivative of a state is an unknown of the array, so that the ODE is explicit: H = 1.
             f=array.column(tuple((j, order + 1) for j, order in array.states)),
             h=array.residual,
             gamma=system.gamma,

@@ -24,7 +24,7 @@ class BackwardEuler:
     Attributes
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     """
 
     name: str = "backward-euler"

@@ -1,4 +1,4 @@
-"""What every method offers: the equations of one step, as a value."""
+"""The protocol of methods: the equations of one step, as a value."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Orders:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What a method needs to begin with, as symbols: values at instants in the past and rates at the first.
+    """Start of a method as symbols: values at past instants, and rates at the initial time.
 
     Attributes
     ----------
     instants : tuple of float
-        Where values are needed, in steps from the initial time: 0, -1, -2, ...
+        Instants of the values, in steps from the initial time: 0, -1, -2, ...
     values : casadi.SX
         [x; z] at the instants, shape (len x + len z, number of instants).
     rates : casadi.SX
@@ -59,14 +59,14 @@ class Start:
         Parameters
         ----------
         dae : Dae
-            Whose unknowns they are.
+            The form.
         instants : int
-            How many.
+            Number of instants.
 
         Returns
         -------
         Start
-            One column an instant.
+            One column per instant.
         """
         size_x, size = dae.x.numel(), len(dae.unknowns)
         history, rates = ca.SX.sym("history", size, instants), ca.SX.sym("rates", size_x)
@@ -74,7 +74,7 @@ class Start:
 
 
 UNNEEDED = ca.SX()
-"""Default of what a `Discretization` can do without."""
+"""Default of optional fields of a `Discretization`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,24 +90,24 @@ class Discretization:
     next_state : casadi.SX
         The state at the end, an expression of unknowns and givens.
     start : Start
-        What `first_state` is made of.
+        Symbols in `first_state`.
     first_state : casadi.SX
         The state at the initial time, an expression of `start` and `step`.
     x, z : casadi.SX
-        Unknowns of the `Dae` within `state`: what the state says of its own instant.
+        Unknowns of the `Dae` at the instant of `state`.
     nodes : tuple of float
-        Fractions of the step at which the reference is needed.
+        Instants of the reference, as fractions of the step.
     reference : casadi.SX
         Symbols of the reference at the nodes, shape (m, orders * len nodes), node after node.
     step : casadi.SX
         Symbol of the step size h.
     labels : tuple of str
-        What each row of the equations is called in messages.
+        Names of the rows of the equations in messages.
     ratio, rescaled : casadi.SX, optional
-        Symbol of a new step size divided by the old one, and the state made ready for it; the
-        state as it is when not given.
+        Symbol of a new step size divided by the old one, and the state for it; the unchanged
+        state when not given.
     fraction, between : casadi.SX, optional
-        Symbol of a fraction of the last step, and the state with its own instant moved there: dense output. An
+        Symbol of a fraction of the last step, and the state moved there: dense output. An
         expression of state, fraction and step; the end of the step when not given.
     """
 
@@ -134,7 +134,7 @@ class Discretization:
 
 
 class Method(Protocol):
-    """A one-step or multi-step method; implementations are frozen dataclasses that know `Dae` only."""
+    """A one-step or multi-step method; implementations are frozen dataclasses that use `Dae` only."""
 
     @property
     def name(self) -> str:
@@ -179,10 +179,10 @@ def errs_less_with_smaller_steps(method: Method, index: int) -> bool:
 def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     """Return the history of a multistep method, shape (len x + len z, len alpha).
 
-    On forms of index two and more the velocities in it are not the exact ones but those that the difference formula
-    sum_i alpha_i x(t - i h) / h makes of the positions, as it will in every step: an exact velocity would meet
-    differenced ones with a jump of the size of their error, and the inputs would feel the jump divided by h. With
-    h = 0 (a start whose step is not known yet) the velocities stay exact. A start that knows one instant only is
+    On forms of index two and more its velocities follow from the positions by the difference formula
+    sum_i alpha_i x(t - i h) / h, as in every step: between exact and differenced velocities there would be a jump of
+    the size of their error, which the inputs amplify by 1/h. With
+    h = 0 (a start whose step is not known yet) the velocities stay exact. A start with one instant only is
     continued backwards at rest.
     """
     available = start.values.size2()
@@ -244,7 +244,7 @@ def on_history(
     Parameters
     ----------
     dae : Dae
-        What is discretized; its x and z are the unknowns of the step.
+        The form; its x and z are the unknowns of the step.
     history : casadi.SX
         Symbols of the state, shape (len x + len z, instants).
     residual : casadi.SX

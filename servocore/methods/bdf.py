@@ -37,7 +37,7 @@ class BDF:
     Order k in all variables of a projected form (index 3) at constant step, A(alpha)-stable, for k up to 6. The start
     needs a history: positions come from the exact inversion before the initial time, on the reference continued
     backwards. On forms of index two and more their velocities are formed by the scheme's own difference formula:
-    exact velocities would meet differenced ones with a jump of the order of their error, and cost the inputs an order.
+    a jump between exact and differenced velocities would cost the inputs an order.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class BDF:
 
     def __post_init__(self) -> None:
         require_kind(self.order, Integral, "the order of BDF", "a whole number", InvalidSetting)
-        # Order 7 and above is not zero-stable: errors would grow at every step size.
+        # Order 7 and above is not zero-stable: errors grow at every step size.
         if self.order not in range(1, 7):
             raise InvalidSetting(f"BDF of order {self.order} does not exist or is unstable; use 1 to 6")
 

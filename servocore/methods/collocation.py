@@ -23,7 +23,7 @@ _MOST_STAGES = 7
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Runge-Kutta coefficients of a collocation method; refuses to exist when its order conditions fail.
+    """Runge-Kutta coefficients of a collocation method; construction fails unless the order conditions hold.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Tableau:
                 raise InvalidSetting(f"the quadrature condition B({k}) fails")
 
 
-@made_once  # methods are made anew for every run, and roots are dearer than a run of a small scene
+@made_once  # methods are constructed for every run, and roots take longer than a run of a small scene
 def tableau(family: str, stages: int) -> Tableau:
     """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven.
 
@@ -74,7 +74,7 @@ def tableau(family: str, stages: int) -> Tableau:
 
 @dataclass(frozen=True)
 class _Collocation:
-    """What Radau IIA and Gauss share: tableau, name and equations, by the number of stages."""
+    """Common part of Radau IIA and Gauss: tableau, name and equations, by the number of stages."""
 
     family: ClassVar[str]
     stages: int
@@ -135,8 +135,8 @@ class Gauss(_Collocation):
     """Gauss collocation with s stages; one stage is the implicit midpoint rule.
 
     Order 2 s on ordinary differential equations, symplectic, not stiffly accurate: on projected forms nothing damps
-    an error of the inputs from step to step, and with an even number of stages the
-    inputs lose four orders: with two their error grows like 1/h^2. Kept to show that; not a route to results.
+    an error of the inputs from step to step, and with an even number of stages the inputs lose four orders: with two
+    their error grows like 1/h^2. For comparison only.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def _discretize(dae: Dae, method: Tableau) -> Discretization:
         unknown_scale=ca.repmat(unknown_scale, s, 1),
         residual_scale=ca.repmat(residual_scale, s, 1),
     )
-    # What the collocation polynomial through old and the stages gives at the end of the step.
+    # The collocation polynomial through old and the stages, at the end of the step.
     weights = method.b @ W
     end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
     if method.c[-1] == 1.0:

@@ -21,7 +21,7 @@ class GeneralizedAlpha:
 
     with the equations and constraints at the new instant. `rho` is the spectral radius at infinite frequency: 1 damps
     nothing, 0 everything at once. Second order; on projected forms errors of the inputs decay like rho^n.
-    A start in motion leaves such an error of first order: the method's own acceleration is not quite v_dot.
+    A start in motion causes such an error of first order: the method's own acceleration differs from v_dot.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class GeneralizedAlpha:
     @property
     def parameters(self) -> tuple[float, float, float, float]:
         """Return (alpha_m, alpha_f, beta, gamma) for second order and the spectral radius `rho`."""
-        # The choice of Chung & Hulbert: the largest damping at high frequencies that leaves low ones alone.
+        # Chung & Hulbert: least damping of low frequencies for a given damping of high ones.
         alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
         gamma = 0.5 + alpha_f - alpha_m
         return alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma
@@ -77,7 +77,7 @@ class GeneralizedAlpha:
         unknown_scale, residual_scale = dae.scales(h)
         accelerations = h**-2 if dae.index > 1 else ca.SX(1)
         unknowns = ca.vertcat(dae.x, dae.z, a1, rate1)
-        # Rows that hold by construction are gone from the residual, so they must not be scaled either.
+        # Rows that hold by construction are not part of the residual, nor of its scales.
         rows = [*kept, *range(balance.numel(), residual_scale.numel())]
         equations = SquareSystem(
             unknowns=unknowns,
@@ -89,7 +89,7 @@ class GeneralizedAlpha:
         )
         start, fraction = Start.of(dae), ca.SX.sym("fraction")
         back = (1 - fraction) * h
-        # a approximates v_dot at an instant beside the state's own; at the start only v_dot itself is known.
+        # a approximates v_dot at a shifted instant; at the start only v_dot itself is known.
         first, rate_first = start.values[:, 0], start.rates[places_v]
         return Discretization(
             equations=equations,

@@ -1,4 +1,4 @@
-"""The trapezoidal rule, kept to show what happens without damping."""
+"""The trapezoidal rule, for comparison: a method without damping."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ class Trapezoidal:
         (H(x0) + H(x1)) / 2 (x1 - x0) = h (f(x0, z0, t0) + f(x1, z1, t1)) / 2,    0 = h(x1, z1, t1)
 
     Order two on forms of index one. On projected forms an error of the velocities alternates undamped from step to
-    step, and the inputs with it: whatever disturbs the start stays. Kept to show that; not a route to results.
+    step, and the inputs with it: an error at the start persists. For comparison only.
 
     Attributes
     ----------
     name : str
-        What solutions and messages call it.
+        Name in solutions and messages.
     """
 
     name: str = "trapezoidal"
 
     def orders(self, index: int) -> Orders:
-        """Return the orders of convergence on a form of the given index, where nothing disturbs the method."""
+        """Return the orders of convergence on a form of the given index, without an error at the start."""
         if index > 3:
             # Every index above 3 costs an order; a negative one means errors that grow as steps fall.
             return Orders(5 - index, 4 - index, 3 - index, damped=False)
@@ -44,8 +44,8 @@ class Trapezoidal:
             (dae.at(expression, old_x, old_z, gamma0) + dae.at(expression, dae.x, dae.z, gamma1)) / 2
             for expression in (dae.H, dae.f)
         )
-        # Algebraic equations hold at the new instant: averaged, what the start leaves of them would alternate.
+        # Algebraic equations at the new instant: averaged, their residual at the start would alternate.
         residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, dae.at(dae.h, dae.x, dae.z, gamma1))
-        # The column before the start is never known, and only the extrapolated guess of the first step uses it.
+        # The column before the start is unknown, and used by the extrapolated guess of the first step only.
         first = ca.repmat(start.values[:, 0], 1, 2)
         return on_history(dae, history, residual, h=h, reference=reference, nodes=(0.0, 1.0), start=start, first=first)

@@ -1,1 +1,1 @@
-"""What a problem is made of: quantities, systems in any coordinates, scenes with their limits."""
+"""Data of a problem: quantities, systems in any coordinates, scenes with their limits."""

@@ -1,6 +1,6 @@
-"""What a scene looks like: parts drawn between points, which follow from what a solution reports.
+"""Drawings of scenes: parts between points, which are expressions of the quantities that a solution reports.
 
-What is drawn of a system is the drawing of its scene, or bodies and points by the names of its coordinates.
+A system without a drawing of its scene is drawn as bodies and points, by the names of its coordinates.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from servocore.numerics.components import filled
 from servocore.numerics.expressions import as_expression
 
 KINDS = ("rope", "bar", "bridge", "rail", "spring", "post", "box", "body", "pin")
-"""Kinds of parts. A rope, a bar and a spring join two points; a bridge goes from its first point through its second, as
-far as that ever gets; a rail goes through its point along an axis; a post stands on the ground below its point; a box,
-a body and a pin are at their point."""
+"""Kinds of parts. A rope, a bar and a spring join two points; a bridge goes from its first point to the farthest place
+of its second; a rail goes through its point along an axis; a post stands on the ground below its point; a box, a body
+and a pin are at their point."""
 
 _AXES = "xyz"
 _NAMED = re.compile(r"(?:(?P<of>.+)[._])?(?P<axis>[xyz])(?:_(?P<number>\w+))?")
@@ -41,9 +41,9 @@ class Part:
     kind : str
         One of `KINDS`.
     points : tuple of points
-        (x, y, z) in m: two for what joins points, one for the others.
+        (x, y, z) in m: two for a part that joins points, one for the others.
     name : str
-        What is written beside a box or a body.
+        Label of a box or a body.
     colour : str
         Name of the quantity that colours it, such as ``tension``; none when empty.
     along : int
@@ -52,7 +52,7 @@ class Part:
     Raises
     ------
     InvalidSetting
-        If there is no such kind, or it takes another number of points.
+        If the kind is unknown, or takes another number of points.
     """
 
     kind: str
@@ -72,21 +72,21 @@ class Part:
 
 
 Drawing: TypeAlias = Callable[[Mapping[str, Any]], Sequence[Part]]
-"""Symbols of what a solution reports and of the parameters, by name -> the parts."""
+"""Symbols of reported quantities and of parameters, by name -> the parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Parts between points, and where the points are.
+    """Parts between points, and the positions of the points.
 
     Attributes
     ----------
     parts : list of dict
         Kind, name, places among the points, index of the quantity that colours it, axis.
     points : int
-        How many points there are.
+        Number of points.
     reported, coordinates : casadi.SX
-        Values of what is reported; x, y, z of one point after the other, which follow from these and the parameters.
+        Symbols of the reported quantities; x, y, z of one point after the other, expressions of these and parameters.
     tracked : int or None
         The point that follows the path.
     flat : bool
@@ -101,7 +101,7 @@ class Picture:
     flat: bool
 
     def about(self) -> dict[str, Any]:
-        """Return what the page needs to know."""
+        """Return the data for the page."""
         stands = any(part["kind"] in ("body", "post") for part in self.parts)
         return {
             "parts": self.parts,
@@ -113,28 +113,30 @@ class Picture:
 
 
 def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Picture:
-    """Return what is drawn of a system.
+    """Return the picture of a system.
 
     Parameters
     ----------
     system : MechanicalSystem
         The system.
     reported : sequence of Quantity
-        What a solution reports of it, in this order.
+        Quantities that a solution reports, in this order.
     drawing : callable or None
-        Of the scene; bodies and points are found by the names of coordinates when None.
+        Drawing of the scene; None for bodies and points by the names of coordinates.
 
     Raises
     ------
     InvalidModel
-        If a drawing names what is not reported, or returns something else than parts.
+        If a drawing uses a quantity that is not reported, or does not return parts.
     """
     symbols = {quantity.name: ca.SX.sym(quantity.name) for quantity in reported}
     known = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
     try:
         parts = list(drawing(known)) if drawing is not None else _found(system, symbols)
     except KeyError as error:
-        raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(known)}") from None
+        raise InvalidModel(
+            f"{system.name}: its drawing uses {error}, which is not reported; there are {', '.join(known)}"
+        ) from None
     if not all(isinstance(part, Part) for part in parts):
         raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
     names, listed = list(symbols), list[dict[str, Any]]()
@@ -172,7 +174,7 @@ def _tracked(parts: Sequence[Mapping[str, Any]]) -> int | None:
 
 
 def _found(system: MechanicalSystem, symbols: Mapping[str, ca.SX]) -> list[Part]:
-    """Return a body for coordinates x, y, z of one name, and bars or springs where something holds two together."""
+    """Return a body for coordinates x, y, z of one name, and bars or springs between connected ones."""
     points: dict[str, dict[str, str]] = {}
     for name in system.coordinates.names:
         match = _NAMED.fullmatch(name)
@@ -193,7 +195,7 @@ def _found(system: MechanicalSystem, symbols: Mapping[str, ca.SX]) -> list[Part]
 
 def _point(named: Mapping[str, str], symbols: Mapping[str, ca.SX]) -> Point:
     x, y, z = (symbols[named[axis]] if axis in named else ca.SX(0) for axis in _AXES)
-    # Two coordinates are a plane that stands upright.
+    # Two coordinates span a vertical plane.
     return (x, ca.SX(0), y) if "y" in named and "z" not in named else (x, y, z)
 
 

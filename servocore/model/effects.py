@@ -1,4 +1,4 @@
-"""`Effect` and `Effects`: what a scene leaves out of the physics, or may leave out, as data."""
+"""`Effect` and `Effects`: physical effects that a scene neglects, or may neglect, as data."""
 
 from __future__ import annotations
 
@@ -10,30 +10,29 @@ from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
 
 Assemble = Callable[[frozenset[str], frozenset[str]], MechanicalSystem]
-"""(names of effects that are added, names of those that are left out) -> the model."""
+"""(names of added effects, names of effects left out) -> the model."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A physical effect that a model has or has not.
+    """A physical effect that a model includes or neglects.
 
     Parameters
     ----------
     name : str
         Such as ``friction``.
     assumption : str
-        One sentence: how it is modelled, and where that comes from.
+        One sentence: its model, and the source.
     parameters : tuple of Parameter
-        What the model with it needs beside the scene's own.
+        Parameters of the model with it beside those of the scene.
     left_out : bool
-        Its direction: False where the scene lacks the effect and it is added, True where the scene has it and it is
-        left out.
+        False if the effect is added to the scene, True if the scene has it and it is left out.
     drives : mapping of str to str
-        Positions that the drives measure where these are others than without it: ``{"phi": "phi_motor"}``.
+        Positions that the drives measure, where they differ from those without it: ``{"phi": "phi_motor"}``.
     includes : tuple of str
-        Names of lesser effects that the model with this one has too.
+        Names of effects that the model with this one contains too.
     listed : bool
-        Whether tables have a row for it without being asked.
+        Whether tables have a row for it by default.
     """
 
     name: str
@@ -46,12 +45,12 @@ class Effect:
 
 
 def _no_assembly(added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
-    raise InvalidModel(f"nothing knows how to build {', '.join(sorted(added | left_out))}")
+    raise InvalidModel(f"there is no function that assembles a model with {', '.join(sorted(added | left_out))}")
 
 
 @dataclass(frozen=True)
 class Extended:
-    """Factory of a model with some effects; equal ones make one model."""
+    """Factory of a model with some effects; equal factories share one model."""
 
     assemble: Assemble
     added: frozenset[str]
@@ -64,18 +63,18 @@ class Extended:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a scene knows, and how to build models with them.
+    """The effects that a scene declares, and a function that assembles models with them.
 
     Parameters
     ----------
     declared : tuple of Effect
         With different names.
     drives : tuple of str
-        What the drive of each input measures, by the names of what the model reports.
+        Quantity that the drive of each input measures, by its name in the model.
     hanging : tuple of str
-        Observables of the models that together say how far the load hangs to the side: its residual swing.
+        Observables that together are the horizontal offset of the load from its suspension: its residual swing.
     assemble : callable
-        A function of a module, so that models are made once.
+        A function of a module, so that models are shared.
     added, left_out : frozenset of str
         Names of the effects in which the scene differs from the one that declares them.
     """
@@ -96,7 +95,7 @@ class Effects:
                            f" {known}")  # fmt: skip
 
     def with_(self, names: Iterable[str], without: Iterable[str] = ()) -> Effects:
-        """Return the effects of the scene that has some, and lacks others.
+        """Return the effects of a scene with some added and others left out.
 
         Parameters
         ----------
@@ -108,7 +107,7 @@ class Effects:
         Returns
         -------
         Effects
-            New effects; these stay as they are.
+            New effects; these are unchanged.
 
         Raises
         ------
@@ -129,12 +128,12 @@ class Effects:
 
     @property
     def factory(self) -> Extended:
-        """What makes the model."""
+        """Factory of the model."""
         return Extended(self.assemble, self.added, self.left_out)
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """What the drives measure in the model."""
+        """Names of the quantities that the drives measure in the model."""
         names = list(self.drives)
         for name in self.added:
             names = [self[name].drives.get(each, each) for each in names]
@@ -147,11 +146,11 @@ class Effects:
 
 
 NO_EFFECTS = Effects()
-"""Of a scene that declares none."""
+"""Effects of a scene that declares none."""
 
 
 def parameters_with(base: Parameters, effects: Iterable[Effect]) -> Parameters:
-    """Return the parameters of a model with some effects; what several of them need is there once."""
+    """Return the parameters of a model with some effects, each once."""
     by_name = {parameter.name: parameter for parameter in base.declared}
     for effect in effects:
         by_name |= {parameter.name: parameter for parameter in effect.parameters if parameter.name not in by_name}

@@ -55,7 +55,7 @@ def generalize(
     InvalidModel
         If the number of coordinates is wrong or F leaves the constraint manifold.
     """
-    require_kind(system, MechanicalSystem, "what is generalized", "a MechanicalSystem", InvalidModel)
+    require_kind(system, MechanicalSystem, "the system to be generalized", "a MechanicalSystem", InvalidModel)
     require_kind(coordinates, Coordinates, f"{system.name}: coordinates", "Coordinates(...)", InvalidModel)
     mapping = as_expression(mapping, f"{system.name}: the mapping")
     mu, nu, P = coordinates.q, coordinates.v, ca.jacobian(mapping, coordinates.q)
@@ -89,22 +89,22 @@ def generalize(
 
 
 def _without_forces(system: MechanicalSystem) -> dict[Quantity, ca.SX]:
-    """Return the observables that use no multipliers and inputs: what motion alone tells."""
+    """Return the observables without multipliers and inputs: functions of the motion alone."""
     forces = ca.vertcat(system.lam, system.u)
     return {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
 
 
 def _reactions(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.SX) -> dict[Quantity, ca.Function]:
-    """Return what multipliers tell as functions of (mu, nu, nu_dot, u, force on the output, p).
+    """Return observables with multipliers as functions of (mu, nu, nu_dot, u, force on the output, p).
 
-    A motion that is known with all forces but those of the constraints leaves G^T lam = C^T d - M v_dot - bias - B^T u.
+    The multipliers follow from motion and other forces by G^T lam = C^T d - M v_dot - bias - B^T u.
     """
     wanted = {
         quantity: expression
         for quantity, expression in system.observables.items()
         if ca.depends_on(expression, system.lam) and not ca.depends_on(expression, system.gamma)
     }
-    # Forces of redundant constraints are not determined, and no plant takes equations that hold the time.
+    # Forces of redundant constraints are not determined, and plants exclude equations that depend on the time.
     if not wanted or system.constraint_rank().redundant or system.time.numel():
         return {}
     mu, nu = coordinates.q, coordinates.v
@@ -129,8 +129,8 @@ def _reactions(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.S
     terms = ca.Function("terms", known, [balance], {"cse": True})
     observe = ca.Function("observe", [*known, system.lam], seen, {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
-    told = terms(*arguments)
-    lam = ca.solve(told[:, :-1], told[:, -1], "qr")
+    equations = terms(*arguments)
+    lam = ca.solve(equations[:, :-1], equations[:, -1], "qr")
     values = observe.call([*arguments, lam])
     return {
         quantity: ca.Function("reaction", arguments, [value]) for quantity, value in zip(wanted, values, strict=True)
@@ -149,7 +149,7 @@ def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping
         raise InvalidModel(f"{system.name}: the mapping has shape {mapping.shape}, expected {(n, 1)}")
     at_home = ca.substitute(system.constraints, system.time, ca.SX.zeros(system.time.shape))
     violation = ca.Function("violation", [coordinates.q, system.p], [ca.substitute(at_home, system.q, mapping)])
-    # A point without symmetry: what vanishes there vanishes everywhere.
+    # A point without symmetry: an expression that vanishes there vanishes everywhere.
     mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
     worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
     if not worst < 1e-9:

@@ -21,13 +21,13 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     Returns
     -------
     dict
-        For `Scene.with_limits`, which knows the names. Beside a limit of ``s``, that of its rate stands in quotation
-        marks, ``"s.rate" = 1.2``: TOML takes ``s.rate`` for a part of a table ``s``.
+        Arguments of `Scene.with_limits`. Beside a limit of ``s``, that of its rate needs quotation marks,
+        ``"s.rate" = 1.2``: in TOML ``s.rate`` is a key of a table ``s``.
 
     Raises
     ------
     InvalidModel
-        If the file cannot be read or is not TOML, or a value is no number, text or pair of these.
+        If the file cannot be read or is not TOML, or a value is not a number, a text or a pair of these.
     """
     path = Path(path)
     try:
@@ -44,7 +44,7 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
         table = dict(inner)
     limits: dict[str, Bounds] = {}
     for name, value in table.items():
-        if isinstance(value, Mapping):  # TOML takes s.rate for a table s
+        if isinstance(value, Mapping):  # in TOML s.rate is a table s
             limits |= {
                 f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
                 for derivative, inside in value.items()

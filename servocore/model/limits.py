@@ -1,4 +1,4 @@
-"""`Limit`: where a scene ends, and limits by the name of what a solution reports."""
+"""`Limit`: bounds of a quantity of a scene, and limits by the name of a reported quantity."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from servocore.model.units import in_unit, unit_of
 from servocore.numerics.expressions import as_expression
 
 RATE = ".rate"
-"""How the name of a rate of change ends."""
+"""Suffix of the name of a rate of change."""
 
 Expression: TypeAlias = Callable[[ca.SX, Parameters], ca.SX] | Callable[[MechanicalSystem], ca.SX]
 """(gamma (m, orders), parameters) -> an expression of the path, or (system) -> any of q, v, lam, u, p and gamma."""
@@ -33,27 +33,27 @@ Bounds: TypeAlias = Bound | tuple[Bound | None, Bound | None]
 
 @dataclass(frozen=True)
 class Limit:
-    """Where a scene ends: a quantity that must stay above a bound, below another, or between two.
+    """A quantity that must stay above a bound, below another, or between two.
 
     Parameters
     ----------
     quantity, unit : str
-        What is compared, such as ``distance of the trolley from the slewing axis`` in ``m``.
+        The quantity, such as ``distance of the trolley from the slewing axis`` in ``m``.
     bound : float
-        The quantity must be larger than this; -inf if it may be as low as it likes.
+        The quantity must be larger than this; -inf for no bound.
     reason : str
-        What happens at the bound, as part of a sentence: ``the rope goes slack``. May be empty.
+        Consequence at the bound, as part of a sentence: ``the rope goes slack``. May be empty.
     expression : callable
         (gamma (m, orders), parameters) -> the quantity as a CasADi expression, or (system) -> the same of the system's
         q, v, lam, u, gamma and parameters.
     at_instants_only : bool
         Whether the path may break the limit between the instants of a grid. For limits of the path.
     upper : float
-        The quantity must not be larger than this.
+        Upper bound.
     rate : bool
         Whether the limit is one of the expression's rate of change; `unit` is then that of the rate.
     given_in : str
-        The unit in which sentences tell values, such as ``deg``; `unit` when empty.
+        Unit of values in messages, such as ``deg``; `unit` when empty.
     """
 
     quantity: str
@@ -77,13 +77,13 @@ class Limit:
                 f" {self.upper:g} {self.unit}"
             )
 
-    @cached_property  # every run asks several times, and to look at a signature takes longer than many a check
+    @cached_property  # used several times in every run, and inspecting a signature is slow
     def of_path(self) -> bool:
-        """Whether it is a lower bound of an expression of the path alone: such limits are checked before anything."""
+        """Whether it is a lower bound of an expression of the path alone: such limits are checked first."""
         return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
 
-    def told(self, value: float) -> str:
-        """Return a value of the quantity with its unit, that in which the limit was given.
+    def with_unit(self, value: float) -> str:
+        """Return a value of the quantity as a text, in the unit in which the limit was given.
 
         Parameters
         ----------
@@ -109,12 +109,12 @@ class Limit:
         Returns
         -------
         casadi.SX, scalar
-            What is bounded, in the unit of the limit.
+            The bounded quantity, in the unit of the limit.
 
         Raises
         ------
         InvalidModel
-            If the expression is no number.
+            If the expression is not a scalar.
         """
         evaluate: Callable[..., ca.SX] = self.expression
         arguments = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
@@ -126,18 +126,18 @@ class Limit:
 
 
 def _arguments(function: Callable[..., Any]) -> int:
-    """Return how many arguments a function must be given."""
+    """Return the number of required arguments of a function."""
     return sum(parameter.default is parameter.empty for parameter in inspect.signature(function).parameters.values())
 
 
 @dataclass(frozen=True)
 class Named:
-    """The expression of what a solution reports under a name."""
+    """The expression of a reported quantity."""
 
     name: str
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
-        """Return it for a system; raises `InvalidModel` if that reports nothing of the name."""
+        """Return it for a system; raises `InvalidModel` if that has no such quantity."""
         for quantities, expressions in reversed(_groups(system)):
             names = [quantity.name for quantity in quantities]
             if self.name in names:
@@ -146,7 +146,7 @@ class Named:
 
 
 def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | Sequence[ca.SX]]]:
-    """Return what a solution reports, in groups; of one name the last counts."""
+    """Return the reported quantities in groups; of one name the last counts."""
     return [
         (system.coordinates.quantities, system.q),
         (system.outputs, system.output),
@@ -156,17 +156,17 @@ def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | 
 
 
 def reported_quantities(system: MechanicalSystem) -> Mapping[str, Quantity]:
-    """Return what a solution reports, by name: inputs, observables, servo outputs, coordinates."""
+    """Return the reported quantities by name: inputs, observables, servo outputs, coordinates."""
     return {quantity.name: quantity for quantities, _ in _groups(system) for quantity in quantities}
 
 
 def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
-    """Return the limit of what a solution reports under a name, or of its rate.
+    """Return the limit of a reported quantity, or of its rate.
 
     Raises
     ------
     InvalidSetting
-        If there is nothing of that name, or the bounds are none.
+        If no quantity has that name, or the bounds are invalid.
     """
     known = reported_quantities(system)
     of = name if name in known else name.removesuffix(RATE)
@@ -204,7 +204,7 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
 
 
 def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:
-    """Ask about a bound of an angle that nothing may ever reach: degrees that have lost their unit."""
+    """Refuse a bound of an angle that cannot be reached: probably degrees without their unit."""
     if angle is None or angle.unit != "rad" or value is None or math.isinf(value):
         return
     bare = not isinstance(bound, str) or bound.strip()[-1] in "0123456789."

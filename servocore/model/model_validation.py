@@ -1,6 +1,6 @@
-"""What the expressions of a system must be: numbers where numbers belong, a mass that is one, nothing dead or doubled.
+"""Validation of a system: shapes, symbols, finite numbers, mass matrix, independent inputs and outputs, unique names.
 
-All is told from values at a few points, which costs less than to make the expressions: the configuration at home, its
+Values are tested at a few points, which costs less than making the expressions: the configuration at home, its
 neighbours on two sides, and a point without symmetry.
 """
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem
 
 _NEIGHBOURHOOD = 0.01  # of the nominal magnitudes
-_CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is the round-off of a zero
+_CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is round-off
 _DEPENDENT = 1e-9  # of the largest singular value of rows of length one
-_PART = 0.1  # of a dependence: what has a smaller part is not named
+_PART = 0.1  # of the largest part in a dependence: rows with smaller parts are not named
 
 _AT_REST = ("mass", "output", "input_matrix", "potential", "constraints")
 _MOVING = ("force", "gyroscopic")
 _TIMELESS = ("mass", "output", "input_matrix", "gyroscopic")
-_TIME = 0.3  # at which expressions of the time are looked at, in s
+_TIME = 0.3  # in s, at which expressions of the time are evaluated
 
 _SYMBOLS = ("multipliers", "gamma", "u")
 _TIME_COLUMN, _RATE = "time", ".rate"
@@ -80,9 +80,9 @@ def _require_timeless(system: MechanicalSystem) -> None:
 
 
 def _require_names(system: MechanicalSystem) -> None:
-    """Raise `InvalidModel` if one name stands for two quantities: the second would vanish from what is reported.
+    """Raise `InvalidModel` if two quantities have the same name: the second would not be reported.
 
-    An output or an observable may have the name of a coordinate that it is.
+    An output or an observable may have the name of the coordinate that it equals.
     """
     seen: dict[str, tuple[str, ca.SX]] = {}
     kinds = {
@@ -156,7 +156,7 @@ def _home(system: MechanicalSystem, fields: Mapping[str, ca.SX], guess: ca.Funct
 
 
 def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array, Array]]:
-    """Return points (q, p) at which a system is looked at.
+    """Return points (q, p) at which a system is evaluated.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array,
     Returns
     -------
     list of (ndarray, ndarray)
-        At home, beside it on two sides, and at a point without symmetry with parameter values that are none either.
+        At home, next to it on two sides, and a point without symmetry with other parameter values.
     """
     angles = 1.0 + np.arange(len(home))
     aside = _NEIGHBOURHOOD * np.asarray(nominal) * np.sin(angles)
@@ -179,24 +179,24 @@ def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array,
 
 
 def _require_finite(system: MechanicalSystem, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
-    """Raise `InvalidModel`, naming the first entry that is no finite number since a constant in it is none."""
+    """Raise `InvalidModel` for the first entry that is not finite because of a constant in it."""
     for k, (field, expression) in enumerate(fields.items()):
         finite = np.all([np.isfinite(point[k]) for point in values], axis=0)
         for i, j in np.argwhere(~finite):
             constants = _constants_not_finite(expression[int(i), int(j)])
-            if constants:  # else it only has no value at that point
+            if constants:  # else it is undefined at that point only
                 entry = _entry(system, field, int(i), int(j))
                 raise InvalidModel(f"{system.name}: {entry} holds {constants[0]}, which is no finite number")
 
 
 def _constants_not_finite(expression: ca.SX) -> list[float]:
-    """Return the constants in an expression that are no finite numbers, in whatever depth."""
+    """Return the constants in an expression that are not finite."""
     function = ca.Function("sc_constants", [ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))], [expression])
     return [constant for *_, constant in operations_of(function) if not np.isfinite(constant)]
 
 
 def _entry(system: MechanicalSystem, field: str, row: int, column: int) -> str:
-    """Return what messages call an entry of a field."""
+    """Return the name of an entry of a field in messages."""
     coordinates, constraints = system.coordinates.names, system.constraint_names
     inputs, outputs = ([quantity.name for quantity in listed] for listed in (system.inputs, system.outputs))
     rows: dict[str, Sequence[object]] = {
@@ -223,12 +223,12 @@ def require_mass(whose: str, masses: Sequence[Array], names: Sequence[str], wher
     whose : str
         Name of the system.
     masses : sequence of ndarray, shape (n, n)
-        M at home, then at its neighbours: of a mass that grows with a coordinate, and is zero at home, one of them may
-        lie where it has no meaning.
+        M at home, then at its neighbours, one of which may be invalid: there, a mass proportional to a coordinate that
+        is zero at home is negative.
     names : sequence of str
         Of the coordinates.
     where : str
-        What messages call the place.
+        Name of the place in messages.
     """
     faults = [_fault(mass, names) for mass in masses if np.isfinite(mass).all()]
     if faults and (faults[0] or all(faults[1:] or [""])):
@@ -236,14 +236,14 @@ def require_mass(whose: str, masses: Sequence[Array], names: Sequence[str], wher
 
 
 def _fault(mass: Array, names: Sequence[str]) -> str:
-    """Say why a matrix is no mass matrix; empty if it is one."""
+    """Return why a matrix is not a mass matrix, as a sentence; empty if it is."""
     diagonal, largest = mass.diagonal(), float(np.abs(mass).max(initial=0.0))
     negative = np.flatnonzero(diagonal < -_CANCELS * largest)
     if len(negative):
         return f"that of {names[negative[0]]} is {diagonal[negative[0]]:g}"
     if not largest:
         return ""
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, _CANCELS * largest))  # units do not decide
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, _CANCELS * largest))  # independent of units
     values, vectors = np.linalg.eigh(mass * scale * scale[:, None])
     if values[0] >= -_DEPENDENT:
         return ""
@@ -253,14 +253,14 @@ def _fault(mass: Array, names: Sequence[str]) -> str:
 
 
 def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kind: str) -> None:
-    """Raise `InvalidModel`, naming them, if some inputs or outputs are dead or follow from others.
+    """Raise `InvalidModel`, naming them, if some inputs or outputs have no effect or follow from others.
 
     Parameters
     ----------
     whose : str
         Name of the system.
     rows : sequence of ndarray, shape (m, n)
-        B or C at some points; what holds at all of them counts.
+        B or C at some points; a defect must occur at all of them.
     names : sequence of str
         Of the rows.
     kind : str
@@ -316,7 +316,7 @@ def require_freedom(name: str, n: int, m: int, rows: int, rank: int, *, assemble
 
 
 def home_names(outputs: Sequence[str], time: ca.SX, home: object) -> tuple[str, ...]:
-    """Return names of the entries of home: the time is the last one in a system that is made from another."""
+    """Return the names of the entries of home: the time is the last one in a system made from another."""
     again = ca.SX(time).numel() == 1 and isinstance(home, tuple) and len(home) == len(outputs) + 1
     return (*outputs, "time") if again else tuple(outputs)
 
@@ -329,7 +329,7 @@ def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int)
     require_kind(time, ca.SX, f"{name}: the time", "a symbol of casadi.SX.sym", InvalidModel)
     if not time.is_symbolic():
         raise InvalidModel(f"{name}: the time must be one symbol, not {time}")
-    if gamma.size1() == m:  # a system made from another has that row already
+    if gamma.size1() == m:  # a system made from another already has that row
         rates = ca.SX.sym("time", 1, gamma.size2() - 1)
         fields["gamma"] = ca.vertcat(gamma, ca.horzcat(time, rates))
     if len(home) == m:
@@ -338,7 +338,7 @@ def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int)
 
 
 def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _NamedRows) -> None:
-    """Raise `InvalidModel` if outputs or constraints hold velocities, with what can be done instead.
+    """Raise `InvalidModel` if outputs or constraints depend on velocities, with an alternative.
 
     Parameters
     ----------
@@ -347,30 +347,21 @@ def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _
     v : casadi.SX
         Velocities.
     outputs, constraints : sequence of names, and casadi.SX
-        What the rows are called, and the rows.
+        Names of the rows, and the rows.
     """
-    for name, expression in _named_rows(*outputs):
-        velocities = _velocities(expression, v)
-        if velocities:
-            raise InvalidModel(
-                f"{system}: the output {name} depends on velocities ({velocities}), but a servo constraint prescribes a"
-                " function of the coordinates alone; where the output is the rate of such a function, prescribe that"
-                " function, along the integral of the path"
-            )
-    for name, expression in _named_rows(*constraints):
-        velocities = _velocities(expression, v)
-        if velocities:
-            raise InvalidModel(
-                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints"
-                " are not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v)"
-                " oppose what it forbids"
-            )
-
-
-def _named_rows(names: Sequence[str], column: ca.SX) -> list[tuple[str, ca.SX]]:
-    return list(zip(names, ca.vertsplit(ca.SX(column)), strict=False))
+    advice = {
+        "output": "but a servo constraint prescribes a function of the coordinates alone; where the output is the rate"
+        " of such a function, prescribe that function, along the integral of the path",
+        "constraint": "and nonholonomic constraints are not solved; give its integral if it has one (rolling along a"
+        " line has), or replace it by a force f(q, v) that opposes the forbidden velocity",
+    }
+    for kind, (names, column) in (("output", outputs), ("constraint", constraints)):
+        for name, expression in zip(names, ca.vertsplit(ca.SX(column)), strict=False):
+            velocities = _velocities(expression, v)
+            if velocities:
+                raise InvalidModel(f"{system}: the {kind} {name} depends on velocities ({velocities}), {advice[kind]}")
 
 
 def _velocities(expression: ca.SX, v: ca.SX) -> str:
-    """Names of the velocities that an expression depends on."""
+    """Return the names of the velocities in an expression."""
     return ", ".join(str(v[int(k)]) for k in sorted(set(ca.jacobian_sparsity(expression, v).get_col())))

@@ -1,7 +1,7 @@
-"""Typical magnitudes of coordinates that have no nominal value, derived from how far a path goes.
+"""Typical magnitudes of coordinates without a nominal value, derived from the extent of the path.
 
-Newton's method stops where corrections are small beside a typical magnitude, which is one unit unless somebody says
-otherwise. For a path of a nanometre that is no accuracy at all.
+Newton's method stops where corrections are small relative to a typical magnitude, by default one unit. For a path of a
+nanometre that would be far too coarse.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from servocore.numerics.components import of_one_shape, parts_of
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
-_FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
-_ROUND_OFF = 1e-9  # of the largest change of a unit: less is none
+_FAR_LESS = 2e-3  # ratio to a nominal value, or one unit, within which that value is kept
+_ROUND_OFF = 1e-9  # of the largest change of a unit: less counts as zero
 _NOTHING = 1e-13  # of the largest change of all: round-off of a matrix that is inverted
-_NEGLIGIBLE = 1e-9  # of the largest singular value: less is a row that follows from others
-_SMALLEST = 1e-4  # of a coordinate itself: changes below it do not show in its magnitude
+_NEGLIGIBLE = 1e-9  # of the largest singular value: less is a dependent row
+_SMALLEST = 1e-4  # of a coordinate itself: lower bound of its magnitude
 
 
 def decades_of(path: Reference) -> tuple[float, ...]:
-    """Return the common logarithm of how far each component of a path goes, in whole decades; -inf where it rests."""
+    """Return the extent of each component of a path as a decimal logarithm, rounded; -inf where it rests."""
     with np.errstate(divide="ignore"):
         return tuple(np.round(np.log10(path.extent)).tolist())
 
 
-@made_once  # every solve asks, and what was compiled for a system is kept with the object
+@made_once  # used by every solve, and compiled functions belong to the object
 def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> MechanicalSystem:
-    """Return the system with nominal values for an extent of the path; the same object where its own serve.
+    """Return the system with nominal values for an extent of the path; the same object if its own are suitable.
 
-    A coordinate changes as its guess does, or as the constraints at home make it follow the outputs; one that neither
-    moves is as large as others of its unit.
+    The change of a coordinate is that of its guess, or follows from the outputs by the constraints at home; if both
+    are zero, it is the largest one of its unit.
     """
     quantities = system.coordinates.quantities
     if len(decades) != len(system.outputs):
@@ -57,18 +57,18 @@ def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> Mechanica
 
 
 def _chosen(quantity: Quantity, derived: float) -> float:
-    """Return what counts: a nominal value that is given, or one unit, unless the path says something else."""
+    """Return the given nominal value, or one unit, unless the derived one differs by orders of magnitude."""
     if derived < _FAR_LESS * quantity.magnitude or (quantity.nominal is None and derived * _FAR_LESS > 1.0):
         return derived
     return quantity.magnitude
 
 
 def _changes(system: MechanicalSystem, extent: Array) -> Array:
-    """Return how far each coordinate goes when the outputs leave home by `extent`."""
+    """Return the change of each coordinate when the outputs leave home by `extent`."""
     home, p = system.home_configuration()
     gamma = np.zeros((2, *system.gamma.shape))
     gamma[:, :, 0] = system.home
-    gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, stands still
+    gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, is constant
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
         system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
     changes = [np.abs(np.asarray(evaluate(function, home, p)[0]).ravel() - home) for function in gamma]
@@ -80,9 +80,9 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
 
 
 def _followed(rows: Array, extent: Array) -> Array:
-    """Return how far each coordinate goes at most when one of the rows goes as far as its `extent`, none but it.
+    """Return the largest change of each coordinate when a single row changes by its `extent`.
 
-    Independent parts of the rows are taken each by itself, what is negligible in all of them together is zero.
+    Independent parts are decomposed separately, with one threshold for negligible singular values.
     """
     places = (indices.tolist() for indices in np.nonzero(rows))
     groups = of_one_shape([part for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)) if len(part.entries)])

@@ -11,27 +11,27 @@ from servocore.model.symbols import Parameter
 
 
 def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = ()) -> dict[str, float]:
-    """Read the parameters of a scene that a file changes.
+    """Read parameter values of a scene from a file.
 
     Parameters
     ----------
     path : str or Path
         A TOML file, such as ``load_mass = 80.0``; names, units and bounds are the scene's.
     scene : Scene
-        Whose parameters they are.
+        The scene.
     more : sequence of Parameter
-        What the file may change beside them.
+        Further parameters that the file may set.
 
     Returns
     -------
     dict of str to float
-        The values in the file, for `Scene.with_parameters`; what it leaves out keeps its default.
+        The values in the file, for `Scene.with_parameters`.
 
     Raises
     ------
     InvalidModel
         If the file cannot be read or is not TOML, or a key is unknown, is not a number or leaves its bounds;
-        the sentence names the file and the key.
+        the message names the file and the key.
     """
     path = Path(path)
     declared = {parameter.name: parameter for parameter in (*scene.model().parameters.declared, *more)}
@@ -48,7 +48,7 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
 
 
 def read_table(path: Path) -> dict[str, object]:
-    """Return what a TOML file holds; raises `InvalidModel` if it cannot be read."""
+    """Return the contents of a TOML file; raises `InvalidModel` if it cannot be read."""
     import tomllib  # noqa: PLC0415 - few programs read such files
 
     path = Path(path)

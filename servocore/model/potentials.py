@@ -1,4 +1,4 @@
-"""Potentials that know what they are made of, for integration that conserves energy exactly."""
+"""Potentials with their summands, for integration that conserves energy exactly."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Stored:
     energy : callable
         W, from a CasADi expression to another; in J.
     invariant : casadi.SX
-        pi(q, p), scalar, at most quadratic in q and the same after every motion that leaves the energy as it is: the
-        square of a length, the product of two directors.
+        pi(q, p), scalar, at most quadratic in q and invariant under rotations if the energy is: the square of a length,
+        the product of two directors.
     """
 
     energy: Energy
@@ -37,8 +37,7 @@ class Stored:
     def slope(self, before: ca.SX, after: ca.SX) -> ca.SX:
         """Return the difference quotient of W between two values of the invariant, J per its unit.
 
-        Where they are close, its series about the middle with the third derivative: round-off would spoil the
-        quotient.
+        Where they are close, the series about the middle with the third derivative avoids cancellation.
         """
         x, middle, change = ca.SX.sym("x"), (before + after) / 2, after - before
         first = ca.gradient(self._at(x), x)
@@ -56,7 +55,7 @@ class Stored:
 class Potential(ca.SX):
     """A potential V(q) = V2(q) + sum of W_a(pi_a(q)) that keeps its summands.
 
-    As an expression it is their sum, so that it goes wherever a potential goes; `EnergyMomentum` asks for the summands.
+    As an expression it is their sum, and serves as any potential; `EnergyMomentum` uses the summands.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ class Potential(ca.SX):
 
 
 def summands(potential: ca.SX) -> tuple[ca.SX, tuple[Stored, ...]]:
-    """Return V2 and the stored energies of a potential; of a plain expression itself and none."""
+    """Return V2 and the stored energies of a potential; a plain expression has none."""
     if isinstance(potential, Potential):
         return potential.quadratic, potential.stored
     return potential, ()

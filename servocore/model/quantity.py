@@ -19,17 +19,17 @@ class Quantity:
         One line for tables and tool tips.
     nominal : float, optional
         Typical magnitude of its changes in `unit`: scales Newton's stopping test and the points at which a structure
-        is looked at. For a coordinate without one it is derived from the path.
+        is analysed. For a coordinate without one it is derived from the path.
     wraps : bool
         True for an angle computed by atan2: a trajectory of it is made continuous.
     positive : bool
-        True for what the equations hold only the square of: a negative value belongs to another branch, on which a
-        step that is too large may land.
+        True if the equations contain its square only: a negative value belongs to another branch, to which a step that
+        is too large may converge.
     nonnegative : bool
-        True for what is never negative by definition, such as the angle from a direction: one number as its limit is an
-        upper one. Nothing is checked.
+        True if it is never negative by definition, as the angle from a direction: a limit of one number is then an
+        upper bound. This is not checked.
     tension : bool
-        True for the force in a rope, which cannot push: it is `positive` then, whatever the step.
+        True for the force in a rope, which cannot push; implies `positive`.
     """
 
     name: str
@@ -51,12 +51,12 @@ class Quantity:
 
     @property
     def never_negative(self) -> bool:
-        """Whether it is declared to have no negative values."""
+        """Whether negative values are excluded by declaration."""
         return self.positive or self.nonnegative
 
     @property
     def wrong_sign(self) -> str:
-        """What to say of a value that is not positive, behind it."""
+        """Explanation of a value that is not positive, as the end of a sentence."""
         if self.tension:
             return "it must stay positive: a rope cannot push"
         return "on another branch of the equations than the one wanted"

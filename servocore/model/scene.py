@@ -1,4 +1,4 @@
-"""`Scene`: models of one thing in different size, its limits, a default reference and a closed form."""
+"""`Scene`: models of one system of different size, limits, a default reference and a closed form."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference, require_consistent
 
 ModelFactory = Callable[[], MechanicalSystem]
-"""Makes a model. Factories that compare equal make one model; one without a hash makes a new one every time."""
+"""Factory of a model. Equal factories share one model; one without a hash makes a new one every time."""
 
 ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 """(reference jets (N, orders, m), parameter values) -> arrays (N,) by name."""
@@ -26,41 +26,41 @@ IndependentSolution = Callable[[Array, Reference, Mapping[str, float]], dict[str
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A servo constraint problem with everything that a user would otherwise have to find out.
+    """A servo constraint problem: models, path, parameter values, limits and, if known, its exact solution.
 
     Parameters
     ----------
     name : str
         Identifier, such as ``rotary_crane``.
     models : mapping of str to callable
-        Factories of its models, smallest first: the first is the default. Each is called once, by whichever scene
-        asks first; a factory with settings is best a frozen dataclass with `__call__`, so that equal settings compare
+        Factories of its models, smallest first: the first is the default. Each is called once for all
+        scenes; a factory with settings should be a frozen dataclass with `__call__`, so that equal settings compare
         equal.
     reference : Reference
-        The path to follow.
+        The path of the servo outputs.
     closed_form : callable, optional
-        Exact answer by name for reference jets with `closed_form_order` derivatives.
+        Exact solution by name, for reference jets with `closed_form_order` derivatives.
     closed_form_order : int
-        How many derivatives of the path that answer takes.
+        Highest derivative of the path in the closed form.
     independent_solution : callable, optional
-        For scenes with internal dynamics, which no formula of the jets answers: their own differential equation,
-        derived by hand and integrated to near round-off by SciPy.
+        For scenes with internal dynamics, which have no closed form: their differential equation, derived by hand and
+        integrated to near round-off by SciPy.
     limits : tuple of Limit
-        Where the scene ends.
+        Limits of the scene.
     parameters : mapping of str to float
         Values that differ from the defaults.
     follow_branch : bool
-        Whether every instant of the exact inversion starts from where the one before was heading instead of the
-        model's guess: where several configurations belong to one output, a run then stays on the branch on which it
-        started, and goes on smoothly where two branches meet.
+        Whether every instant of the exact inversion starts from the extrapolated previous one instead of the model's
+        guess: where several configurations belong to one output, a run then stays on the branch on which it started,
+        and continues smoothly where two branches meet.
     tracked : str
-        One word for what follows the path where the outputs are its position: ``load``. Tables of variables then have
+        Name of the body whose position the outputs are: ``load``. Tables of variables then have
         vectors ``load.position``, ``load.velocity``.
     effects : Effects
-        What the scene leaves out of the physics, or may leave out, see `with_effects`.
+        Physical effects that the scene neglects, or may neglect, see `with_effects`.
     drawing : callable, optional
-        Symbols of what a solution reports and of the parameters, by name -> the parts that pages draw, see `Part`;
-        found by the names of coordinates when not given.
+        Symbols of reported quantities and of parameters, by name -> the parts that pages draw, see `Part`; bodies and
+        points by the names of coordinates when not given.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Scene:
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
         if not self.name.strip():
-            raise InvalidModel("a scene needs a name: messages, tables and files are called by it")
+            raise InvalidModel("a scene needs a name, for messages, tables and files")
         require_kind(
             self.models, Mapping, f"{self.name}: models", "factories by name, such as {'only': make}", InvalidModel
         )
@@ -126,7 +126,7 @@ class Scene:
         Returns
         -------
         MechanicalSystem
-            Built when it is asked for the first time.
+            Made at the first call.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class Scene:
         Returns
         -------
         Scene
-            A new scene; this one stays as it is.
+            A new scene; this one is unchanged.
         """
         changed = replace(self, reference=reference)
         changed.require_path(changed.model())
@@ -192,14 +192,14 @@ class Scene:
         Returns
         -------
         Scene
-            A new scene; this one stays as it is.
+            A new scene; this one is unchanged.
         """
         merged = {**self.parameters, **values}
         self.model().parameters.values(merged)
         return replace(self, parameters=merged)
 
     def with_effects(self, *names: str, without: Iterable[str] = ()) -> Scene:
-        """Return the scene with more physics in it, or with less, and one model that has all of it.
+        """Return the scene with effects added or left out, and a single model with these effects.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class Scene:
         Returns
         -------
         Scene
-            A new scene; this one stays as it is.
+            A new scene; this one is unchanged.
 
         Raises
         ------
@@ -237,26 +237,26 @@ class Scene:
         )
 
     def with_limits(self, **bounds: Bounds | None) -> Scene:
-        """Return the scene with limits on what its solutions report, by name, in the place of those of the same name.
+        """Return the scene with limits of reported quantities by name, which replace those of the same name.
 
-        `solve` and `ExactInversion` refuse a path that breaks one, with the time.
+        `solve` and `ExactInversion` refuse a path that violates one, with the time.
 
         Parameters
         ----------
         **bounds : float, str or pair
             By the name of an input, an observable, an output or a coordinate, or that name and ``.rate``. One number is
-            the largest magnitude, an upper bound for what is never negative; a pair is a lower and an upper one, either
-            of them None for none. A text has its unit, ``5 deg``. None removes the limit.
+            the largest magnitude, an upper bound if the quantity is never negative; a pair is a lower and an upper
+            bound, None for none. A text has its unit, ``5 deg``. None removes the limit.
 
         Returns
         -------
         Scene
-            A new scene; this one stays as it is.
+            A new scene; this one is unchanged.
 
         Raises
         ------
         InvalidSetting
-            If there is nothing of a name, or its bounds are none.
+            If no quantity has a name, or its bounds are invalid.
 
         Examples
         --------
@@ -288,7 +288,7 @@ class Scene:
         return dict(zip(parameters.names, map(float, parameters.values(self.parameters)), strict=True))
 
     def exact(self, t: Array) -> dict[str, Array]:
-        """Evaluate the exact answer at the times `t`; raises `InvalidModel` if the scene has none.
+        """Evaluate the exact solution at the times `t`; raises `InvalidModel` if the scene has none.
 
         Parameters
         ----------
@@ -298,7 +298,7 @@ class Scene:
         Returns
         -------
         dict of str to ndarray, shape (N,)
-            Inputs, and what else the answer gives, by name and in their units.
+            Inputs, and further quantities of the solution, by name and in their units.
         """
         if self.independent_solution is not None:
             return self.independent_solution(t, self.reference, self.parameter_values())
@@ -308,13 +308,13 @@ class Scene:
 
 
 def require_scene(subject: object, who: str) -> None:
-    """Raise `InvalidModel`, with what to write instead, if what `who` was given is no `Scene`."""
+    """Raise `InvalidModel`, with the correct form, if the argument of `who` is not a `Scene`."""
     if isinstance(subject, MechanicalSystem):
         raise InvalidModel(
             f"{who} takes a Scene, not the system {subject.name}: Scene(name, models={{'only': lambda: system}},"
             " reference=path) says which path its outputs follow"
         )
-    require_kind(subject, Scene, f"what {who} is given", "a Scene", InvalidModel)
+    require_kind(subject, Scene, f"the first argument of {who}", "a Scene", InvalidModel)
 
 
 def within_limits(scene: Scene, limits: Mapping[str, Bounds | None] | None) -> Scene:
@@ -323,9 +323,8 @@ def within_limits(scene: Scene, limits: Mapping[str, Bounds | None] | None) -> S
     return scene.with_limits(**limits) if limits else scene
 
 
-# What was resolved and compiled for a system is found again by the system itself: scenes made twice, by
-# `with_reference` or by calling `cars(3)` again, must give the same object. The bound only keeps a program that makes
-# factories without end from filling the memory.
+# Resolved problems and compiled functions are memoized by the system object: scenes made twice, by `with_reference` or
+# by calling `cars(3)` again, must have the same one. The bound of the memo limits memory where many factories are made.
 @made_once
 def _made(factory: ModelFactory) -> MechanicalSystem:
     return factory()

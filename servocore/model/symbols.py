@@ -1,7 +1,7 @@
 """Named symbols: coordinates with their velocities, and parameters with default, unit and bounds.
 
-A model is written with CasADi expressions of these symbols. Parameters stay symbols to the end, so that they
-remain inputs of every compiled function: an FMU can tune them, a user can differentiate by them.
+A model is written with CasADi expressions of these symbols. Parameters stay symbols, as
+inputs of every compiled function: an FMU can tune them, a user can differentiate by them.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ class Parameter:
     description : str
         One line for tables and tool tips.
     fixed : bool
-        Whether FMUs keep it as it is after their initialization, because a sudden change would move coordinates at
-        once, which no inputs can do.
+        Whether FMUs keep it constant after initialization, because a change would move coordinates instantaneously.
     """
 
     name: str
@@ -73,7 +72,7 @@ class Parameter:
             The same value.
         """
         try:
-            if isinstance(value, bool | np.bool_ | str):  # numbers to Python: a text from a file would pass unseen
+            if isinstance(value, bool | np.bool_ | str):  # converted by float: a text from a file would be accepted
                 raise TypeError
             number = float(value)
         except (TypeError, ValueError):
@@ -117,12 +116,12 @@ def quantities_of(values: Any, what: str) -> tuple[Quantity, ...]:
 
 
 def numbers(values: Any, names: Sequence[str], what: str) -> tuple[float, ...]:
-    """Return finite numbers, one for each of some names, as a tuple; empty where nothing is given.
+    """Return finite numbers, one for each of some names, as a tuple; empty if not given.
 
     Raises
     ------
     InvalidModel
-        If there are too few or too many, or one is no finite number.
+        If there are too few or too many, or one is not finite.
     """
     listed = values.tolist() if isinstance(values, np.ndarray) else values
     if listed is None or (isinstance(listed, list | tuple) and not listed):
@@ -145,7 +144,7 @@ def symbols(names: Iterable[str]) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """The coordinates q of a system and their velocities v, as symbols that can be asked for by name.
+    """The coordinates q of a system and their velocities v, as symbols by name.
 
     Parameters
     ----------
@@ -184,12 +183,12 @@ class Coordinates:
         Parameters
         ----------
         magnitudes : sequence of float
-            One a coordinate, in its unit.
+            One per coordinate, in its unit.
 
         Returns
         -------
         Coordinates
-            New coordinates; these stay as they are.
+            New coordinates; these are unchanged.
         """
         copied = copy.copy(self)
         pairs = zip(self.quantities, magnitudes, strict=True)
@@ -239,7 +238,7 @@ class Coordinates:
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """The parameters p of a system, as symbols that can be asked for by name.
+    """The parameters p of a system, as symbols by name.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@
 
 `-B^T u` is the generalized force that the inputs exert. M may be singular (massless coordinates), M and B may
 depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path. Where f, V or g
-hold the time, it is one more row of gamma, whose derivatives are 1, 0, 0, ...: whatever a path can do, it can.
+depend on the time, it is one more row of gamma, with the derivatives 1, 0, 0, ...
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
 
 DERIVED = ca.SX()
-"""Default of the fields that `MechanicalSystem` makes itself when they are not given."""
+"""Default of fields that `MechanicalSystem` derives when they are not given."""
 
 _EXPRESSIONS = (
     "mass", "output", "input_matrix", "potential", "force", "constraints", "gyroscopic", "multipliers", "gamma",
@@ -55,12 +55,12 @@ def reference_symbols(components: int) -> ca.SX:
 class MechanicalSystem:
     """A mechanical system with holonomic constraints, inputs and a servo output, equation (1).
 
-    For an expression a number, a NumPy array or a nested list of numbers and expressions will do.
+    Expressions can also be given as a number, a NumPy array or a nested list of numbers and expressions.
 
     Parameters
     ----------
     name : str
-        What the system is called in messages.
+        Name of the system in messages.
     coordinates : Coordinates
         The n coordinates q and velocities v.
     parameters : Parameters
@@ -94,18 +94,19 @@ class MechanicalSystem:
         A value of the servo output, shape (m,), at which the system is regular; ones when not given. Formulations
         decide there which coordinates they treat as dependent.
     observables : mapping of Quantity to casadi.SX
-        What else a solution reports: expressions of q, v, lam, u, p and gamma.
+        Further reported quantities: expressions of q, v, lam, u, p and gamma.
     u : casadi.SX, optional
         Symbols of the inputs, shape (m,), if observables use them; made when not given.
     home_parameters : tuple of float, optional
         Parameter values at which the structure is analysed; the defaults when not given.
     constraint_names : tuple of str, optional
-        What messages call the rows of `constraints`; g_1, g_2, ... when not given.
+        Names of the rows of `constraints` in messages; g_1, g_2, ... when not given.
     time : casadi.SX, optional
-        Symbol of the time in s, if `potential`, `force`, `constraints`, `guess` or observables hold it. It becomes the
-        last row of `gamma`, and home is then the time zero.
+        Symbol of the time in s, if `potential`, `force`, `constraints`, `guess` or observables depend on it. It becomes
+        the last row of `gamma`, and home is then the time zero.
     reactions : mapping of Quantity to casadi.Function
-        What takes forces of constraints that `generalize` left out, of (q, v, v_dot, u, force on the output, p).
+        Observables with multipliers that `generalize` eliminated, as functions of (q, v, v_dot, u, force on the
+        output, p).
 
     Attributes
     ----------
@@ -124,9 +125,9 @@ class MechanicalSystem:
     ------
     InvalidModel
         If kinds or sizes do not match, a name stands for two quantities, an expression holds a foreign symbol or a
-        number that is not finite, M is not symmetric and positive semidefinite at home, an input or output is dead or
-        follows from others, or there are more inputs than degrees of freedom. Redundant constraints do not count: the
-        rank is taken where they hold.
+        number that is not finite, M is not symmetric and positive semidefinite at home, an input or output has no
+        effect or follows from others, or there are more inputs than degrees of freedom. Redundant constraints do not
+        count: the rank is taken where they hold.
     """
 
     name: str
@@ -169,12 +170,12 @@ class MechanicalSystem:
         self._require_shapes(n, m, m_h)
         self._derive()
         require_sound(self)
-        if m > n - m_h:  # otherwise there is freedom enough even if all constraints are independent
+        if m > n - m_h:  # otherwise there are degrees of freedom enough for any rank
             ranks = self._rank_at_home
             require_freedom(self.name, n, m, m_h, ranks.rank, assembled=ranks.assembled)
 
     def _take(self) -> None:
-        """Check the kinds of what was given; turn arrays and numbers into expressions, sequences into tuples."""
+        """Check the kinds of the arguments; convert arrays and numbers to expressions, sequences to tuples."""
         require_kind(self.name, str, "the name of a system", "a text", InvalidModel)
         for attribute, kind in (("coordinates", Coordinates), ("parameters", Parameters), ("observables", Mapping)):
             what, wanted = f"{self.name}: {attribute}", f"a {kind.__name__}"
@@ -256,7 +257,7 @@ class MechanicalSystem:
         """N less the rank of the holonomic constraints, where they hold."""
         return len(self.coordinates) - self._rank_at_home.rank
 
-    @cached_property  # assembling a large mechanism takes longer than anything else here, and not every system asks
+    @cached_property  # assembling a large mechanism is slow, and not every system needs its rank
     def _rank_at_home(self) -> ConstraintRank:
         return self._constraint_rank(None)
 
@@ -271,7 +272,7 @@ class MechanicalSystem:
         Returns
         -------
         ConstraintRank
-            Told at configurations that satisfy the constraints near the guess at `home`.
+            At configurations that satisfy the constraints near the guess at `home`.
         """
         return self._rank_at_home if p is None or tuple(p) == self.home_parameters else self._constraint_rank(p)
 
@@ -282,7 +283,7 @@ class MechanicalSystem:
         return constraint_rank(constraints, self.q, self.p, starts, values, self.coordinates.nominal)
 
     def listed_constraints(self, rows: Sequence[int]) -> str:
-        """Return what messages call some rows of the holonomic constraints.
+        """Return the names of some rows of the holonomic constraints, for messages.
 
         Parameters
         ----------
@@ -302,7 +303,7 @@ class MechanicalSystem:
         Raises
         ------
         InvalidModel
-            If they are; the sentence names the rows that follow from others.
+            If they are; the message names the rows that follow from others.
         """
         ranks = self._rank_at_home
         if ranks.redundant:
@@ -340,7 +341,7 @@ class MechanicalSystem:
         Returns
         -------
         casadi.SX
-            What vanishes along a motion, in the units of the forces, shape (n,).
+            Residual in the units of the forces, shape (n,); zero along a motion.
         """
         return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
 

@@ -1,4 +1,4 @@
-"""Units as texts: how many of one are another, ``deg`` in ``rad``, ``km/h`` in ``m/s``."""
+"""Conversion of units given as texts: ``deg`` to ``rad``, ``km/h`` to ``m/s``."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def in_unit(text: str, unit: str, what: str) -> float:
     unit : str
         As FMI spells it: ``N.m``, ``rad``, ``m/s``.
     what : str
-        What it is of, for messages.
+        Name of the quantity in messages.
 
     Raises
     ------
     InvalidSetting
-        If it is no number with a unit, or its unit is that of another kind of quantity.
+        If it is not a number with a unit, or its unit has another dimension.
     """
     match = _QUANTITY.fullmatch(text)
     if match is None:
@@ -77,7 +77,7 @@ def unit_of(text: str) -> str:
 
 
 def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
-    """Return how many SI units it is, and of which."""
+    """Return factor and powers of a unit in SI units."""
     factor, powers = 1.0, Counter[str]()
     numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")
     for text, sign in ((numerators, 1), *((denominator, -1) for denominator in denominators)):

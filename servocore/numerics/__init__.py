@@ -1,1 +1,1 @@
-"""Numerics that know no mechanics: compiled calls, square systems, machine code, ranks, expressions."""
+"""Numerics independent of mechanics: compiled calls, square systems, machine code, ranks, expressions."""

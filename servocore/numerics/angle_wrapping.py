@@ -1,4 +1,4 @@
-"""Angles that are known up to full turns only."""
+"""Angles modulo full turns."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ Array = npt.NDArray[np.float64]
 
 
 def wrapped_angle(angle: Array) -> Array:
-    """Return angles (rad) less the full turns in them: in [-pi, pi)."""
+    """Return angles (rad) modulo full turns, in [-pi, pi)."""
     wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return wrapped

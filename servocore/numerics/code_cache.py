@@ -1,8 +1,8 @@
-"""Libraries of machine code that outlive a process: a folder of its user's own, from which nothing unknown is loaded.
+"""Cache of compiled libraries on disk: a folder private to its user, from which only verified files are loaded.
 
-Every file is named after what was compiled and how, and after its own contents: a file that is damaged or half written
-has another hash than its name says. Files are written beside their place and renamed into it, so that any number of
-processes may build the same.
+The name of a file holds a hash of source and compiler options, and a hash of its contents, which reveals damaged and
+incomplete files. Files are written under a temporary name and then renamed, so that processes may build the same
+library at the same time.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FOLDER = "SERVOCORE_CACHE"
-"""Environment variable with the folder, if not the user's own for caches."""
+"""Environment variable with the folder; the default is the user's folder for caches."""
 
 MOST_BYTES = 64 * 1024**2
-"""Of all libraries: beyond, the ones that were not used longest are removed."""
+"""Size of all libraries beyond which those not used for longest are removed."""
 
 _SUFFIX = ".so"
 
@@ -29,27 +29,27 @@ class CodeCache:
     Attributes
     ----------
     folder : Path
-        Made when something is stored, for its user alone.
+        Created by the first `store`, with mode 0700.
     """
 
     folder: Path
 
     @classmethod
     def of_user(cls) -> CodeCache:
-        """Return that of the environment variable `FOLDER`, or else the one in the user's folder for caches."""
+        """Return the cache in the folder of the environment variable `FOLDER`, else in the user's folder for caches."""
         import platformdirs  # noqa: PLC0415 - it takes a tenth of the time that importing the library takes
 
         named = os.environ.get(FOLDER)
         return cls(Path(named) if named else platformdirs.user_cache_path("servocore") / "machine-code")
 
     def refusal(self) -> str:
-        """Say why nothing is loaded from this folder or stored there; empty if it is as it should be, or not there."""
+        """Return why the folder is not used, as a sentence; empty if it can be used or does not exist."""
         try:
             status = self.folder.lstat()
         except FileNotFoundError:
             return ""
         except OSError as error:
-            return f"{self.folder} cannot be looked at: {error.strerror}"
+            return f"{self.folder} cannot be examined: {error.strerror}"
         if not stat.S_ISDIR(status.st_mode):
             return f"{self.folder} is no folder"
         if hasattr(os, "getuid"):
@@ -57,11 +57,11 @@ class CodeCache:
                 return f"{self.folder} belongs to another user"
             if stat.S_IMODE(status.st_mode) != 0o700:
                 mode = stat.S_IMODE(status.st_mode)
-                return f"{self.folder} has mode {mode:04o}: it must be its user's alone, mode 0700"
+                return f"{self.folder} has mode {mode:04o}: only its user may have access, mode 0700"
         return ""
 
     def find(self, key: str) -> Path | None:
-        """Return the library of a key; one whose contents are not those that were stored is removed instead."""
+        """Return the library of a key, None if there is none; a file with changed contents is removed."""
         if self.refusal():
             return None
         for path in self._libraries(f"{key}-*"):
@@ -98,7 +98,7 @@ class CodeCache:
         return sorted(self._libraries("*"))
 
     def clear(self) -> tuple[int, int]:
-        """Remove all that was stored; return how many libraries and how many bytes these were."""
+        """Remove all libraries; return their number and their size in bytes."""
         count = size = 0
         if self.refusal():
             return 0, 0
@@ -111,12 +111,12 @@ class CodeCache:
         return count, size
 
     def _libraries(self, pattern: str) -> list[Path]:
-        """Return files, and no links to files, in no order."""
+        """Return the library files, without symbolic links, in no order."""
         libraries = self.folder.glob(f"{pattern}{_SUFFIX}") if self.folder.is_dir() else ()
         return [path for path in libraries if path.is_file() and not path.is_symlink()]
 
     def _trim(self, more: int) -> None:
-        """Remove what was not used longest until `more` bytes have room."""
+        """Remove the libraries not used for longest, until `more` bytes can be added."""
         known = sorted(((path.stat(), path) for path in self._libraries("*")), key=lambda entry: entry[0].st_mtime)
         size = sum(status.st_size for status, _ in known) + more
         for status, path in known:

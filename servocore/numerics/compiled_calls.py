@@ -17,14 +17,14 @@ Array = npt.NDArray[np.float64]
 
 
 def read_only(array: Array) -> Array:
-    """Return a view of an array through which nothing can be written; whoever has the array itself still can."""
+    """Return a read-only view of an array; the array itself stays writable."""
     view = np.asarray(array).view()
     view.flags.writeable = False
     return view
 
 
 def lock_arrays(record: object, *names: str) -> None:
-    """Put read-only views in the places of a frozen record's arrays."""
+    """Replace the arrays of a frozen record by read-only views."""
     for name in names:
         object.__setattr__(record, name, read_only(getattr(record, name)))
 
@@ -35,16 +35,16 @@ class Call:
     Parameters
     ----------
     function : casadi.Function
-        What to call.
+        The function to call.
 
     Notes
     -----
-    Arguments are broadcast to nothing: each must have exactly as many entries as the function declares. Matrices
+    Arguments are not broadcast: each must have exactly as many entries as the function declares. Matrices
     are read and returned column by column (Fortran order), vectors are one-dimensional. Threads that share a `Call`
     take turns: its buffer holds one set of arguments.
 
-    Where CasADi gives up, as in a linear system that is singular to the last bit, it leaves results as they were. All
-    of them are then NaN.
+    CasADi writes no results if an evaluation fails, as for a linear system that is exactly singular. All results are
+    then NaN.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -60,7 +60,7 @@ class Call:
         """Evaluate; raises ValueError if an argument has the wrong size."""
         held = []
         for k, (argument, size) in enumerate(zip(arguments, self._sizes, strict=True)):
-            # ravel(order="F") copies only what does not lie column by column already
+            # ravel(order="F") copies only arrays that are not in column-major order
             flat = np.asarray(argument, dtype=np.float64).ravel(order="F")
             if flat.size != size:
                 raise ValueError(f"argument {k} of {self._name} has {flat.size} entries, expected {size}")
@@ -80,7 +80,7 @@ class Call:
         for k, result in enumerate(results):
             if result.size:
                 self._buffer.set_res(k, result.data)
-                result[-1] = np.nan  # success writes over it: a look costs less than asking CasADi every time
+                result[-1] = np.nan  # overwritten on success: to test this entry costs less than CasADi's return value
         self._evaluate()
         if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
             for result in results:
@@ -101,7 +101,7 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
     function : casadi.Function
         With column vectors, a reference jet of shape (m, orders) and the parameters as arguments.
     *columns : ndarray, shape (size, N)
-        One column an instant.
+        One column per instant.
     jets : ndarray, shape (N, orders, m)
         Reference jets.
     p : ndarray
@@ -119,7 +119,7 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
 
 @made_once  # to build these costs more than to evaluate them, and runs of one length follow one another
 def mapped(function: ca.Function, count: int, along: tuple[bool, ...] | None = None) -> Call:
-    """Return a function for `count` instants side by side; `along` says which arguments vary, all if it is None."""
+    """Return a function of `count` instants side by side; `along` marks the arguments that vary, None for all."""
     shared = [k for k, varies in enumerate(along or ()) if not varies]
     return Call(function.map(f"{function.name()}_map", "serial", count, shared, []))
 

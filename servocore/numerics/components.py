@@ -1,7 +1,7 @@
 """Independent parts of equations, rows and columns of a matrix that have no entries in common with the others.
 
-Dense linear algebra on parts costs what the parts do, on the whole matrix its cube. Beside them stands the assignment
-of rows to columns with the largest sum of weights.
+Dense linear algebra costs the cube of the size of a matrix, so that independent parts are cheaper one by one. The other
+subject is the assignment of rows to columns with the largest sum of weights.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Part:
     rows, columns : ndarray of int
         Of the matrix, in rising order.
     entries : ndarray of int
-        Which of the matrix' entries, column by column, belong to it.
+        Indices of its entries among those of the matrix, column by column.
     places : tuple of (ndarray of int, ndarray of int)
         Row and column in the part of each of these.
     """
@@ -77,7 +77,7 @@ def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
 
 
 def filled(matrix: ca.DM) -> Array:
-    """Return a sparse matrix with its zeros: CasADi itself goes through all of them one by one."""
+    """Return a sparse matrix as a dense array; CasADi's own conversion copies every zero by itself."""
     array = np.zeros(matrix.shape)
     array[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
     return array
@@ -99,7 +99,7 @@ def singular_values(matrix: Array) -> Array:
 def balanced(matrices: Array) -> Array:
     """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
 
-    At a single instant scaling would hide an equation that loses all its terms there.
+    Scaled at each instant separately, an equation whose terms all vanish at an instant would be hidden.
     """
     for axes in ((0, 2), (0, 1)):
         largest = np.abs(matrices).max(axis=axes, keepdims=True)
@@ -107,19 +107,19 @@ def balanced(matrices: Array) -> Array:
     return matrices
 
 
-_SMALL = 3  # unknowns: parts up to this size are solved by formula, which costs less than to call a function
+_SMALL = 3  # unknowns: parts up to this size are solved by a formula, cheaper than a function call
 
 
 @dataclass(frozen=True, eq=False)
 class IsomorphicParts:
-    """Parts that one solver serves.
+    """Isomorphic parts, which share one compiled solver.
 
     Attributes
     ----------
     parts : list of Part
         Rows and columns of each.
     givens : list of list of int
-        Which of the system's givens each depends on, in the order in which the solver of the first takes them.
+        Indices of the system's givens on which each part depends, in the order of the solver's arguments.
     """
 
     parts: list[Part]
@@ -134,7 +134,7 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     residual, unknowns, givens : casadi.SX
         The equations; unknowns and givens are symbols.
     beside : sequence of casadi.SX
-        Expressions of the givens, as long as the residual, that belong to a part too: by unknown, the last by row.
+        Further expressions of the givens, as long as the residual: one entry per unknown, in the last one per row.
     """
     if unknowns.numel() <= 2 * _SMALL:
         return []
@@ -153,7 +153,7 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
         expressions = [residual[rows], *(vector[columns] for vector in beside[:-1]), beside[-1][rows]]
         hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
         known = sorted(places[key] for key in hashes if key in places)
-        # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
+        # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
         group = groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)
         group.givens.append(known)
@@ -172,7 +172,7 @@ _MOST_AUGMENTED = 200  # rows: beyond, compiled loops are worth their import
 
 
 def largest_assignment(weights: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return the column of every row such that the sum of the weights (n, n) is as large as it can be.
+    """Return the column of every row such that the sum of the weights (n, n) is maximal.
 
     Shortest augmenting paths with potentials (Kuhn 1955, Edmonds and Karp 1972): O(n^3), in vectors of NumPy. SciPy has
     the same in C, but its import takes ten times longer than the analysis of most systems.
@@ -198,11 +198,11 @@ def _augment(
     row_of: npt.NDArray[np.intp],
     row: int,
 ) -> None:
-    """Give a row its column: along the path of least loss to a column that is free, all arrays in place."""
+    """Assign a column to a row along the shortest augmenting path to a free column; all arrays change in place."""
     most = np.iinfo(np.int64).max // 4
     loss, before = np.full(len(row_of), most), np.full(len(row_of), -1)
     seen = np.zeros(len(row_of), dtype=bool)
-    here, column = row, -1  # the row that is looked at, and the column by which it was reached
+    here, column = row, -1  # the current row, and the column by which it was reached
     while True:
         reduced = of_row[here] + of_column - weights[here]
         nearer = ~seen & (reduced < loss)

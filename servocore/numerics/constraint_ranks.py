@@ -1,4 +1,4 @@
-"""Ranks of constraints: how many are independent where they are satisfied, and which columns determine the others.
+"""Ranks of constraints at configurations that satisfy them, and choices of dependent columns.
 
 Away from its assembled configurations a linkage can have more independent rows than its motion allows: a Bricard
 linkage of six hinges has rank 30 of 30 joint rows almost everywhere and 29 where it is closed. So configurations are
@@ -22,11 +22,11 @@ from servocore.numerics.components import singular_values
 ROUND_OFF = 1e-9
 """Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""
 
-_ASSEMBLED, _CLOSED = 1e-11, 1e-13  # residual of scaled rows: good enough, and where iteration stops
+_ASSEMBLED, _CLOSED = 1e-11, 1e-13  # residual of scaled rows: accepted, and end of the iteration
 _IMPLIED = 1e-8  # residual of the rows left out where the others hold
 _DAMPING_FLOOR = 1e-14
 _ITERATIONS = 60
-_APART, _NEIGHBOURS = 0.1, 3  # of the nominal magnitudes; a home may be special, its neighbours are not
+_APART, _NEIGHBOURS = 0.1, 3  # of the nominal magnitudes; home may be singular, its neighbours are not
 _LARGE_ENOUGH = 0.1  # of the largest part in a dependence: among such rows the last is left out
 
 _MOST_MINORS = 2000  # beyond that many candidates the columns are chosen greedily
@@ -39,12 +39,12 @@ Rows = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class ConstraintRank:
-    """What is known of the independence of constraints.
+    """Rank of constraints and redundant rows.
 
     Attributes
     ----------
     rows, rank : int
-        How many there are, and how many of them are independent. Equal if no configuration could be assembled.
+        Number of constraints and of independent ones; equal if no configuration could be assembled.
     redundant : tuple of int
         Rows that follow from the others, also around the configuration: rows - rank of them, or none.
     assembled : bool
@@ -67,17 +67,17 @@ def constraint_rank(
     constraints, q, p : casadi.SX
         g(q, p), shape (m,), and its symbols.
     starts : sequence of ndarray, shape (n,)
-        Where to look for an assembled configuration; the first that leads to one counts.
+        Starts of the search for an assembled configuration; the first that leads to one counts.
     values : ndarray
-        Of the parameters.
+        Parameter values.
     nominal : sequence of float, shape (n,)
         Typical magnitudes of the coordinates.
 
     Returns
     -------
     ConstraintRank
-        The largest rank at an assembled configuration and its neighbours: at a singular configuration alone
-        rows that are needed would seem dependent. Rows are redundant if the others imply them at neighbours.
+        The largest rank at an assembled configuration and its neighbours: at a singular configuration the rank is
+        lower than elsewhere. Rows are redundant if the others imply them at neighbours.
     """
     count = constraints.numel()
     if not count:
@@ -112,7 +112,7 @@ def scaled_rows(constraints: ca.SX, q: ca.SX, p: ca.SX, values: Array, scale: Ar
 
 
 def _balanced(rows: Rows, places: Sequence[Array]) -> Rows:
-    """Divide rows by the lengths that their gradients have near some places, so that units do not decide on zero."""
+    """Divide rows by the lengths of their gradients near some points, so that thresholds do not depend on units."""
     points = [point for place in places for point in (place, *_around(place, _APART))]
     with np.errstate(invalid="ignore"):
         lengths = np.nan_to_num(
@@ -177,7 +177,7 @@ def _rank(jacobian: Array) -> int:
 
 
 def _dependent(jacobian: Array, rank: int) -> tuple[int, ...]:
-    """Choose the rows to leave out: the last ones with a part in the dependences that is not small."""
+    """Return the redundant rows: the last ones with a large enough part in the dependences."""
     if rank == len(jacobian):
         return ()
     left, _, _ = np.linalg.svd(unit_rows(jacobian))
@@ -185,7 +185,7 @@ def _dependent(jacobian: Array, rank: int) -> tuple[int, ...]:
     while null.shape[1]:
         parts = np.linalg.norm(null, axis=1)
         chosen.append(int(np.flatnonzero(parts >= _LARGE_ENOUGH * parts.max())[-1]))
-        # What remains are the dependences in which the chosen row has no part.
+        # The dependences in which the chosen row has no part remain.
         null = null @ np.linalg.svd(null[chosen[-1:]])[2][1:].T
     return tuple(sorted(chosen))
 
@@ -210,9 +210,9 @@ def pivot_columns(matrix: Array) -> list[int]:
 
 
 def last_good_columns(matrix: Array) -> list[int] | None:
-    """Return as many columns as there are rows, in rising order, the last ones of which the minor is large enough.
+    """Return as many columns as there are rows, in rising order: the last ones whose minor is large enough.
 
-    None if the rows are dependent, in whatever units they are.
+    None if the rows are dependent; units do not matter.
     """
     m, n = matrix.shape
     largest = np.abs(matrix).max(axis=1, initial=0.0)

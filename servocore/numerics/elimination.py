@@ -1,4 +1,4 @@
-"""Elimination: symbols with their values in the compiled graph, while a square system is solved block by block.
+"""Values and explicit expressions of unknowns, in a compiled graph that solves a square system block by block.
 
 Tearing substitutes unknowns of a block that a row gives explicitly, so that fewer remain to be iterated. Small linear
 systems are solved as expressions: by Cramer's rule, determinants by Laplace's expansion, or QR.
@@ -26,21 +26,21 @@ _Columns = frozenset[int]
 class KnownValues:
     """Symbols with values in a compiled graph, and unknowns that are expressions of these, not yet evaluated.
 
-    Every compiled piece takes the symbols that it needs and no others, so that a system of many parts costs what its
-    parts do.
+    Every compiled function takes only the symbols that it needs, so that the cost of a system of many parts is the sum
+    of their costs.
 
     Attributes
     ----------
     explicit : dict of int to (casadi.SX, casadi.SX)
         By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
     iterations : list of casadi.MX
-        Counts of Newton's method.
+        Iteration counts of Newton's method.
     isomorphic_counts : list of casadi.MX
         Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
     corrections : list of casadi.MX
         Squared scaled corrections of guesses that should be exact.
     linear_blocks : int
-        Blocks that needed no iterations.
+        Number of blocks solved without iterations.
     """
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class KnownValues:
         self.explicit[symbol.element_hash()] = symbol, self.resolved(expression)[0]
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
+        """Return `expressions` in terms of evaluated symbols and of unknowns not solved yet."""
         pairs = [self.explicit[key] for key in _symbols(expressions) if key in self.explicit]
         return substituted(pairs, *expressions)
 
@@ -77,7 +77,7 @@ class KnownValues:
     def evaluated(self, name: str, *expressions: ca.SX, common: bool = True) -> list[ca.MX]:
         """Return the values of `expressions` of evaluated symbols, by one compiled function.
 
-        What is `common` to subexpressions is computed once, if that is asked for.
+        With `common`, common subexpressions are computed once.
         """
         symbols, values = self.needed(*expressions)
         results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
@@ -108,7 +108,7 @@ class KnownValues:
 
 
 def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[ca.SX]:
-    """Return `expressions` with (symbol, expression in its place) of all pairs put in at once."""
+    """Return `expressions` with all pairs of (symbol, replacement) substituted at once."""
     if not pairs:
         return list(expressions)
     symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
@@ -117,12 +117,12 @@ def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[c
 
 
 def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:
-    """Hashes of the symbols that occur."""
+    """Return the hashes of the symbols in expressions."""
     return [symbol.element_hash() for symbol in ca.symvar(ca.veccat(*expressions))]
 
 
 def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[tuple[ca.SX, ca.SX]]]:
-    """Take unknowns out of a block that one of its rows gives explicitly with a constant coefficient.
+    """Eliminate unknowns that a row of a block gives explicitly with a constant coefficient.
 
     Returns the remaining unknowns and rows, and the substitutions in an order in which each holds unknowns that remain
     or come later in the list; they are returned already resolved among themselves.
@@ -138,7 +138,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
             break
         i, j = best
         touched = [k for k in active_rows if pattern[k, j] and k != i]
-        # Structural fill: cancellation is not looked for, which only makes the estimate careful.
+        # Structural fill: cancellation is neglected, so that the estimate is an upper bound.
         pattern[touched] |= pattern[i]
         constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
         active_rows.remove(i)
@@ -156,7 +156,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
 
 
 def is_linear(residual: ca.SX, unknowns: ca.SX, jacobian: ca.SX) -> bool:
-    """Whether a residual with this Jacobian is linear in unknowns; one that jumps is not, whatever that says."""
+    """Whether a residual with this Jacobian is linear in unknowns; one that jumps is not."""
     if ca.depends_on(jacobian, unknowns):
         return False
     stand_in = without_jumps(residual)
@@ -164,7 +164,7 @@ def is_linear(residual: ca.SX, unknowns: ca.SX, jacobian: ca.SX) -> bool:
 
 
 def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
-    """Where a sparse matrix has entries."""
+    """Return the sparsity pattern of a matrix as a Boolean array."""
     pattern = np.zeros(jacobian.shape, dtype=bool)
     pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
     return pattern
@@ -269,8 +269,8 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
 def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
     """Return the fewest products that developing takes, and the order of rows for it, the lowest first.
 
-    Which minors there are depends on the rows that they are of, not on their order: so the best order of some rows ends
-    with the best one of all but its last.
+    The set of minors depends on the rows, not on their order. By dynamic programming, the best order of some rows
+    extends the best order of all but the last of them.
     """
     best: dict[_Columns, tuple[int, list[int], set[_Columns]]] = {_Columns(): (0, [], {_Columns()})}
     for size in range(len(rows)):

@@ -1,4 +1,4 @@
-"""Helpers for CasADi expressions: norms, derivatives, and what users write taken as expressions."""
+"""Helpers for CasADi expressions: norms, derivatives, conversion of users' values to expressions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from servocore.errors import InvalidModel, described
 
 
 def largest(values: ca.SX) -> ca.SX:
-    """Return the maximum norm, and NaN if any entry is: CasADi's own passes over NaN."""
+    """Return the maximum norm, NaN if any entry is NaN: CasADi's own norm ignores NaN."""
     if not values.numel():
         return ca.SX(0)
     return ca.if_else(ca.norm_1(values) < np.inf, ca.norm_inf(values), np.nan)
@@ -44,7 +44,7 @@ def as_expression(value: object, what: str) -> ca.SX:
     Raises
     ------
     InvalidModel
-        If it is something else, such as a text or an expression of the kind MX.
+        If it is of another kind, such as a text or an expression of the kind MX.
     """
     if isinstance(value, ca.SX):
         return value
@@ -63,7 +63,7 @@ def as_expression(value: object, what: str) -> ca.SX:
 
 
 def _stacked(rows: Sequence[object], what: str) -> ca.SX:
-    """Put rows below one another; those that are lists themselves are laid out flat."""
+    """Stack rows; those that are lists become rows of a matrix."""
     columns = []
     for k, row in enumerate(rows):
         listed = row.tolist() if isinstance(row, np.ndarray) else row
@@ -97,9 +97,9 @@ def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
 
 
 def constants_kept(scale: ca.SX) -> tuple[ca.SX, list[int]]:
-    """Return the scale with symbols in the places of all that is no number, and those places.
+    """Return the scale with symbols in place of all entries that are not numbers, and the indices of these.
 
-    Most scales are one, and what is multiplied by a number that is known to be one takes no operation.
+    Most scales are one, and CasADi drops a multiplication by a constant one.
     """
     places = [k for k in range(scale.numel()) if not scale[k].is_constant()]
     mixed = ca.SX(scale)
@@ -113,7 +113,7 @@ def expressions_of(name: str, fields: Mapping[str, object], n: int) -> dict[str,
     for field, value in fields.items():
         matrix = as_expression(value, f"{name}: {field}")
         column = matrix is not value and matrix.shape == (n, 1)
-        if field in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
+        if field in ("mass", "input_matrix"):  # zeros of an array are not structural entries
             matrix = ca.sparsify(matrix)
         taken[field] = matrix.T if column and field == "input_matrix" else matrix
     return taken

@@ -23,25 +23,25 @@ def lagrange(nodes: npt.ArrayLike, points: Iterable[float] | Iterable[ca.SX]) ->
     Parameters
     ----------
     nodes : array_like, shape (n,)
-        Where values are known; no two alike.
+        Points of the known values, all different.
     points : iterable of float or casadi.SX, length m
-        Where values are wanted, in the unit of the nodes.
+        Points of interpolation, in the unit of the nodes.
 
     Returns
     -------
     casadi.DM or casadi.SX, shape (n, m)
-        Values stand side by side here, one column a node, as CasADi's columns do. Each column of W sums to one.
+        For values in columns, one column per node. Each column of W sums to one.
     """
     places = np.asarray(nodes, dtype=np.float64)
     return ca.horzcat(*[ca.vertcat(*_weights(places, point)) for point in points])
 
 
 def _weights(nodes: Array, point: float | ca.SX) -> list[float | ca.SX]:
-    """Value at a point of each polynomial that is one at its own node and zero at the others."""
+    """Return the values at a point of the Lagrange polynomials, one per node."""
     weights = []
     for i, node in enumerate(nodes):
         others = np.delete(nodes, i)
-        # Whole products first: between equidistant nodes they are whole numbers, and their quotient is exact.
+        # Products before the quotient: between equidistant nodes they are integers, and the quotient is exact.
         weights.append(
             prod((point - float(other) for other in others), start=point * 0.0 + 1.0) / float(prod(node - others))
         )

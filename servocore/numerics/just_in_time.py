@@ -1,10 +1,11 @@
-"""Just-in-time compilation: what is interpreted becomes machine code where that pays."""
+"""Just-in-time compilation of interpreted functions where the work is worth it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
@@ -12,38 +13,45 @@ if TYPE_CHECKING:
 
     from servocore.numerics.machine_code import Build
 
-# Compilers are imported where one is needed: a program that solves once needs none.
+# The compiler's modules are imported on use: a program that solves once needs none.
 
 MANY = 10_000
-"""Instants from which on machine code is worth being made for a first call."""
+"""Number of instants from which on a first call is worth a compilation."""
 
 NAME, LANES = "sc_run", 8
-"""What a function of many instants is called in its library, and how many of them it takes at once, at least."""
+"""Name of a function of many instants in its library, and the least number of instants that it takes."""
 
-_SECOND = 2  # call from which on it is worth a look
+_SECOND = 2  # call from which on a compilation is worth it
 
 Loaded = TypeVar("Loaded")
 
 
-def pays(calls: int, count: int) -> bool:
-    """Whether so many calls, this one included, or so many instants are worth writing a source and compiling it."""
-    return calls >= _SECOND or count >= MANY
+@dataclass
+class Use:
+    """Counter of calls that decides whether machine code is worth its compilation."""
+
+    calls: int = 0
+
+    def pays(self, count: int, called: bool = True) -> bool:
+        """Count a call if this is one; return whether the calls, or so many instants, are worth a compilation."""
+        self.calls += called
+        return self.calls >= _SECOND or count >= MANY
 
 
 class JustInTime(Generic[Loaded]):
-    """Machine code that is there as soon as it is worth being made.
+    """Machine code that is compiled in the background, as soon as the work is worth it.
 
     Parameters
     ----------
     make : callable
-        () -> what is to be built; None if it cannot be written as C, or is too long.
+        () -> the build; None if it cannot be written as C, or is too long.
     load : callable
-        Library -> what runs from it.
+        Library -> the loaded function.
     native : bool or None
-        True makes it now, False never; with None it is used if it was made before, and made in the background when
-        there is enough to do.
+        True compiles at once, False never. None takes a library from the cache, and compiles in the background if the
+        work is worth it.
     again : bool
-        Whether what it is for was evaluated before.
+        Whether the function was evaluated before.
 
     Raises
     ------
@@ -58,7 +66,7 @@ class JustInTime(Generic[Loaded]):
         native: bool | None = None,
         again: bool = False,
     ) -> None:
-        self._make, self._load, self._calls = make, load, int(again)
+        self._make, self._load, self._use = make, load, Use(int(again))
         self._build: Build | None = None
         self._loaded: Loaded | None = None
         self._settled = native is not None
@@ -69,14 +77,13 @@ class JustInTime(Generic[Loaded]):
             self._loaded = load(built(build))
 
     def best(self, count: int, called: bool = True) -> Loaded | None:
-        """Return machine code for so many instants if it is there; a call (is this one?) brings it nearer."""
-        self._calls += called
-        if not self._settled and pays(self._calls, count):
-            self._look()
+        """Return machine code for so many instants if it is compiled; with `called`, count a call."""
+        if self._use.pays(count, called) and not self._settled:
+            self._obtain()
         return self._loaded
 
-    def _look(self) -> None:
-        """Take machine code that is there; have it built if it is not."""
+    def _obtain(self) -> None:
+        """Load machine code from the cache, or start its compilation in the background."""
         from servocore.numerics.machine_code import BACKGROUND, automatic, library_of  # noqa: PLC0415
 
         if self._build is None:
@@ -88,14 +95,14 @@ class JustInTime(Generic[Loaded]):
             if library is not None:
                 with suppress(OSError, RuntimeError):  # a library that cannot be loaded
                     self._loaded = self._load(library)
-            self._settled = library is not None or not BACKGROUND.ask(self._build)
+            self._settled = library is not None or not BACKGROUND.start(self._build)
 
 
 Holder = TypeVar("Holder")
 
 
 def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
-    """Return a value with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
+    """Return an object with some of its functions as machine code; `of_what` names it in messages, see `JustInTime`."""
 
     def make() -> Build:
         from servocore.numerics.machine_code import build_of  # noqa: PLC0415

@@ -1,8 +1,8 @@
-"""Machine code: functions written in C and built by the compiler of this machine.
+"""Machine code: functions as C, compiled by the C compiler of this machine.
 
-CasADi interprets its expressions, at some nanoseconds an operation. Machine code takes a fifth of that, and a
-twentieth where it takes eight instants at once, but has to be built: that takes a tenth of a second to some seconds,
-once a machine. What was built is kept; see `code_cache`.
+CasADi interprets its expressions, at some nanoseconds per operation. Machine code takes a fifth of that, and a
+twentieth where it evaluates eight instants at once, but a compilation takes a tenth of a second to some seconds.
+Compiled libraries are kept on disk; see `code_cache`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,14 +26,14 @@ import casadi as ca
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import CodeCache
 
-# This module is imported where machine code is wanted: a program that solves once needs none of these.
+# This module is imported on use only: a program that solves once needs none of these imports.
 
 COMPILERS = ("cc", "gcc", "clang")
 AUTOMATIC = "SERVOCORE_MACHINE_CODE"
-"""Environment variable: "off" leaves machine code to those who ask for it."""
+"""Environment variable: with "off", functions are compiled only where `native=True` is given."""
 
-# No fused operations and nothing reordered: a program must not depend on who evaluates it. That functions of the C
-# library need not report errors in a variable changes no number, and lets the compiler take square roots side by side.
+# No fused and no reordered operations: results must be those of the interpreter. Without errno the results are the
+# same, and square roots can be vectorized.
 _OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno")
 _OF_THIS_PROCESSOR = "-march=native"
 _SECONDS = 900.0
@@ -64,16 +64,16 @@ def c_compiler() -> list[str]:
 
 @dataclass(frozen=True)
 class Build:
-    """A library to be built: its source, and what it belongs to.
+    """A library to be compiled.
 
     Parameters
     ----------
     source : str
-        In C.
+        C source.
     of_what : str
-        For messages.
+        Name in messages.
     vectors : bool
-        Whether for this machine's processor alone, with all its instructions.
+        Whether to use all instructions of this machine's processor.
     """
 
     source: str
@@ -94,7 +94,7 @@ class Build:
 
 
 def _processor() -> str:
-    """Return what the processor can do."""
+    """Return the features of the processor."""
     with suppress(OSError):
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
         for line in text.splitlines():
@@ -104,7 +104,7 @@ def _processor() -> str:
 
 
 def library_of(build: Build) -> Path | None:
-    """Return the library of a build if it was built before, on this machine by this compiler; else None."""
+    """Return the library of a build from the cache, None if it is not there."""
     try:
         key = build.key(c_compiler())
     except InvalidSetting:
@@ -114,7 +114,7 @@ def library_of(build: Build) -> Path | None:
 
 @dataclass(eq=False)
 class _Processes:
-    """Compilers that run: they end when this process does."""
+    """Running compilers, which end with this process."""
 
     running: set[subprocess.Popen[str]] = field(default_factory=set)
     closed: bool = False
@@ -122,7 +122,7 @@ class _Processes:
     def run(self, command: list[str], folder: Path) -> tuple[int, str]:
         """Run a compiler; return its exit code and its messages."""
         if self.closed:
-            return -1, "the process ends"
+            return -1, "this process is ending"
         with subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         ) as process:
@@ -133,13 +133,13 @@ class _Processes:
                 message = process.communicate(timeout=_SECONDS)[1]
             except subprocess.TimeoutExpired:
                 process.kill()
-                return -1, f"no end after {_SECONDS:g} s"
+                return -1, f"not finished after {_SECONDS:g} s"
             finally:
                 self.running.discard(process)
             return process.returncode, message
 
     def close(self) -> None:
-        """End all of them, and start no more."""
+        """Kill all compilers, and start no more."""
         self.closed = True
         for build in list(self.running):
             with suppress(OSError):
@@ -150,9 +150,9 @@ _PROCESSES = _Processes()
 
 
 def built(build: Build) -> Path:
-    """Return the library of a build, made now if it was never made before.
+    """Return the library of a build, from the cache or compiled now.
 
-    It lies in the cache, or where that cannot be used in a folder that goes with this process.
+    It is stored in the cache, or in a temporary folder if the cache cannot be used.
 
     Raises
     ------
@@ -182,33 +182,33 @@ def _compiled_contents(build: Build, command: list[str]) -> bytes:
 
 
 def compile_in(folder: Path, command: Sequence[str], of_what: str) -> None:
-    """Run a compiler in a folder; nothing else in the library starts one.
+    """Run a compiler in a folder; no other function of the library starts one.
 
     Raises
     ------
     InvalidSetting
-        If it cannot be run, does not compile or does not end, with the first error that it tells.
+        If it cannot be run, does not compile or does not end in time; the message has its first error.
     """
     try:
         code, message = _PROCESSES.run(list(command), folder)
     except OSError as error:
         code, message = -1, str(error)
     if code:
-        told = message.strip().splitlines() or ["it gives no reason"]
-        reason = next((line for line in told if "error" in line), told[0])
+        lines = message.strip().splitlines() or ["no message from the compiler"]
+        reason = next((line for line in lines if "error" in line), lines[0])
         raise InvalidSetting(f"{command[0]} does not compile {of_what}: {reason}")
 
 
 class _Background:
-    """Builds libraries one after the other, each in a thread of its own that waits for its turn."""
+    """Compiles libraries one after the other, each in a thread of its own that waits for its turn."""
 
     def __init__(self) -> None:
-        self._turn, self._asking = threading.Lock(), threading.Lock()
+        self._turn, self._starting = threading.Lock(), threading.Lock()
         self._threads: dict[Build, threading.Thread] = {}
 
-    def ask(self, build: Build) -> bool:
-        """Build a library in the background, once; return whether that begins now. A failure is not reported."""
-        with self._asking:
+    def start(self, build: Build) -> bool:
+        """Compile a library in the background, once; return whether that starts now. A failure is not reported."""
+        with self._starting:
             if build in self._threads or _PROCESSES.closed:
                 return False
             thread = threading.Thread(target=self._build, args=(build,), name="servocore machine code", daemon=True)
@@ -217,17 +217,17 @@ class _Background:
             return True
 
     def pending(self, build: Build) -> bool:
-        """Whether a library waits to be built, or is being built."""
+        """Whether a library waits to be compiled, or is being compiled."""
         thread = self._threads.get(build)
         return thread is not None and thread.is_alive()
 
     def wait(self) -> None:
-        """Return when nothing is left to build."""
+        """Wait until all libraries are compiled."""
         for thread in list(self._threads.values()):
             thread.join()
 
     def end(self) -> None:
-        """End the compiler and the threads: what waits for its turn finds that none is started any more."""
+        """Kill the compiler and end the threads; waiting threads start no more compilers."""
         _PROCESSES.close()
         self.wait()
 
@@ -241,19 +241,19 @@ atexit.register(BACKGROUND.end)
 
 
 def automatic() -> bool:
-    """Whether machine code is made and used without being asked for."""
+    """Whether functions are compiled in the background without `native=True`."""
     return os.environ.get(AUTOMATIC, "").lower() not in {"off", "no", "0"} and not CodeCache.of_user().refusal()
 
 
 def compiled(function: ca.Function, of_what: str) -> ca.Function:
-    """Compile a function to machine code, or take what was compiled before.
+    """Compile a function to machine code, or take it from the cache.
 
     Parameters
     ----------
     function : casadi.Function
         Any that can be written as C.
     of_what : str
-        What it belongs to, for messages.
+        Name in messages.
 
     Raises
     ------
@@ -264,11 +264,9 @@ def compiled(function: ca.Function, of_what: str) -> ca.Function:
 
 
 def build_of(functions: Mapping[str, ca.Function], of_what: str) -> Build:
-    """Return what is to be built of functions by any name."""
-    generator = ca.CodeGenerator("program.c")
-    for name, function in functions.items():
-        generator.add(_renamed(function, f"sc_native_{name}"))
-    return Build(generator.dump(), of_what)
+    """Return the build of functions by name."""
+    named = [renamed(function, f"sc_native_{name}") for name, function in functions.items()]
+    return Build(code_generator("program", named).dump(), of_what)
 
 
 def loaded(library: Path, name: str) -> ca.Function:
@@ -276,7 +274,15 @@ def loaded(library: Path, name: str) -> ca.Function:
     return ca.external(f"sc_native_{name}", str(library))
 
 
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    """Return a function of another name: names must differ within a library, and none is longer than C allows."""
+def code_generator(name: str, functions: Iterable[ca.Function], **options: bool | str) -> ca.CodeGenerator:
+    """Return CasADi's generator of the C source of functions, in files of a name."""
+    generator = ca.CodeGenerator(f"{name}.c", options)
+    for function in functions:
+        generator.add(function)
+    return generator
+
+
+def renamed(function: ca.Function, name: str) -> ca.Function:
+    """Return a function of another name with dense results: names differ in a library, and C bounds their length."""
     arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, list(function.call(arguments)))
+    return ca.Function(name, arguments, [ca.densify(result) for result in function.call(arguments)])

@@ -6,13 +6,13 @@ substituted) and what remains goes to CasADi's ``fast_newton`` with its sparse Q
 constraint problems of this library fall apart well: one backward Euler step of the nine-coordinate crane, 25
 unknowns, needs Newton's method on two blocks of three.
 
-``fast_newton`` says nothing of how it ended, and takes NaN for convergence. So each block carries a *clock*, an
-unknown of its own whose Newton correction is exactly one tick: -r/r' = tick for r = exp(-clock/tick). It counts the
+``fast_newton`` returns no status, and treats NaN as convergence. So each block carries a *clock*, an additional
+unknown whose Newton correction is exactly one tick: -r/r' = tick for r = exp(-clock/tick). It counts the
 iterations inside compiled loops, and convergence is judged from the count.
 
-Where unknowns are large beside their nominal values (accelerations of stiff parts), corrections end at round-off above
-`NEWTON_TOLERANCE`. After `QUICK_ITERATIONS` the rest is done with care: an equation counts as solved where a change of
-unknowns and givens by some round-off explains what is left of it.
+Where unknowns are large compared with their nominal values (accelerations of stiff parts), corrections stagnate at
+round-off above `NEWTON_TOLERANCE`. After `QUICK_ITERATIONS` an equation counts as solved if its residual is that of
+unknowns and givens rounded to some units in the last place.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from servocore.numerics.expressions import constants_kept, largest
 from servocore.numerics.step_operations import without_jumps
 
 NEWTON_TOLERANCE = 1e-9
-"""Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
+"""Bound of the largest scaled Newton correction; the error is then its square, as convergence is quadratic."""
 
 QUICK_ITERATIONS = 12
-"""After as many Newton iterations those that remain look at round-off, which takes twice as long."""
+"""Newton iterations after which residuals are compared with round-off, which takes twice as long."""
 
 MAX_ITERATIONS = 30
-"""A block that needs as many Newton iterations has failed."""
+"""Newton iterations at which a block has failed."""
 
 _ROUND_OFF = 64 * np.finfo(np.float64).eps  # relative change of unknowns and givens that explains a residual
 _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
@@ -72,8 +72,8 @@ class SquareSystem:
     unknown_scale, residual_scale : casadi.SX
         Magnitudes by which unknowns and residuals are divided, expressions of `givens`.
     rough : frozenset of str
-        Names of unknowns whose guess is rough even where that of the others is exact: forces, of which a system at rest
-        tells no more than their size.
+        Names of unknowns whose guess is rough even where that of the others is exact: forces, taken from a system at
+        rest.
     """
 
     unknowns: ca.SX
@@ -92,7 +92,7 @@ class SquareSystem:
 
     @cached_property  # a system is compiled for exact guesses and for any
     def alike(self) -> list[IsomorphicParts]:
-        """Groups of independent parts that are alike."""
+        """Groups of isomorphic independent parts."""
         beside = self.guess, self.unknown_scale, self.residual_scale
         return isomorphic_parts(self.residual, self.unknowns, self.givens, beside)
 
@@ -101,8 +101,8 @@ def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
     Its results hold where the guess is exact; they are NaN where the iteration corrects it by more than the tolerance.
-    An expression spares the interpreter's calls of functions, which are most of what a small block costs. Common
-    subexpressions are left to the caller, who substitutes the guess.
+    An expression avoids the interpreter's function calls, most of the cost of a small block. The caller eliminates
+    common subexpressions after it has substituted the guess.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
     -------
     casadi.Function
         givens -> (\*outputs, counts, residual), where counts holds the Newton iterations of the slowest block
-        and the factorizations of all blocks, and residual is the largest scaled residual. NaN says that it failed.
+        and the factorizations of all blocks, and residual is the largest scaled residual, NaN on failure.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
     wanted = [ca.densify(output) for output in known.resolved(*outputs, worst)]
     *results, residual = known.evaluated("sc_finish", *wanted, common=not unrolled)
     if known.corrections:
-        # Where nothing waits for it. A sum of squares that is NaN is below no tolerance.
+        # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
         exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
         verdict = ca.if_else(exact, 0.0, np.nan)
         *results, residual = (result + verdict for result in (*results, residual))
@@ -173,7 +173,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
 
 
 def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
-    """Solve a system block by block for values of its givens; parts that are alike are compiled once."""
+    """Solve a system block by block for values of its givens; isomorphic parts are compiled once."""
     known = KnownValues()
     known.add_values(system.givens, givens)
     rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
@@ -198,7 +198,7 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
 def _solve_isomorphic(
     known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, unrolled: bool
 ) -> None:
-    """Solve parts that are alike by one function, mapped."""
+    """Solve isomorphic parts by one function, mapped."""
     first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[group.givens[0]])
@@ -218,10 +218,10 @@ def _solve_isomorphic(
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
-    """Take out unknowns that a single equation fixes to a number, again and again: what they held together falls apart.
+    """Eliminate unknowns that a single equation fixes to a number, repeatedly: the rest decouples.
 
-    Mechanisms have many: coordinates that joints to the ground keep at zero. Returns the rest and (unknown, number)
-    pairs.
+    Mechanisms have many, such as coordinates that joints to the ground keep at zero. Returns the rest and pairs
+    (unknown, number).
     """
     constants: list[tuple[ca.SX, ca.SX]] = []
     while system.unknowns.numel():
@@ -256,14 +256,14 @@ def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSy
 
 
 def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[int]]]:
-    """Rows and columns of the diagonal blocks, in the order in which they can be solved."""
+    """Return rows and columns of the diagonal blocks, in the order of solution."""
     if not system.unknowns.numel():
         return []
     pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
-    order = sorted if unrolled else list  # derivatives repeat blocks: sorted, they share their minors
+    order = sorted if unrolled else list  # blocks of derivatives repeat: sorted, they share their minors
     return [
         (order(rows[row_starts[k] : row_starts[k + 1]]), order(columns[column_starts[k] : column_starts[k + 1]]))
         for k in range(count)
@@ -309,7 +309,7 @@ def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) ->
 
 
 def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
-    """Return where Newton's method ends, or NaN if it does not."""
+    """Return the solution by Newton's method, NaN if it does not converge."""
     start, scale, row_scale = known.evaluated(
         "sc_prepare", block.guess / block.unknown_scale, block.unknown_scale, block.residual_scale
     )
@@ -325,13 +325,13 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), symbols)(ca.vertcat(start, 0), given)
     ticks = root[size] / _TICK
     known.iterations.append(ticks)
-    # A count at the limit is a failure: let it spread instead of the last iterate.
+    # A count at the limit is a failure: NaN instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
 
 
 def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
-    """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` what round-off changes in p."""
+    """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` the entries of p with errors."""
     options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
     problem = {"x": x, "p": p, "g": equations}
     jacobian = ca.Function(
@@ -353,9 +353,9 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
 
 
 def _beyond_round_off(jacobian: ca.Function, x: ca.SX, p: ca.SX, by_data: ca.SX, data: ca.SX) -> ca.Function:
-    """Return `jacobian`, (x, p) -> (J, equations), with zero for equations that round-off explains.
+    """Return `jacobian`, (x, p) -> (J, equations), with zero for residuals at the level of round-off.
 
-    It is called, not written out again, which takes half of the code of exported models.
+    `jacobian` is called, not inlined again, which halves the code of exported models.
     """
     J, equations = ca.SX.sym("J", jacobian.sparsity_out(0)), ca.SX.sym("g", x.numel())
     # Componentwise backward error (Oettli and Prager, 1964).
@@ -369,7 +369,7 @@ def _beyond_round_off(jacobian: ca.Function, x: ca.SX, p: ca.SX, by_data: ca.SX,
 
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
-    """Return a guess after one Newton iteration; `compile_solver` judges in the end by how much that moved it."""
+    """Return a guess after one Newton iteration; `compile_solver` compares the correction with the tolerance."""
     unknowns = block.unknowns
     better = _with_forces(block)
     jacobian = ca.jacobian(block.residual, unknowns)
@@ -386,13 +386,13 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
 
 
 def _with_forces(block: SquareSystem) -> ca.SX:
-    """Return the unknowns of a block, those of a rough guess by least squares from the others where that is linear."""
+    """Return the unknowns of a block; those of a rough guess follow from the others by linear least squares."""
     unknowns, residual = block.unknowns, block.residual
     rough = [k for k in range(unknowns.numel()) if unknowns[k].name() in block.rough]
     matrix = ca.jacobian(residual, unknowns[rough])
     if not rough or len(rough) > _EXPLICIT_SIZE or not is_linear(residual, unknowns[rough], matrix):
         return unknowns
-    # From zero: nothing of what the guess says of them is left, so that nothing of it has to be computed.
+    # Linearized at zero: the result does not depend on their guess, which then need not be computed.
     rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))
     estimate = ca.SX(unknowns)
     estimate[rough] = -small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))

@@ -1,11 +1,11 @@
-"""Expressions looked at operation by operation: those that jump, and bounds of rounding errors.
+"""Analysis of expressions operation by operation: jumps, and bounds of rounding errors.
 
-CasADi takes the derivative of what jumps, as `floor` does, for zero, and what holds it for linear. An equation
-x + sign(x) = 1 has a constant Jacobian and is not linear. So that nobody takes it for linear, structure is read off a
-*stand-in*: the same expression with curved functions in the places of those that jump.
+In CasADi the derivative of functions that jump, such as `floor`, is zero. An equation x + sign(x) = 1 has a constant
+Jacobian and is not linear. So linearity is tested on a *stand-in*: the same expression with smooth nonlinear functions
+in place of those that jump.
 
-Rounding errors are bounded to recognize terms that cancel, by running error analysis (Higham, *Accuracy and Stability
-of Numerical Algorithms*, 2nd ed. (2002), section 3.3): every operation passes the errors of its arguments on and adds
+Bounds of rounding errors reveal terms that cancel, by running error analysis (Higham, *Accuracy and Stability
+of Numerical Algorithms*, 2nd ed. (2002), section 3.3): every operation propagates the errors of its arguments and adds
 its own.
 """
 
@@ -23,10 +23,10 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Bounded = tuple[float, float]
 Operation = tuple[int, list[int], list[int], float]
-"""Its number in CasADi, places of results and of arguments, and the number that it is, if it is a constant."""
+"""CasADi's number of the operation, places of results and arguments, and the value of a constant."""
 
 UNIT = 2e-15
-"""Relative error of an operation and of a constant: some ten roundings, for constants of a model are computed too."""
+"""Relative error of an operation and of a constant: some ten roundings, since constants are computed as well."""
 
 _COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 _LOGIC = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}
@@ -35,7 +35,7 @@ JUMPS = _COMPARISONS | _LOGIC | _STEPS
 """Operations whose values jump, by their numbers in CasADi."""
 
 KINKS = JUMPS | {ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_CALL}
-"""Operations with a jump or a kink; a function that is called, such as a table, may have either."""
+"""Operations with a jump or a kink; an external function, such as a table, may have either."""
 
 Rule = Callable[[int, Sequence[ca.SX]], ca.SX]
 
@@ -57,16 +57,16 @@ def holds_any(expression: ca.SX, operations: set[int]) -> bool:
 def without_jumps(expression: ca.SX) -> ca.SX:
     """Return an expression of the same shape that depends on the same symbols, curved wherever the given one jumps.
 
-    Its values mean nothing; which of its derivatives are constant, does. An expression that does not jump is returned
-    as it is.
+    Only the pattern of its constant derivatives is meaningful, not its values. An expression without jumps is returned
+    unchanged.
     """
     return rebuilt(expression, _stand_in) if holds_any(expression, JUMPS) else expression
 
 
 def switching_levels(expression: ca.SX) -> list[ca.SX]:
-    """Return what the jumps and kinks of an expression depend on, such that they are where it passes a whole number.
+    """Return switching functions of an expression, which has its jumps and kinks where one of them passes an integer.
 
-    Functions that are called are left out: nothing is known of them.
+    External functions are left out: their kinks are unknown.
     """
     levels: list[ca.SX] = []
 
@@ -92,12 +92,12 @@ def switching_levels(expression: ca.SX) -> list[ca.SX]:
 
 
 def _at_zero_alone(argument: ca.SX) -> ca.SX:
-    """Return an expression of the sign of an argument that passes no other whole number."""
+    """Return an expression with the sign of an argument that passes no integer but zero."""
     return ca.atan(argument) / np.pi
 
 
 def rebuilt(expression: ca.SX, rule: Rule) -> ca.SX:
-    """Return an expression computed anew, operation by operation, as a rule says."""
+    """Return an expression rebuilt operation by operation with a rule."""
     arguments = ca.symvar(expression)
     function = ca.Function("sc_jumping", [ca.vertcat(ca.SX(0, 1), *arguments)], [expression])
     work: dict[int, ca.SX] = {}
@@ -118,14 +118,14 @@ def rebuilt(expression: ca.SX, rule: Rule) -> ca.SX:
 
 def _stand_in(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
     """Return an operation's result, or a curved function of the same arguments where it jumps."""
-    if operation == ca.OP_IF_ELSE_ZERO:  # linear in what it chooses, and not in what it chooses by
+    if operation == ca.OP_IF_ELSE_ZERO:  # linear in the value, nonlinear in the condition
         return taken[0] * taken[1]
     return _curved(taken) if operation in JUMPS else computed(operation, taken)
 
 
 def computed(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
-    """Return an operation's result; a curved function of its arguments where what is called is not known."""
-    if operation == ca.OP_CALL:  # what is called is not known here
+    """Return an operation's result; a nonlinear function of the arguments in place of an external function."""
+    if operation == ca.OP_CALL:
         return _curved(taken)
     return ca.SX.unary(operation, taken[0]) if len(taken) == 1 else ca.SX.binary(operation, taken[0], taken[1])
 
@@ -161,7 +161,7 @@ def evaluate(function: ca.Function, points: Sequence[Sequence[Array]]) -> tuple[
 
 
 def _run(program: list[Operation], arguments: list[list[float]], size: int) -> list[Bounded]:
-    """Go through the operations at one point, in plain numbers: arrays of a few points take far longer."""
+    """Evaluate the operations at one point in Python floats: arrays of a few points take far longer."""
     work, results = [(0.0, 0.0)] * size, {}
     for operation, to, operands, constant in program:
         if operation == ca.OP_CONST:
@@ -190,7 +190,7 @@ def _result(operation: int, operands: list[Bounded]) -> Bounded:
         value, error = a * b, abs(a) * b_error + abs(b) * a_error
     elif len(operands) == 1:
         value = _elementary(operation, a)
-        # By difference rather than by derivative: right as well where the derivative is infinite, as of sqrt at 0.
+        # By difference rather than by derivative, which may be infinite, as that of sqrt at 0.
         error = abs(_elementary(operation, a + a_error) - value)
     else:
         value = _elementary(operation, a, b)
@@ -208,8 +208,8 @@ _FREQUENT: dict[int, Callable[..., float]] = {
 
 
 def _elementary(operation: int, *arguments: float) -> float:
-    """Do what CasADi calls `operation`; by Python what is frequent, for calling CasADi takes far longer."""
+    """Return the result of CasADi's `operation`; frequent ones by Python, since a call of CasADi takes far longer."""
     if operation in _FREQUENT:
-        with contextlib.suppress(ArithmeticError, ValueError):  # infinite or not a number, as CasADi will say
+        with contextlib.suppress(ArithmeticError, ValueError):  # infinite or not a number: CasADi returns it
             return float(_FREQUENT[operation](*arguments))
     return float((ca.DM.unary if len(arguments) == 1 else ca.DM.binary)(operation, *arguments))

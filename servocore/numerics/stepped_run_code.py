@@ -3,10 +3,10 @@
     int sc_run(const long *sizes, const double *const *in, const double *t, const double *path, long row, long lane,
                long count, double *out)
 
-`sizes` are the cases, the steps, how far rows of the path at the steps lie apart, and how far cases do in the arrays of
-`in`: start, path at the steps, numbers of the path, [h; p]. A fifth array holds first and last time. Instants are `t`,
-shape (count,), eight or more, and the path there has entry i of instant k of case c at c*lane + i*row + k. Result i of
-instant k of case c goes to (c*columns + i)*count + k of `out`. The answer is 0, or tells what is wrong.
+`sizes` are the numbers of cases and steps, the stride of the rows of the path at the steps, and the strides of cases in
+the arrays of `in`: start, path at the steps, numbers of the path, [h; p]. A fifth array holds first and last time. `t`
+holds `count` instants, eight or more, and entry i of the path at instant k of case c is at c*lane + i*row + k. Result i
+of instant k of case c is written to (c*columns + i)*count + k of `out`. The return value is 0 or an error code.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from servocore.numerics.vector_code import chain_part, vector_part, vectors
 NODES = 4
 """Steps whose values and rates belong to one polynomial."""
 SOUND, OUTSIDE, UNSOUND, NO_MEMORY = range(4)
-"""Nothing is wrong; a time lies outside the run; a value is no number or has a wrong sign; there is no memory."""
+"""Return values: success; a time outside the run; a value that is not finite or of the wrong sign; no memory."""
 
 
 def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, positive: range) -> str:
@@ -34,7 +34,7 @@ def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, posit
     read : casadi.Function
         (states, path, numbers, p) -> results.
     positive : range
-        Which results must be positive.
+        Indices of the results that must be positive.
     """
     steps = chain_part("sc_steps", step, (False, True, False, False))
     weigh, reading = (

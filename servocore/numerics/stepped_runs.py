@@ -27,7 +27,7 @@ from servocore.numerics.vector_code import build_of_source
 from servocore.numerics.vectorized import addresses, in_threads, threads_for
 
 _BYTES = 8
-_MOST_LOOPS = 32  # that are kept, with memory for their arguments
+_MOST_LOOPS = 32  # compiled loops that are kept, with memory for their arguments
 _BESIDE = np.arange(NODES)[:, None]
 
 Weigh = Callable[..., list[Array]]
@@ -35,22 +35,22 @@ Weigh = Callable[..., list[Array]]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Steps from a start, of one case or of many: of these, what differs has an axis of cases in front.
+    """Steps from initial states, of one case or of many; arrays that differ between cases have a leading axis of cases.
 
     Attributes
     ----------
     begin, end : float
         First and last time, in s.
     count : int
-        Steps, three or more.
+        Number of steps, three or more.
     path : ndarray, shape (rows, count + 1)
-        What the steps know of the path, the one after the last included, whose rates are read.
+        Path at the steps, the one after the last included, whose rates are read.
     numbers : ndarray, shape (size,)
-        Of the path, where that is a formula.
+        Coefficients of the path, where that is a formula.
     settings : ndarray, shape (1 + parameters,)
         The step in s, and the parameters.
     start : ndarray, shape (states,)
-        First states.
+        Initial states.
     """
 
     begin: float
@@ -68,7 +68,7 @@ class Run:
 
     @property
     def cases(self) -> int | None:
-        """How many; None for a single one, without an axis."""
+        """Number of cases; None for a single one without an axis."""
         return max((len(array) for array, deep in self._arrays if deep), default=None)
 
     @property
@@ -82,9 +82,9 @@ class Run:
         start, path, numbers, settings = (array[cases] if deep else array for array, deep in self._arrays)
         return replace(self, start=start, path=path, numbers=numbers, settings=settings)
 
-    @cached_property  # every call asks
+    @cached_property  # used by every call
     def as_c(self) -> tuple[Any, Any, list[Array]]:
-        """Sizes and addresses as machine code reads them, and the arrays that the addresses are of."""
+        """Sizes and addresses for machine code, and the arrays at these addresses."""
         held = [np.ascontiguousarray(array) for array, _ in self._arrays] + [np.array([self.begin, self.end])]
         apart = [
             array.strides[0] // _BYTES if deep else 0 for array, (_, deep) in zip(held, self._arrays, strict=False)
@@ -95,14 +95,14 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Between:
-    """Where instants lie between the steps of a run.
+    """Positions of instants between the steps of a run.
 
     Attributes
     ----------
     beside : ndarray, shape (4, N)
-        The steps beside every instant.
+        Indices of the four steps around every instant.
     weights : ndarray, shape (2, 4, N)
-        Of the values there, and of the rates times h.
+        Hermite weights of the values there, and of the rates times h.
     """
 
     beside: npt.NDArray[np.intp]
@@ -118,14 +118,14 @@ class Between:
     def states(self, table: Array) -> Array:
         """Return states (states, N) from values and rates times h, (2, states, count + 1)."""
         of_values, of_rates = table.take(self.beside, axis=2) * self.weights[:, None]
-        terms = of_values + of_rates  # added up as machine code does, for the same digits
+        terms = of_values + of_rates  # summed in the order of machine code, for the same digits
         halves = terms[:, :2] + terms[:, 2:]
         states: Array = halves[:, 0] + halves[:, 1]
         return states
 
 
 class _InstantsAsC(NamedTuple):
-    """Addresses of times and path, how far rows and cases of the path lie apart, how many, and the arrays."""
+    """Addresses of times and path, strides of rows and cases of the path, number of instants, and the arrays."""
 
     t: int
     path: int
@@ -137,14 +137,14 @@ class _InstantsAsC(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Instants at which runs are read; what is found out about them is kept.
+    """Instants at which runs are read, with their positions between the steps of the last run.
 
     Attributes
     ----------
     t : ndarray, shape (N,)
         In s; it must not change.
     path : ndarray, shape (rows, N), or (cases, rows, N)
-        What is known of the path there.
+        Path at these instants.
     """
 
     t: Array
@@ -152,7 +152,7 @@ class Instants:
     _between: dict[tuple[float, float, int], Between] = field(default_factory=dict, repr=False)
 
     def between(self, run: Run, weigh: Callable[[int], Weigh]) -> Between | None:
-        """Return where they lie between the steps of a run, remembered for the last one; None if one lies outside."""
+        """Return their positions between the steps of a run; None if an instant lies outside of it."""
         key = run.begin, run.end, run.count
         known = self._between.get(key)
         if known is None and self.t.min() >= run.begin and self.t.max() <= run.end:
@@ -162,12 +162,12 @@ class Instants:
         return known
 
     def part(self, cases: int | slice) -> Instants:
-        """Return them for one case, or for some."""
+        """Return the instants of one case, or of some."""
         return Instants(self.t, self.path[cases], self._between) if self.path.ndim > 2 else self
 
-    @cached_property  # calls with the same instants ask again
+    @cached_property  # used by every call with the same instants
     def as_c(self) -> _InstantsAsC:
-        """What machine code is given; the last instant is repeated until a register is full."""
+        """Arguments of machine code; the last instant is repeated until a register is full."""
         t, path = self.t, self.path
         if len(t) < LANES:
             some = np.minimum(np.arange(LANES), len(t) - 1)
@@ -180,7 +180,7 @@ class Instants:
 
 @made_once
 def hermite_weights() -> ca.Function:
-    """Return (time, [begin; h; last]) -> the first of four steps beside it, and weights of their values and rates.
+    """Return (time, [begin; h; last]) -> the first of four steps around it, and weights of their values and rates.
 
     Rates are those times h; no later step than the `last` is the first of four.
     """
@@ -198,9 +198,9 @@ def hermite_weights() -> ca.Function:
 
 
 class _InPlace:
-    """An interpreted function of expressions on memory of its own.
+    """An interpreted function of expressions with memory of its own for arguments and results.
 
-    To copy small arguments there takes half the time that it takes to hand over where they are. Threads take turns.
+    To copy small arguments takes half the time of passing their addresses. Threads take turns.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -223,7 +223,7 @@ class _InPlace:
             return [result.copy(order="K") for result in self._results]
 
 
-# To build these costs more than to evaluate them; they hold memory for as many arguments as they take.
+# Construction costs more than evaluation, and each holds memory for its arguments.
 
 
 @partial(made_once, most=_MOST_LOOPS)
@@ -247,11 +247,11 @@ class SteppedRuns:
     step : casadi.Function
         (states, path, numbers, [h; p]) -> (states after a step, rates before it).
     read : casadi.Function
-        (states, path, numbers, p) -> what is wanted, from states and path at the same instant.
+        (states, path, numbers, p) -> results, from states and path at the same instant.
     positive : range
-        Which of that must be positive.
+        Indices of the results that must be positive.
     native, of_what
-        See `JustInTime`, also for what is raised; `of_what` is for messages.
+        See `JustInTime`, also for exceptions; `of_what` names it in messages.
     """
 
     def __init__(
@@ -273,10 +273,10 @@ class SteppedRuns:
         Returns
         -------
         values : ndarray, shape (columns, N), or (cases, columns, N)
-            What is wanted.
+            Results.
         sound : bool
-            Whether all times lie within the run, and all values are finite and have the signs that they must have.
-            Where a time does not, the values mean nothing.
+            Whether all times lie within the run, and all values are finite and of the right sign. Values of times
+            outside the run are meaningless.
         """
         count, cases = len(instants.t), run.cases
         if not count:
@@ -313,7 +313,7 @@ class SteppedRuns:
 
 
 def _loaded(library: Path) -> Any:
-    """Return what runs from a library."""
+    """Return the function of a library."""
     run = getattr(ctypes.CDLL(str(library)), NAME)
     many, one = ctypes.c_void_p, ctypes.c_long
     run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]

@@ -1,14 +1,14 @@
 """C source of expressions for many instants at once: eight lie side by side in one register, or in two or four.
 
-Every operation of an expression becomes one statement on vectors. Arithmetic and square roots give the digits that they
-give one by one; other functions are those of the C library, one lane after the other, for vector libraries round
-otherwise. What depends on nothing that changes from instant to instant is computed once a case.
+Every operation of an expression becomes one statement on vectors. Arithmetic and square roots give the same digits as
+scalar ones; other functions are those of the C library, lane by lane, since vector libraries round differently. Values
+that do not depend on the instant are computed once per case.
 
     void sc_run(long cases, long count, double const* const* in, long const* row, long const* lane,
                 double* const* out, long columns)
 
-`in` has an array for every argument. Of one that goes along with the instants, entry i of instant k of case c lies at
-c*lane + i*row + k; of one that is shared by the instants of a case, entry i at c*lane + i. `out` has an array for every
+`in` has an array for every argument. If it varies with the instant, entry i of instant k of case c is at
+c*lane + i*row + k; if the instants of a case share it, entry i is at c*lane + i. `out` has an array for every
 result, entry i of instant k of case c at (c*rows + i)*columns + k.
 """
 
@@ -22,8 +22,8 @@ from servocore.numerics.just_in_time import LANES, NAME
 from servocore.numerics.machine_code import Build
 from servocore.numerics.step_operations import operations_of
 
-_MOST_OPERATIONS = 30_000  # of all expressions of a source: beyond, compilers take minutes
-_TILE = 64  # instants whose results are gathered before they are written out: each row lies in a page of its own
+_MOST_OPERATIONS = 30_000  # of all expressions of a source; beyond, a compilation takes minutes
+_TILE = 64  # instants whose results are buffered before they are written: each row lies in another memory page
 
 _VECTOR = {
     "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}", "DIV": "{0} / {1}", "TWICE": "{0} + {0}",
@@ -95,11 +95,11 @@ _NO_LONGER = "".join(
 
 
 class NoCounterpart(Exception):
-    """An operation, or a function that is not one of expressions, cannot be written for many instants."""
+    """An operation has no vector counterpart, or a function is not one of expressions."""
 
 
 def build_of_source(source: Callable[[], str], of_what: str, *functions: ca.Function) -> Build | None:
-    """Return what is to be built of the source of functions; None if there is none, or it is too long."""
+    """Return the build of the source of functions; None if they cannot be written as vector code, or are too long."""
     try:
         short = sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS
         return Build(source(), of_what, True) if short else None
@@ -115,7 +115,7 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str:
     function : casadi.Function
         Of expressions, its arguments and results dense.
     along : sequence of bool
-        Which arguments go along with the instants; the others are shared by all instants of a case.
+        Which arguments vary with the instant; the others are shared by all instants of a case.
 
     Raises
     ------
@@ -131,9 +131,9 @@ def vectors(*parts: str) -> str:
 
 
 def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
-    """Return what `vector_source` writes as a part of a source, called `name`: tiles of instants, eight at once.
+    """Return the function `name` of a source as in `vector_source`: tiles of instants, eight at once.
 
-    Where less than eight are left, the last eight are taken again.
+    If fewer than eight are left, the last eight are evaluated again.
     """
     of = _Statements(function, along)
     return of.function(name, [
@@ -156,9 +156,9 @@ def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
 
 
 def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
-    """Return C source of what `vector_source` computes, keeping highest and lowest values over the instants.
+    """Return C source of the highest and lowest values over the instants of the results of `vector_source`.
 
-    Nothing but these leaves the registers. Of result entry i of case c the highest value lies at c*2*rows + i of its
+    Only these leave the registers. Of result entry i of case c the highest value lies at c*2*rows + i of its
     array and the lowest at c*2*rows + rows + i; both are NaN where the value is no finite number at some instant.
     """
     of = _Statements(function, along)
@@ -185,10 +185,10 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
 
 
 def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
-    """Return the part `name` that evaluates in a row: the first result is the first argument of the next instant.
+    """Return the function `name` of a recursion: the first result is the first argument of the next instant.
 
-    The parameters are those of `vector_source`; the first argument is where a case begins. It stands before what
-    `vectors` returns.
+    The parameters are those of `vector_source`; the first argument is the start of a case. It must come before the
+    source that `vectors` returns.
     """
     of = _Statements(function, along, chained=True)
     return _SCALAR + of.function(name, [
@@ -206,7 +206,7 @@ def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
 
 
 class _Statements:
-    """The operations of a function as statements: those of a case, and those of eight instants."""
+    """The operations of a function as C statements: those per case, and those per eight instants."""
 
     def __init__(self, function: ca.Function, along: Sequence[bool], chained: bool = False) -> None:
         if not function.is_a("SXFunction"):
@@ -217,7 +217,7 @@ class _Statements:
         self.block: list[str] = []
         self.results: list[tuple[int, int, str]] = []
         self._along, self._chained = along, chained
-        values: dict[int, tuple[str, bool]] = {}  # by place: its name, and whether it is one for all instants
+        values: dict[int, tuple[str, bool]] = {}  # by place: variable, and whether all instants share it
         for k, (number, made, operands, constant) in enumerate(operations_of(function)):
             if number == ca.OP_OUTPUT:
                 name, single = values[operands[0]]
@@ -226,7 +226,7 @@ class _Statements:
                 values[made[0]] = self._state(f"a{k}", _NAMES[number], operands, values, constant)
 
     def function(self, name: str, body: list[str]) -> str:
-        """Return the function `name`: what is done once a case, and a body for every case."""
+        """Return the function `name`: statements per case, then a body for every case."""
         seen = "" if name == NAME else "static "
         return "\n".join([
             f"{seen}void {name}(long cases, long count, const double *const *in, const long *row, const long *lane,",
@@ -279,7 +279,7 @@ class _Statements:
         self.block.append(f"each{len(taken)}({function}, {name}, {', '.join(f'({word})' for word in taken)});")
 
     def _calculate(self, name: str, operation: str, taken: list[str], single: bool) -> None:
-        """One for all instants takes a lane of a vector too, where vectors have words of their own."""
+        """Add a statement; a shared value takes the first lane of a vector where the vector operation is a macro."""
         if not single:
             self.block.append(f"const vec {name} = {_VECTOR[operation].format(*taken)};")
         elif "(" in _VECTOR[operation]:
@@ -290,7 +290,7 @@ class _Statements:
 
 
 def _number(value: float) -> str:
-    if value != value:  # noqa: PLR0124 - that is what tells NaN
+    if value != value:  # noqa: PLR0124 - true for NaN only
         return "(double)NAN"
     if value in (float("inf"), -float("inf")):
         return f"({'-' if value < 0 else ''}(double)INFINITY)"

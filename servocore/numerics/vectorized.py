@@ -26,16 +26,16 @@ Result = TypeVar("Result")
 
 
 class Vectorized:
-    """A function of arguments that go along with the instants and of others that are shared by all.
+    """A function at many instants, of arguments that vary with the instant and of arguments that all share.
 
     Parameters
     ----------
     function : casadi.Function
         With dense arguments and results; one of expressions can become machine code.
     along : sequence of bool
-        Which arguments go along with the instants.
+        Which arguments vary with the instant.
     native, of_what, again
-        See `JustInTime`, also for what is raised; `of_what` is for messages.
+        See `JustInTime`, also for exceptions; `of_what` names it in messages.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Vectorized:
         return vector_source(self.function, self._along)
 
     def ready(self, count: int, called: bool = True) -> bool:
-        """Whether machine code is there for so many instants; a call (is this one?) brings it nearer."""
+        """Whether machine code for so many instants is compiled; with `called`, count a call."""
         return self._code.best(count, called) is not None
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -66,8 +66,8 @@ class Vectorized:
         Parameters
         ----------
         *arguments : ndarray
-            Of one that goes along, shape (rows, N), or (cases, rows, N); of one that is shared, (size,), or
-            (cases, size). Entries of a row must lie side by side.
+            Shape (rows, N) or (cases, rows, N) if it varies with the instant, (size,) or (cases, size) if it is
+            shared. Entries of a row must be contiguous.
 
         Returns
         -------
@@ -128,7 +128,7 @@ class Vectorized:
         return results if width == count else [result[..., :count] for result in results]
 
     def _run(self, run: Any, arguments: Sequence[Array], results: list[Array], count: int) -> None:
-        """Run machine code; a row of the results may be part of a longer one."""
+        """Run machine code; rows of the results may be slices of longer ones."""
         held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
         pairs = list(zip(held, self._along, strict=True))
         row = [a.strides[-2] // _BYTES if along else 0 for a, along in pairs]
@@ -143,9 +143,9 @@ class Vectorized:
 
 
 class Extremes(Vectorized):
-    """Highest and lowest value of every result over the instants; what is between them is not kept.
+    """Highest and lowest value of every result over the instants.
 
-    A call returns arrays (2, rows), or (cases, 2, rows): NaN where a value is no finite number at some instant.
+    A call returns arrays (2, rows), or (cases, 2, rows): NaN where a value is not finite at some instant.
     """
 
     def interpreted(self, *arguments: Array) -> list[Array]:
@@ -164,7 +164,7 @@ class Extremes(Vectorized):
 
 
 def _loaded(library: Path) -> Any:
-    """Return what runs from a library."""
+    """Return the function of a library."""
     run = getattr(ctypes.CDLL(str(library)), NAME)
     run.restype, many = None, ctypes.c_void_p
     run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
@@ -172,14 +172,14 @@ def _loaded(library: Path) -> Any:
 
 
 def extremes_of(rows: Array) -> Array:
-    """Return highest and lowest values (..., 2, rows) of rows (..., rows, N), NaN where one is no finite number."""
+    """Return highest and lowest values (..., 2, rows) of rows (..., rows, N), NaN where one is not finite."""
     extremes = np.stack([rows.max(axis=-1), rows.min(axis=-1)], axis=-2)
     extremes[~np.isfinite(extremes).all(axis=-2, keepdims=True).repeat(2, axis=-2)] = np.nan
     return extremes
 
 
 def addresses(arrays: Sequence[Array]) -> list[int]:
-    """Return the addresses of arrays in memory, for machine code."""
+    """Return the memory addresses of arrays."""
     return [array.__array_interface__["data"][0] for array in arrays]
 
 
@@ -192,15 +192,15 @@ def _longs(values: list[int]) -> Any:
 
 
 def threads_for(count: int) -> int:
-    """Return how many threads so many instants are worth, of all cases together."""
+    """Return the number of threads for so many instants, of all cases together."""
     return 1 if count < 2 * _PER_THREAD else min(_processors(), count // _PER_THREAD)
 
 
 def in_threads(threads: int, count: int, task: Callable[[int, int], Result]) -> list[Result]:
-    """Do a task for the first to the last of so many, shared out among threads; return what it returns in each."""
+    """Run a task (first, last) on slices of `count` items, one per thread; return the results."""
     if threads < 2:
         return [task(0, count)]
-    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - seldom needed
 
     ends = np.linspace(0, count, threads + 1).astype(int).tolist()
     with ThreadPoolExecutor(threads) as pool:
@@ -208,7 +208,7 @@ def in_threads(threads: int, count: int, task: Callable[[int, int], Result]) -> 
 
 
 def _processors() -> int:
-    """Return how many threads may run at once."""
+    """Return the number of usable processors."""
     known = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     named = os.environ.get("OMP_NUM_THREADS", "")
     return min(known, int(named)) if named.isdecimal() and int(named) else known

@@ -133,7 +133,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
         side, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
         raise LimitBroken(
             f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is"
-            f" {limit.told(at_rest)}, and its {side} limit is {limit.told(bound)}"
+            f" {limit.with_unit(at_rest)}, and its {side} limit is {limit.with_unit(bound)}"
         )
 
 

@@ -201,6 +201,6 @@ def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]
     short = np.flatnonzero(edges[2::2] - edges[1:-1:2] < _MOMENT * len(t))
     edges = np.delete(edges, [*(2 * short + 1), *(2 * short + 2)])
     return [
-        Active(limit.quantity, bound, limit.unit, float(t[begin]), float(t[end - 1]), limit.told(bound))
+        Active(limit.quantity, bound, limit.unit, float(t[begin]), float(t[end - 1]), limit.with_unit(bound))
         for begin, end in zip(edges[::2], edges[1::2], strict=True)
     ]

@@ -27,6 +27,6 @@ __all__ = [  # noqa: RUF022 - in the order in which they are listed everywhere
 ]
 
 REGISTRY: dict[str, Callable[[], Scene]] = {name: globals()[name] for name in __all__}
-"""All scenes by name; what is listed above inherits the whole test suite."""
+"""All scenes by name; each inherits the whole test suite."""
 
 __all__ += ["REGISTRY", "Limit", "Scene"]

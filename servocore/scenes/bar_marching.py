@@ -1,7 +1,7 @@
 """The elastic bar solved in space instead of time: from the tracked end, where everything is known, to the driven one.
 
-The free end X = 0 of a bar follows a path and carries a mass m; the force at X = L that makes it do so is wanted.
-Stepping in time sees one instant at a time and differentiates the path ever more often, the finer the bar is divided
+The free end X = 0 of a bar follows a path and carries a mass m; the force at X = L that achieves this is the unknown.
+Stepping in time needs higher derivatives of the path, the finer the bar is divided
 (a chain of N masses has index 2 N + 1). But at X = 0 displacement, velocity v = gamma' and force N = m gamma'' are
 known for *all* times, so the wave equation
 
@@ -79,7 +79,7 @@ def march_bar(
     length, axial_stiffness, line_mass, end_mass : float
         L in m, E A in N, rho A in kg/m, and the mass m at the free end in kg.
     pieces : int
-        Steps in space. They set where and when the answer is given (dt = L/(c pieces)), not how accurate it is.
+        Steps in space. They set the grid of the result (dt = L/(c pieces)), not its accuracy.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def march_bar(
 
 
 def _one_piece(values: Array, impedance: float) -> Array:
-    """Carry (w, impulse) and (v, N), shape (2, 2, times), one piece further; what lies outside the horizon rests."""
+    """Carry (w, impulse) and (v, N), shape (2, 2, times), one piece further; outside the horizon the bar is at rest."""
     padded = np.pad(values, ((0, 0), (0, 0), (1, 1)), mode="edge")
     later, sooner = padded[..., 2:], padded[..., :-2]
     return (later + sooner) / 2.0 + (later - sooner)[:, ::-1] / 2.0 * [[1.0 / impedance], [impedance]]

@@ -9,10 +9,10 @@ r"""The boom crane: a column that slews, a boom that luffs, a winch, a load on a
      |
      | axis, slewing angle phi (M_s)
 
-What the scene needs: J_s, m_B, s_B, I_B, L, e, m, J_w, r_w, g of five degrees of freedom, three inputs; model
+Data of the scene: J_s, m_B, s_B, I_B, L, e, m, J_w, r_w, g of five degrees of freedom, three inputs; model
 ``points``. ``generalized`` has the angles phi and theta, the rope's length and two swing angles as coordinates. Left
 out: the hoist rope's pull along the boom (its winch sits at the boom's foot, so that luffing pays out no rope), the
-boom's inertia about its own axis, what crane effects are for other cranes; a luffing cylinder or rope, whose force by
+boom's inertia about its own axis, the effects of the other cranes; a luffing cylinder or rope, whose force by
 its lever is M_l.
 
 The crane is flat in the position r of the load. The rope lies along n, the load's acceleration less gravity, and the
@@ -22,7 +22,7 @@ tip is where that line meets the torus of all places that the tip can reach,
 
 a quartic for l. Of its solutions two are real where the line passes the circle of the boom's feet at less than L: with
 the boom up, above what is perpendicular to the rope, and with the boom down. The crane works with the boom up. Where
-both meet the boom is level, for a load at rest, and cannot pull it inwards or outwards: there the reach ends.
+both meet, the boom of a load at rest is level, and cannot pull the load inwards or outwards: there the reach ends.
 """
 
 from __future__ import annotations

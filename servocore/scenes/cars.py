@@ -5,7 +5,7 @@ r"""Cars in a row, joined by springs: the first is to follow a path, the force a
     -------|----------------|----------------|-----> x
           x_3              x_2              x_1 = y
 
-What the scene needs: masses m_1 ... m_n, stiffnesses k_1 ... k_(n-1) and rest lengths d_1 ... d_(n-1) of n degrees of
+Data of the scene: masses m_1 ... m_n, stiffnesses k_1 ... k_(n-1) and rest lengths d_1 ... d_(n-1) of n degrees of
 freedom, one input; model ``points``, whose coordinates are the positions.
 Left out: friction and damping (with them the inverse problem has internal dynamics), and the length of the cars. The
 scene has no limits: the equations are linear, and hold even where cars would pass through one another.
@@ -73,7 +73,7 @@ class Chain(ABC):
 
     @abstractmethod
     def parameters(self) -> Parameters:
-        """Return what the masses and springs are made of."""
+        """Return the parameters of masses and springs."""
 
     @abstractmethod
     def data(self, values: Values) -> tuple[list[Any], list[Any], list[Any]]:
@@ -119,7 +119,7 @@ class Chain(ABC):
         return [v[self.position(i).name] for i in range(1, self.count + 1)]
 
     def drawing(self, v: Mapping[str, Any]) -> list[Part]:
-        """Return springs and masses; what follows the path comes last."""
+        """Return springs and masses; the mass that follows the path is the last."""
         points = [(place, 0, 0) for place in self.places(v)]
         springs = [Part("spring", pair) for pair in pairwise(points)]
         return [*springs, *(Part("box", (each,), str(i)) for i, each in reversed(list(enumerate(points, 1))))]

@@ -1,4 +1,4 @@
-"""What carries a crane's rope, with and without a flexible drive: straight rails, and a bridge that slews."""
+"""Carriages of a crane's rope, with and without a flexible drive: straight rails, and a bridge that slews."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TURNS = 2 * ca.pi
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A drive of the carriage: what it measures, its position, and the coordinates' share in its rate.
+    """A drive of the carriage: measured quantity, its position, and the Jacobian of its rate.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a carriage brings into a model.
+    """Contribution of a carriage to a model.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Rails:
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
         """Return its masses and energy; the first rail's drive is the flexible one.
 
-        The mass of the trolley may be less than the parameter says.
+        The mass of the trolley may be less than its parameter.
         """
         own, *carried = (trolley_mass if mass == "trolley_mass" else p[mass] for mass in self.masses)
         positions, first = [c[rail.name] for rail in self.rails], self.rails[0].name
@@ -149,8 +149,8 @@ class SlewingBridge:
     phi, trolley : Quantity
         The bridge's angle, and how far from the axis the trolley is.
     invariant : bool
-        Whether d . p = s and d x p = 0 stand for p = s d: what rotations about the axis leave as it is, on the
-        constraints and beside them.
+        Whether d . p = s and d x p = 0 replace p = s d: they are invariant under rotations about the axis even where
+        they do not hold.
     """
 
     phi: Quantity
@@ -206,4 +206,4 @@ class SlewingBridge:
 
 
 Carriage: TypeAlias = Rails | SlewingBridge
-"""What a crane's rope hangs from."""
+"""A carriage of a crane's rope."""

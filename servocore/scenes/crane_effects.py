@@ -1,4 +1,4 @@
-"""What cranes leave out: effects as data. Their values are declared assumptions, not measured cranes.
+"""Effects that crane models neglect, as data. Their values are declared assumptions, not measured cranes.
 
 Sources that assumptions name:
 
@@ -160,7 +160,7 @@ class Crane:
 def crane_effects(
     crane: Crane, rails: Sequence[Quantity], own: Sequence[Effect], *, rope: float, sling: float = 1.0
 ) -> Effects:
-    """Return what the scene of a crane declares.
+    """Return the effects that the scene of a crane declares.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ ROPE_ABOVE = Quantity("rope_above", "m", "rope between its lumps and the trolley
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """What hangs from the upper rope: points from the load upwards.
+    """Bodies on the upper rope: points from the load upwards.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Chain:
 
 
 def overhang(outputs: Sequence[Quantity]) -> tuple[Quantity, ...]:
-    """Return what says how far the load hangs to the side of the rope's exit."""
+    """Return observables of the horizontal offset of the load from the rope's exit."""
     about = "load from the rope's exit"
     return tuple(Quantity(f"overhang_{quantity.name}", quantity.unit, about) for quantity in outputs[:-1])
 
@@ -124,9 +124,9 @@ def assemble(
     effects : frozenset of str
         Their names; ``no winch inertia`` for a winch without.
     hanging : sequence of Quantity
-        What tells how far the load hangs to the side, see `overhang`; nothing where nobody asks.
+        Observables of the horizontal offset of the load, see `overhang`; may be empty.
     reported : sequence of Quantity
-        Coordinates that stand among the observables too, so that their signs tell branches apart.
+        Coordinates that are observables too, so that their signs distinguish branches.
     """
     p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
     own = carriage.quantities(effects)

@@ -6,7 +6,7 @@ r"""The elastic bar, as a chain of N masses: its free end is to follow a path, t
 
         [m_1]--/\/\--[m_2]--/\/\--  ...  --/\/\--[m_N]--> u    N nodes, N - 1 springs k = E A (N - 1)/L
 
-What the scene needs: L, E A, rho A and the end mass m; model ``points``, whose coordinates are the displacements w_i of
+Data of the scene: L, E A, rho A and the end mass m; model ``points``, whose coordinates are the displacements w_i of
 the nodes. An inner node carries the mass of one piece, rho A L/(N - 1), an end node half of that, the first m besides.
 Left out: damping, bending, large strain.
 
@@ -77,7 +77,7 @@ class Bar(Chain):
 def dalembert(
     t: Array, reference: Reference, parameters: Mapping[str, float], section: float | None = None
 ) -> dict[str, Array]:
-    """Exact answer of the continuous bar: what happens at one of its sections when the free end follows the path.
+    """Exact solution of the continuous bar at one of its sections, when the free end follows the path.
 
     Parameters
     ----------

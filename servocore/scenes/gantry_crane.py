@@ -7,9 +7,9 @@ r"""The gantry crane: a bridge on two rails, a trolley across it, a winch on the
                  \  rope l, paid out by the winch (M_w)
                   o load (x, y, z), z < 0
 
-What the scene needs: m_b, m_t, m, J_w, r_w, g of five degrees of freedom, three inputs; model ``points``.
+Data of the scene: m_b, m_t, m, J_w, r_w, g of five degrees of freedom, three inputs; model ``points``.
 ``generalized`` has two swing angles in place of the load's position.
-Left out: what `EFFECTS` has, but for the winch's inertia; skewing of the bridge.
+Left out: the effects in `EFFECTS` except the winch's inertia; skewing of the bridge.
 
 With a path in the plane y = constant this is the overhead crane, whose trolley then carries the bridge along.
 """

@@ -1,4 +1,4 @@
-"""What all cranes share: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero.
+"""Common part of all cranes: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero.
 
 `swinging` gives a crane whose trolley runs along straight rails, in one direction or in two, swing angles; `follow` is
 the flat algebra of the closed forms.
@@ -129,7 +129,7 @@ class Followed:
 
 
 def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[Quantity]) -> Followed:
-    """Return what follows exactly from a load's path for any crane.
+    """Return the quantities of any crane that follow exactly from the path of its load.
 
     Parameters
     ----------

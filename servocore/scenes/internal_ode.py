@@ -40,7 +40,7 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
     rate : callable
         Right-hand side; it vanishes for x = 0 before `start`.
     t : ndarray, shape (N,)
-        Where the solution is wanted, in s, increasing.
+        Times of the solution in s, increasing.
     start : float
         In s.
     size : int

@@ -9,7 +9,7 @@ r"""The mass on a car (Seifried & Blajer 2013): the mass is to follow a path, th
          |___O___________O_____|
         x ---->
 
-What the scene needs: m_1, m_2, k, d and the inclination alpha of two degrees of freedom, one input; model
+Data of the scene: m_1, m_2, k, d and the inclination alpha of two degrees of freedom, one input; model
 ``generalized``, in x and s. ``points`` has y as a third coordinate, with a constraint: M is diagonal, C Boolean.
 Left out: friction; gravity, which only shifts the equilibrium from which s is measured.
 

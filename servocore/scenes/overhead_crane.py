@@ -6,9 +6,9 @@ r"""The overhead crane: a trolley on a straight girder, a winch on it, a load on
              \  rope l, paid out by the winch (M_w)
               o load (x, z), z < 0
 
-What the scene needs: m_t, m, J_w, r_w, g of three degrees of freedom, two inputs; model ``points``.
+Data of the scene: m_t, m, J_w, r_w, g of three degrees of freedom, two inputs; model ``points``.
 ``generalized`` has the swing angle in place of the load's position.
-Left out: what `EFFECTS` has, but for the winch's inertia; the third dimension (see the gantry crane).
+Left out: the effects in `EFFECTS` except the winch's inertia; the third dimension (see the gantry crane).
 """
 
 from __future__ import annotations

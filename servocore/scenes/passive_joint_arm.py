@@ -7,7 +7,7 @@ r"""The arm with a passive joint (Seifried & Blajer 2013): two links in a horizo
       ____------------O
     (O)  a                        torque u on link 1 at its pivot, (O)
 
-What the scene needs: l_1, J_1, m_2, s_2, I_2, c, d and y_2 of two degrees of freedom, one input; model
+Data of the scene: l_1, J_1, m_2, s_2, I_2, c, d and y_2 of two degrees of freedom, one input; model
 ``generalized``, in the joint angles a and b. ``points`` has directors and the mass centre of link 2 as well: M is
 constant there. Left out: gravity (the plane is horizontal), friction in the driven joint.
 

@@ -7,7 +7,7 @@ r"""The quadrotor with a load on a rope, in a vertical plane, after Sreenath, Le
               \  rope l, of fixed length, tied to the centre of mass
                o load (x, z)
 
-What the scene needs: m_Q, J, l, m, g of four degrees of freedom, two inputs; model ``points``. The distance a only
+Data of the scene: m_Q, J, l, m, g of four degrees of freedom, two inputs; model ``points``. The distance a only
 shares thrust and moment among the rotors. ``generalized`` has the quadrotor's position, the swing and the pitch as
 coordinates. Left out: drag, the rotors' own dynamics, a rope that stretches, what happens across the plane.
 

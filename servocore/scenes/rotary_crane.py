@@ -10,9 +10,9 @@ r"""The rotary crane of the paper, sections 3 and 5: a slewing bridge, a trolley
 The load's path is prescribed; five degrees of freedom, three inputs. The data below are a declared assumption: the
 paper's tables are not reproduced here.
 
-What the scene needs: the lumped parameters J_b, m_t, m, J_w, r_w, g of five degrees of freedom, model ``points``.
+Data of the scene: the lumped parameters J_b, m_t, m, J_w, r_w, g of five degrees of freedom, model ``points``.
 ``bodies`` (the paper's 42 redundant coordinates) and ``generalized`` (its five) read the same parameters and give the
-same inputs. Left out: what `EFFECTS` has, but for the winch's inertia.
+same inputs. Left out: the effects in `EFFECTS` except the winch's inertia.
 """
 
 from __future__ import annotations

@@ -49,10 +49,10 @@ BRIDGE_SLENDERNESS = 0.05
 """Inertia of the bridge about its long axis, of that about the others."""
 
 TROLLEY_SHARE, WINCH_SHARE = 0.002, 0.001
-"""What of R = J_b - J_w/2 is the trolley's and what is added to the winch's J_w/2."""
+"""Fractions of R = J_b - J_w/2 for the trolley, and for the winch in addition to J_w/2."""
 
 WINCH_MASS_SHARE = 0.3
-"""What of the trolley mass is the winch's."""
+"""Fraction of the trolley mass that is the winch's."""
 
 _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 

@@ -252,8 +252,13 @@ class ExactInversion:
         if not len(instants):
             return np.empty((*times.shape, len(self.inputs)))
         followed = self._table if isinstance(self._table, BranchTable) else None
-        inputs = self._from_branch(followed, instants) if followed else self._evaluation(self._problem, instants)[0].T
-        name, finite = self._problem.system.name, bool(np.isfinite(inputs).all())
+        by_expression = self._evaluation.by_expression
+        results = self._from_branch(followed, instants) if followed else by_expression(self._problem, instants)
+        finite = bool(np.isfinite(results[0]).all())
+        if not (finite or followed):
+            results = self._evaluation.completed(self._problem, instants, results)
+            finite = bool(np.isfinite(results[0]).all())
+        name, inputs = self._problem.system.name, results[0].T
         if finite:
             require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
         if isinstance(self._table, IntegrationFailed):
@@ -262,9 +267,9 @@ class ExactInversion:
             require_solved(name, instants, inputs)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _from_branch(self, table: BranchTable, t: Array) -> Array:
-        """Return inputs and positive observables, shape (N, columns), read from the branch that the table follows."""
-        return self._evaluation.of_unknowns(self._problem, t, table.states_at(t))[0].T
+    def _from_branch(self, table: BranchTable, t: Array) -> list[Array]:
+        """Return inputs and positive observables, shape (columns, N), read from the branch that the table follows."""
+        return self._evaluation.of_unknowns(self._problem, t, table.states_at(t))
 
 
 def require_solved(name: str, t: Array, values: Array) -> None:

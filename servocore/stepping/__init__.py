@@ -1,1 +1,1 @@
-"""Programs: initial values, one step and observation as compiled functions; and the plant under given inputs."""
+"""Programs: initial values, one step and observation as compiled functions; forward dynamics of a plant."""

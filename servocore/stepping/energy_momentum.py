@@ -30,7 +30,7 @@ from servocore.stepping.energy_momentum_terms import step_terms
 from servocore.stepping.rotation_update import RotationUpdate, compile_rotation_step
 
 _AXES = "xyz"
-_ROUND_OFF = 1e-9  # relative: what is left of a constraint's moment
+_ROUND_OFF = 1e-9  # relative moment of a constraint that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class ConservingStep:
     step : casadi.Function
         (state (q, v, L), u, h, p) -> (state, counts (2,), residual, work): the work of inputs and forces in J.
     energy : casadi.Function
-        (q, v, p) -> kinetic and potential energy together, J, and the angular momentum about the origin (3,), N m s.
+        (q, v, p) -> kinetic plus potential energy, J, and the angular momentum about the origin (3,), N m s.
     """
 
     step: ca.Function
@@ -102,10 +102,10 @@ def conserving_equations(system: MechanicalSystem) -> tuple[SquareSystem, ca.SX]
 
 
 def _require_conservable(system: MechanicalSystem) -> None:
-    """Raise `InvalidModel` if the scheme cannot conserve the energy of a system, and say why."""
+    """Raise `InvalidModel`, with the reason, if the scheme cannot conserve the energy of a system."""
     name, q = system.name, system.q
     if system.time.numel():
-        raise InvalidModel(f"{name}: its equations hold the time, so that its energy is not conserved")
+        raise InvalidModel(f"{name}: its equations depend on the time, so that its energy is not conserved")
     if ca.depends_on(system.mass, q):
         raise InvalidModel(f"{name}: its mass depends on the configuration, energy-momentum needs a constant one")
     crooked = [k for k in range(system.lam.numel()) if not _at_most_quadratic(system.constraints[k], q)]
@@ -126,7 +126,7 @@ def _require_conservable(system: MechanicalSystem) -> None:
 
 
 def _at_most_quadratic(expression: ca.SX, q: ca.SX) -> bool:
-    # A constant Hessian is the exact test: no numbers are put in, so nothing vanishes by chance.
+    # A constant Hessian is the exact test: without numbers no entry vanishes by chance.
     return not ca.depends_on(ca.jacobian(ca.gradient(expression, q), q), q)
 
 
@@ -134,10 +134,10 @@ def _at_most_quadratic(expression: ca.SX, q: ca.SX) -> bool:
 
 
 def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
-    """Return where the vectors of a configuration are: places of their components along x, y and z.
+    """Return the indices of the components along x, y and z of the vectors in a configuration.
 
-    Names tell: coordinates whose names differ in a last x, y, z only are the components of one vector, as
-    ``load.x``, ``load.y``, ``load.z``. Without a z the vector is one of the plane.
+    Coordinates whose names differ in a last x, y, z only are the components of one vector, as ``load.x``, ``load.y``,
+    ``load.z``. Without a z the vector is planar.
     """
     places: dict[str, dict[str, int]] = {}
     for k, name in enumerate(coordinates.names):
@@ -149,7 +149,7 @@ def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
 
 
 def angular_momentum(system: MechanicalSystem) -> ca.SX:
-    """Return the angular momentum about the origin, shape (3,): of the vectors that the coordinates are."""
+    """Return the angular momentum about the origin of the vectors among the coordinates, shape (3,)."""
     momentum, total = ca.mtimes(system.mass, system.v), ca.SX.zeros(3)
     for places in vectors(system.coordinates):
         arm, share = (
@@ -160,7 +160,7 @@ def angular_momentum(system: MechanicalSystem) -> ca.SX:
 
 
 def _turned(coordinates: Coordinates, axis: int, q: Array) -> Array:
-    """Return the rate of a configuration that turns about an axis through the origin by one radian a second."""
+    """Return the rate of a configuration that rotates about an axis through the origin at 1 rad/s."""
     rate, one, two = np.zeros(len(q)), (axis + 1) % 3, (axis + 2) % 3
     for places in vectors(coordinates):
         first, second = places[one], places[two]
@@ -170,10 +170,10 @@ def _turned(coordinates: Coordinates, axis: int, q: Array) -> Array:
 
 
 def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) -> None:
-    """Raise `InvalidModel` for constraints that turn with the system only where they vanish.
+    """Raise `InvalidModel` for constraints that rotations leave invariant only where they vanish.
 
-    Such a constraint, as p - s d = 0, holds after every rotation, but at the middle of a step it does not vanish, and
-    its force has a moment there: the angular momentum would drift. Written as d . p = s and d x p = 0 it has none.
+    Such a constraint, as p - s d = 0, holds after every rotation, but not at the middle of a step, where its force has
+    a moment: the angular momentum would drift. Written as d . p = s and d x p = 0 it has none.
 
     Parameters
     ----------
@@ -193,18 +193,18 @@ def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) 
     for axis in (2,) if flat else range(3):
         ends = [_moments(look, system.coordinates, axis, place, p) for place in (q, other)]
         if any(end.any() for end in ends):
-            continue  # rotations about this axis are no symmetry
+            continue  # rotations about this axis are not a symmetry
         guilty = np.flatnonzero(_moments(look, system.coordinates, axis, (q + other) / 2, p)[:-1])
         if len(guilty):
             raise InvalidModel(
-                f"{system.name}: rotations about the {_AXES[axis]} axis leave these constraints as they are only where"
+                f"{system.name}: rotations about the {_AXES[axis]} axis leave these constraints invariant only where"
                 f" they vanish, so that the angular momentum would drift: {system.listed_constraints(guilty.tolist())};"
                 " for p = s d write d . p = s and d x p = 0"
             )
 
 
 def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array) -> npt.NDArray[np.bool_]:
-    """Return which constraints, and whether the potential last of all, change when everything turns about an axis."""
+    """Return which constraints, and as last entry whether the potential, change in a rotation about an axis."""
     rate = _turned(coordinates, axis, q)
     G, slope = look(q, p)
     rows = np.vstack([G, slope.reshape(1, -1)])
@@ -217,7 +217,7 @@ def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array
 def _assembled_elsewhere(system: MechanicalSystem, q: Array, p: Array) -> Array | None:
     """Return another configuration in which the constraints hold, away from `q`; None if none is found."""
     nominal = np.array(system.coordinates.nominal)
-    # Incommensurate displacements, so that no symmetry of the model hides what changes under a rotation.
+    # Incommensurate displacements, so that no symmetry of the model hides a change under rotations.
     start = q / nominal + 0.3 * np.sin(1.0 + 7.0 * np.arange(len(q)))
     found = assembled(scaled_rows(system.constraints, system.q, system.p, p, nominal), start)
     return None if found is None else found * nominal

@@ -1,4 +1,4 @@
-"""What a step of the energy-momentum scheme is made of, for every choice of its unknowns."""
+"""Terms of a step of the energy-momentum scheme, for every choice of its unknowns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class StepTerms:
     Attributes
     ----------
     q0, v0, change, h : casadi.SX
-        Symbols: far from the origin the change knows more digits than the difference of two places.
+        Symbols: far from the origin the change has more digits than the difference of two positions.
     givens : casadi.SX
         (q0, v0, u, h, p).
     momentum : casadi.SX
@@ -52,7 +52,7 @@ def step_terms(system: MechanicalSystem) -> StepTerms:
     """Return the terms of a step of a system whose mass is constant."""
     n, q, v = len(system.coordinates), system.q, system.v
     q0, v0, change, h = (ca.SX.sym(name, size) for name, size in (("q0", n), ("v0", n), ("change", n), ("h", 1)))
-    # In the middle quadratic constraints have the gradient of their difference: G(q_m) (q1 - q0) = g1 - g0.
+    # At the middle the gradient of quadratic constraints is exact for their difference: G(q_m) (q1 - q0) = g1 - g0.
     middle, rate, q1 = q0 + change / 2, change / h, q0 + change
     G, B, force = ca.substitute([system.G, system.input_matrix, system.force], [q, v], [middle, rate])
     push = force - ca.mtimes(B.T, system.u)
@@ -75,7 +75,7 @@ def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
     """Return the discrete gradient of the potential between two configurations, shape (n,)."""
     q, middle = system.q, (q0 + q1) / 2
     quadratic, stored = summands(system.potential)
-    # Of a quadratic function the gradient in the middle is a discrete gradient already.
+    # The gradient of a quadratic function at the middle is a discrete gradient.
     force = ca.substitute(ca.gradient(quadratic, q), q, middle)
     for energy in stored:
         before, after = (ca.substitute(energy.invariant, q, place) for place in (q0, q1))

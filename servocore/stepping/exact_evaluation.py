@@ -1,7 +1,7 @@
-"""Exact inversions evaluated along paths, in the one place where that is assembled.
+"""Exact inversions evaluated along paths; no other module assembles them.
 
-An expression gives the unknowns where the guess of the model is exact, and Newton's method where it is not. Both are
-read by one function of the unknowns, at one instant or many, of one case or many, interpreted or as machine code.
+The unknowns follow from an expression where the guess of the model is exact, elsewhere from Newton's method. Results
+are read from them by one function, at one instant or many, of one case or many, interpreted or as machine code.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _Symbol = TypeVar("_Symbol", ca.SX, ca.MX)
 
 @dataclass(frozen=True, eq=False)
 class ExactEvaluation:
-    """What exact inversions give at instants of paths.
+    """Results of exact inversions at instants of paths.
 
     Attributes
     ----------
     resolved : ResolvedSystem
-        What is inverted.
+        The inverted system.
     read : casadi.Function
         (unknowns of the derivative array, gamma (m, order + 1), p) -> results.
     whole : bool
-        Whether unknowns, counts and residual of the inversion come before these.
+        Whether unknowns, counts and residual of the inversion precede the results.
     by_expression : PathFunction
-        (gamma, p) -> all results, NaN where the guess of the model is not exact. By Newton's method where the inversion
-        is no single expression.
+        (gamma, p) -> all results, NaN where the guess of the model is not exact. By Newton's method if the inversion is
+        not a single expression.
     is_expression : bool
-        Whether it is one.
+        Whether the inversion is a single expression.
     """
 
     resolved: ResolvedSystem
@@ -53,13 +53,16 @@ class ExactEvaluation:
     def by_newton(self) -> ca.Function:
         """Return (gamma, p) -> the results by Newton's method.
 
-        It is compiled when it is needed first: no other function takes longer to compile.
+        It is compiled at its first use, since its compilation takes longest.
         """
         return _by_newton(self.resolved, self.read, self.whole)
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at instants (N,), shape (rows, N) each; NaN where they are not solved."""
-        results = self.by_expression(problem, t)
+        return self.completed(problem, t, self.by_expression(problem, t))
+
+    def completed(self, problem: Problem, t: Array, results: list[Array]) -> list[Array]:
+        """Return results of `by_expression` with Newton's method in the place of NaN."""
         left = self._left(results)
         if len(left):
             jets = problem.reference.jet(t[left], self.by_expression.order)
@@ -80,12 +83,12 @@ class ExactEvaluation:
         return results
 
     def of_unknowns(self, problem: Problem, t: Array, unknowns: Array) -> list[Array]:
-        """Return what is read from unknowns (size, N) that are known at instants (N,)."""
+        """Return the results of given unknowns (size, N) at instants (N,)."""
         jets = problem.reference.jet(t, self.by_expression.order)
         return list(at_instants(self.read, unknowns, jets=jets, p=problem.p))
 
     def _left(self, results: Sequence[Array]) -> Sequence[int]:
-        """Return the instants that are left to Newton's method."""
+        """Return the indices of the instants that need Newton's method."""
         if not self.is_expression:
             return ()
         good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
@@ -97,7 +100,7 @@ class ExactEvaluation:
 def exact_evaluation(
     resolved: ResolvedSystem, read: ca.Function, native: bool | None = None, whole: bool = False
 ) -> ExactEvaluation:
-    """Compile what is read from exact inversions.
+    """Compile the evaluation of results of exact inversions.
 
     Parameters
     ----------
@@ -128,7 +131,7 @@ def exact_evaluation(
 
 @made_once
 def exact_quantities(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> ExactEvaluation:
-    """Compile what exact inversions give of quantities by name.
+    """Compile the evaluation of named quantities by exact inversion.
 
     Names are those that `solve` reports, and those of `ResolvedSystem.must_be_positive`.
     """
@@ -149,14 +152,14 @@ def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Functi
 def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:
     """Return the unknowns of the derivative array (size, N) at instants, NaN where they are not found.
 
-    And whether the expression gives all of them, so that Newton's method was not asked.
+    The second value is whether they follow from the expression, without Newton's method.
     """
     inverse, jets = inversion(problem.array), problem.reference.jet(t, problem.array.reference_order)
     if inverse.expression is not None:
         states, _, residual = at_instants(inverse.expression, jets=jets, p=problem.p)
         if (residual < LARGEST_RESIDUAL).all():
             return states, True
-    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)  # compiled where it is needed
+    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)  # compiled on use
     return np.where(np.isfinite(residual), states, np.nan), False
 
 
@@ -179,7 +182,7 @@ def _by_newton(resolved: ResolvedSystem, read: ca.Function, whole: bool) -> ca.F
 
 
 def _composed(name: str, inverted: ca.Function, read: ca.Function, whole: bool, kind: type[_Symbol]) -> ca.Function:
-    """Return (gamma, p) -> what is read from an inversion, after all that it gives if the `whole` is asked for."""
+    """Return (gamma, p) -> results read from an inversion, preceded by its own results if `whole`."""
     gamma, p = kind.sym("gamma", *read.size_in(1)), kind.sym("p", read.numel_in(2))
     found = inverted.call([gamma[:, : inverted.size2_in(0)], p])
     results = read.call([found[0], gamma, p])

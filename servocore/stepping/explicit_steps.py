@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta steps of the internal dynamics, compiled: where equations give their rates without iterations.
+"""Compiled explicit Runge-Kutta steps of internal dynamics whose rates need no iterations.
 
 The states of the internal dynamics are stepped with the path's jets at the nodes of every step, and inputs follow from
 the states and the path at the same instant.
@@ -32,13 +32,13 @@ class ExplicitSteps:
     ----------
     runs : SteppedRuns
         Of (states, path at the nodes, numbers, [h; p]) -> (states after a step, rates before it), read by
-        (states, path, numbers, p) -> inputs, what must be positive, and what else is wanted.
+        (states, path, numbers, p) -> inputs, quantities that must be positive, further quantities.
     order : int
-        Derivatives of the path that the equations take.
+        Highest derivative of the path in the equations.
     formula : Formula or None
-        Whether the path is a formula: times and numbers stand for jets then.
+        The path as a formula; times and numbers then replace jets.
     nodes : ndarray
-        Of the method.
+        Nodes of the method.
     """
 
     runs: SteppedRuns
@@ -72,7 +72,7 @@ class ExplicitSteps:
 
 
 def _of_all(references: Sequence[Reference], t: Array, order: int, count: int) -> Array:
-    """Return the jets of paths, those of every step or instant below one another: (rows, count), with cases if many."""
+    """Return the jets of paths, one column per step or instant: (rows, count), or (cases, rows, count) if many."""
     jets = [reference.jet(t, order) for reference in references]
     tables = [jet.reshape(count, jet.size // max(count, 1)).T for jet in jets]
     return np.stack(tables) if len(tables) > 1 else np.ascontiguousarray(tables[0])
@@ -82,12 +82,12 @@ def _of_all(references: Sequence[Reference], t: Array, order: int, count: int) -
 def compile_explicit_steps(
     resolved: ResolvedSystem, formula: Formula | None, native: bool | None, names: tuple[str, ...] = ()
 ) -> ExplicitSteps:
-    """Compile steps and inputs, and quantities of some names, by the method of Dormand and Prince of order eight.
+    """Compile steps, inputs and named quantities by the method of Dormand and Prince of order eight.
 
     Raises
     ------
     InvalidModel
-        If the equations do not give the rates of the states without iterations.
+        If the rates of the states need iterations.
     """
     from scipy.integrate import DOP853  # noqa: PLC0415 - the library is imported where SciPy is not
 

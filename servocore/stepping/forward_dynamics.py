@@ -3,8 +3,8 @@
     M v_dot + bias + G^T lam + B^T u = C^T d        d: a disturbing force on the servo output
     g'' + 2 a g' + a^2 g = 0                        a = `STABILIZATION_RATE`, the time included
 
-The holonomic constraints are differentiated twice and stabilized. *Held*, the inputs are not given but are what keeps
-B v as it is: brakes. One step of a `Plant` is the classical Runge-Kutta method of order four with inputs that change
+The holonomic constraints are differentiated twice and stabilized. *Held* inputs are not given: they keep B v constant,
+as brakes do. One step of a `Plant` is the classical Runge-Kutta method of order four with inputs that change
 linearly over it.
 """
 
@@ -31,7 +31,7 @@ class Plant:
     Attributes
     ----------
     name : str
-        Of the system, for messages.
+        Name of the system in messages.
     step : casadi.Function
         (state, u, u_dot, d, p, h) -> state after h seconds; u is the input at the start of the step.
     held_step : casadi.Function
@@ -80,29 +80,6 @@ class Plant:
         # step late on average, and a closed loop would be of first order in h.
         return call_of(self.step)(state, u, u_dot, d, p, h)[0]
 
-    def advance_held(self, state: Array, d: Array, p: Array, h: float) -> Array:
-        """Return the state after one step with the inputs held.
-
-        Parameters
-        ----------
-        state : ndarray, shape (2 n,)
-            (q, v) before the step.
-        d : ndarray, shape (m,)
-            Forces of a disturbance along the servo outputs.
-        p : ndarray
-            Parameters.
-        h : float
-            Step in s.
-
-        Returns
-        -------
-        ndarray, shape (2 n,)
-            (q, v) after the step.
-        """
-        # Brakes keep B v, the velocities along the inputs, at what they are: d(B v)/dt = 0 replaces known inputs, and u
-        # comes out as the multipliers of these rows. A plant that moves when they close keeps moving.
-        return call_of(self.held_step)(state, d, p, h)[0]
-
     def values(self, state: Array, u: Array | None, d: Array, p: Array) -> dict[str, float]:
         """Return the values of the channels by name; `u` is None where the inputs are held.
 
@@ -122,8 +99,8 @@ class Plant:
         dict of str to float
             In the units of `channels`.
         """
-        # Accelerations and multipliers follow from the state and the inputs of this instant, so nothing of the step
-        # before is kept: after an input jumps, its channels jump as well.
+        # Accelerations and multipliers follow from state and inputs of this instant alone: where an input jumps, its
+        # channels jump as well.
         observed = call_of(self.held_observe)(state, d, p) if u is None else call_of(self.observe)(state, u, d, p)
         return dict(zip((channel.name for channel in self.channels), map(float, observed[0]), strict=True))
 
@@ -134,7 +111,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     Parameters
     ----------
     system : MechanicalSystem
-        Any; its constraints are differentiated twice and stabilized.
+        The system; its constraints are differentiated twice and stabilized.
 
     Returns
     -------
@@ -144,20 +121,23 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     Raises
     ------
     InvalidModel
-        If some holonomic constraints are redundant: nothing would determine their forces. If the equations hold the
-        time: the state of a plant is (q, v) alone.
+        If some holonomic constraints are redundant, since their forces are not determined, or the equations depend on
+        the time, which is not part of the state (q, v).
     """
-    require_kind(system, MechanicalSystem, "what is to be compiled", "a MechanicalSystem", InvalidModel)
+    require_kind(system, MechanicalSystem, "the system to be compiled", "a MechanicalSystem", InvalidModel)
     system.require_independent_constraints()
     if system.time.numel():
-        raise InvalidModel(f"{system.name}: its equations hold the time, which a plant does not know; simulate does")
+        raise InvalidModel(
+            f"{system.name}: its equations depend on the time, which is not part of a plant's state; use simulate"
+        )
     rate, held_rate = forward_rate(system, held=False), forward_rate(system, held=True)
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
     state, u, slope, d, p = (ca.MX.sym(*argument) for argument in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
     h = ca.MX.sym("h")
     # Four stages with the input linear over the step: explicit, so that a plant in an FMU costs the same each step.
     free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
-    # Held inputs are forces of the constraints B v = const: they come out of the bordered system.
+    # Brakes keep B v, the velocities along the inputs: d(B v)/dt = 0 replaces known inputs, and u comes out as the
+    # multipliers of these rows. A plant that moves when they close keeps moving.
     held = _runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)
@@ -178,11 +158,11 @@ def compile_plant(system: MechanicalSystem) -> Plant:
 def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     """Compile (state, u, d, p) -> (state_dot, lam, u), or without u among the arguments where the inputs are held.
 
-    Where the equations hold the time, it is one more argument.
+    If the equations depend on the time, it is the last argument.
     """
     q, v, G, B = system.q, system.v, system.G, system.input_matrix
     a = STABILIZATION_RATE
-    # Of gamma's components constraints may hold the time alone, and its rate is one.
+    # The only component of gamma in constraints is the time, whose rate is one.
     g_dot = ca.substitute(system.constraint_rate, system.gamma[:, 1], ca.SX.ones(system.gamma.size1()))
     g_ddot = ca.jtimes(g_dot, q, v) + ca.jtimes(g_dot, system.time, ca.SX.ones(system.time.shape))
     # Baumgarte: g'' + 2 a g' + a^2 g = 0 lets violations die out like (1 + a t) exp(-a t); g'' = 0 alone drifts.
@@ -198,13 +178,13 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
         bordered = G
         right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilized)
     corner = ca.SX(bordered.size1(), bordered.size1())
-    # [M A^T; A 0] is regular for a singular M as well if M is definite on ker A; eliminating by M^-1 is not.
+    # [M A^T; A 0] is regular for a singular M too, if M is definite on ker A; M^-1 does not exist then.
     matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])
     state, inputs, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
     terms = ca.Function("sc_plant_terms", [state, *inputs, d, system.p, *clock], [matrix, -right], {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
     bordered_mass, forces_on_it = terms(*arguments)
-    # As an expression of SX the solution would be written out entry by entry; MX calls a sparse QR.
+    # In SX the solution would be expanded entry by entry; MX calls a sparse QR factorization.
     solution = ca.solve(bordered_mass, forces_on_it, "qr")
     n = len(system.coordinates)
     forces = solution[n + m_h : n + m_h + m] if held else arguments[1]
@@ -248,7 +228,7 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     add(system.coordinates.quantities, q)
     add(system.coordinates.quantities, v, "_dot", "/s")
     for quantity, expression in system.observables.items():
-        # A plant follows no path: what needs one cannot be observed.
+        # A plant follows no path: observables that depend on one are left out.
         if not ca.depends_on(ca.SX(expression), system.gamma):
             add((quantity,), ca.SX(expression))
     add(system.inputs, system.u)
@@ -256,7 +236,7 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     rows.append((Quantity("energy", "J", "kinetic and potential energy"), energy))
     unique: dict[str, tuple[Quantity, ca.SX]] = {}
     for channel, expression in rows:
-        # The first of a name wins: an output that is a coordinate as well is listed once.
+        # The first of a name is kept: an output that is a coordinate as well is listed once.
         unique.setdefault(channel.name, (channel, expression))
     values = ca.vertcat(*[expression for _, expression in unique.values()])
     arguments = [ca.vertcat(q, v), v_dot, system.lam, system.u, system.p]

@@ -1,4 +1,4 @@
-"""Observation: a function of a program's state that returns values by name and violations of the equations."""
+"""Observation: values by name and violations of the equations as functions of a program's state."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from servocore.numerics.expressions import highest_derivative, largest
 
 
 def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
-    """List inputs, observables, servo outputs, then coordinates whose names are still free."""
+    """List inputs, observables, servo outputs and coordinates; the first of a name is kept."""
     listed = [
         *((channel, system.u[k]) for k, channel in enumerate(system.inputs)),
         *system.observables.items(),
@@ -33,12 +33,12 @@ def compile_observation(
     known: list[tuple[Quantity, ca.SX]],
     order: int,
 ) -> ca.Function:
-    """Compile (state, gamma (m, order + 1), p) -> (values of `known`, violations (4,)) at the state's own instant."""
+    """Compile (state, gamma (m, order + 1), p) -> (values of `known`, violations (4,)) at the instant of the state."""
     symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
     physical = ca.vertcat(*[dae.physical[name] for name in ("q", "v", "lam", "u")])
     expressions = ca.vertcat(*[expression for _, expression in known])
     violations = violations_of(system)
-    # Two substitutions in this order: the first brings in the unknowns of the form, which the second replaces.
+    # Two substitutions in this order: the first introduces the unknowns of the form, which the second replaces.
     expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])
     unknowns = ca.vertcat(dae.x, dae.z)
     expressions, violations = ca.substitute([expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)])
@@ -61,13 +61,13 @@ def violations_of(system: MechanicalSystem) -> ca.SX:
 
 
 def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
-    """Highest derivative of the reference that the limits use."""
+    """Return the highest derivative of the reference in the limits."""
     margins = [limit.on(system) for limit in limits]
     return highest_derivative(ca.vertcat(ca.SX(0, 1), *margins), system.gamma)
 
 
 def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
-    """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
+    """Compile (gamma (m, order + 1), p) -> margin of each limit, positive where it is kept."""
     gamma = system.gamma[:, : order + 1]
     margins = [limit.on(system) - limit.bound for limit in limits]
     return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])

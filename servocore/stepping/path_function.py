@@ -1,4 +1,4 @@
-"""Functions of a path and of parameters at many instants: with the path as part of the machine code where it can be."""
+"""Functions of a path and of parameters at many instants, with paths that are formulas compiled in."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.just_in_time import MANY, pays
+from servocore.numerics.just_in_time import MANY, Use
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem
@@ -28,18 +28,18 @@ class PathFunction:
     native : bool or None
         See `JustInTime`.
     of_what : str
-        For messages.
+        Name in messages.
     """
 
     def __init__(self, function: ca.Function, native: bool | None, of_what: str) -> None:
         self.function, self._native, self._of_what = function, native, of_what
         self.order = int(function.size2_in(0)) - 1
-        self._calls = 0
-        # The path that machine code was last called with, at most one: to choose again takes longer than to evaluate.
+        self._use = Use()
+        # The last path evaluated by machine code, at most one: to choose a function takes longer than to evaluate it.
         self._last: list[tuple[Reference, Vectorized, Array]] = []
 
     def prepare(self, reference: Reference) -> None:
-        """Compile now what is wanted as machine code.
+        """Compile machine code for a path now, if `native` is true.
 
         Raises
         ------
@@ -52,7 +52,7 @@ class PathFunction:
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at the instants `t` (N,), shape (rows, N) each."""
         reference = problem.reference
-        finite = bool(np.isfinite(t).all())  # other times go the other way, where the path refuses them by name
+        finite = bool(np.isfinite(t).all())  # other times are refused by the path itself
         for path, machine_code, numbers in self._last:
             if finite and path is reference:
                 return machine_code(t[None], numbers, problem.p)
@@ -84,30 +84,29 @@ class PathFunction:
         return self._of_jets(np.ascontiguousarray(jets if len(references) > 1 else jets[0]), p)
 
     def ready(self, problem: Problem, count: int) -> bool:
-        """Whether machine code is there for so many instants."""
+        """Whether machine code for so many instants is compiled."""
         return self._on_path(problem.reference, count)[0].ready(count, called=False)
 
-    @cached_property  # where it is machine code from the start, and all paths are formulas, it is never made
+    @cached_property  # not needed where all paths are formulas in machine code
     def _of_jets(self) -> Vectorized:
         return Vectorized(self.function, (True, False), self._native, self._of_what)
 
     def _on_path(self, reference: Reference, count: int, called: bool = False) -> tuple[Vectorized, Formula | None]:
-        """Return what evaluates on a path, with the path inside if that is a formula.
+        """Return the function for a path, and its formula if the path is compiled into the function.
 
-        That pays from the second call on.
+        This is worth it from the second call on.
         """
         formula = reference.formula
-        self._calls += called
-        # To put a path inside means to write and to compile a function: a single call is over before.
-        inside = self._native or (pays(self._calls, count) and (self._native is None or count <= _FEW))
-        if not inside or formula is None or not self.function.is_a("SXFunction"):
+        # To compile the path into a function takes longer than a single call.
+        pays = self._use.pays(count, called) and (self._native is None or count <= _FEW)
+        if not (self._native or pays) or formula is None or not self.function.is_a("SXFunction"):
             return self._of_jets, None
         return _inside(self.function, formula, self._native, self._of_what), formula
 
 
 @made_once
 def _inside(function: ca.Function, formula: Formula, native: bool | None, of_what: str) -> Vectorized:
-    """Return the results of a function of expressions (gamma, p) on a path, of (t, numbers of the path, p)."""
+    """Return a function of expressions (gamma, p) as one of (t, numbers of the path, p)."""
     jet, p = jet_of(formula, function.size2_in(0) - 1), ca.SX.sym("p", function.numel_in(1))
     t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", jet.numel_in(1))
     on_path = ca.Function("sc_on_path", [t, numbers, p], function.call([jet(t, numbers), p]), {"cse": True})

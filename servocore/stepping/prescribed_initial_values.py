@@ -1,6 +1,6 @@
-"""Initial values that a user gives: of the states of internal dynamics, or of the whole motion for `simulate`.
+"""Initial values given by a user: states of internal dynamics, or the whole motion for `simulate`.
 
-A start is a mapping from names to numbers: ``theta`` a coordinate in its unit, ``theta_dot`` its rate.
+A start is a mapping from names to numbers: ``theta`` is a coordinate in its unit, ``theta_dot`` its rate.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from servocore.structure.inversion import inversion
 Start = Mapping[str, float]
 
 _RATE = "_dot"
-_CLOSED = 1e-9  # residual of constraints, of the size of the coordinates, with which a start is accepted
+_CLOSED = 1e-9  # largest accepted residual of constraints, relative to the coordinates
 _ITERATIONS = 50
 
 
@@ -33,7 +33,7 @@ def prescribed_start(problem: Problem, restart: ca.Function, gamma: Array, step:
     problem : Problem
         With a start of its internal states.
     restart : casadi.Function
-        Of the `Program` that is stepped.
+        `Program.restart` of the program.
     gamma : ndarray, shape (instants, start_order + 1, m)
         Reference jets at the instants that its start needs.
     step : float
@@ -51,7 +51,7 @@ def prescribed_start(problem: Problem, restart: ca.Function, gamma: Array, step:
     search, guess = _search(problem.resolved, named)
     now = gamma[0, : problem.array.reference_order + 1].T
     values = guess(now, problem.p)[0]
-    # Pinned: with these as states the array determines all others from them.
+    # With these as states the array determines all other unknowns.
     values[problem.array.places(states)] = list(problem.start.values())
     unknowns, _, residual = search(now, problem.p, values)
     if not np.isfinite(unknowns).all():
@@ -71,19 +71,19 @@ def require_start(problem: Problem) -> None:
     except InvalidModel as error:
         names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
-            f"{name}: {', '.join(problem.start)} cannot all be chosen, the path determines one of them; {names} can"
+            f"{name}: {', '.join(problem.start)} cannot all be given: the path determines one of them; {names} can"
         ) from error
 
 
 @made_once
 def _search(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tuple[Call, Call]:
-    """Compile Newton's method with these unknowns pinned, and the guess."""
+    """Compile Newton's method with these unknowns given, and the guess."""
     inverse = inversion(Reduced(states=states).array(resolved.system))
     return Call(inverse.search), Call(inverse.guess)
 
 
 def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, int]]:
-    """Return variable and order of every state that a start names."""
+    """Return variable and order of every state in a start."""
     _require_numbers(start, name)
     _require_clear(start, [_plain(array.names[j], order) for j, order in array.unknowns], name)
     known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
@@ -94,7 +94,7 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
             f"{name}: a start gives the {len(array.states)} states of the internal dynamics, such as {names},"
             f" not {', '.join(wrong or start)}"
             if array.states
-            else f"{name} has no internal dynamics: its motion follows from the path, and takes no start"
+            else f"{name} has no internal dynamics: its motion follows from the path, without a start"
         )
     return [known[name] for name in start]
 
@@ -108,17 +108,17 @@ def _require_numbers(start: Start, name: str) -> None:
 
 
 def _require_clear(start: Start, names: Sequence[str], system: str) -> None:
-    """Raise `InvalidSetting` if a start names a coordinate that is called as the rate of another one is."""
+    """Raise `InvalidSetting` if a coordinate in a start has the name of another one's rate."""
     for name in start:
         if names.count(name) > 1:
             raise InvalidSetting(
-                f"{system}: a start cannot tell the coordinate {name} from the rate of {name.removesuffix(_RATE)}: the"
+                f"{system}: in a start {name} is both a coordinate and the rate of {name.removesuffix(_RATE)}: the"
                 " coordinate needs another name"
             )
 
 
 def _plain(variable: str, order: int) -> str:
-    """Return what a user calls a derivative of a variable: theta, theta_dot."""
+    """Return the name of a derivative in a start: theta, theta_dot."""
     return variable.split(".", 1)[1] + ("", "_dot", "_ddot")[order] if order < 3 else f"{variable} {order}"
 
 
@@ -127,9 +127,9 @@ def _listed(start: Start) -> str:
 
 
 def with_initial_values(problem: Problem, time: float, state: Array, start: Start) -> Array:
-    """Return the state (q, v) with the values that a start gives, the others moved so that the constraints hold.
+    """Return the state (q, v) with the values of a start, the others projected onto the constraints.
 
-    They are moved as little as possible, measured by the nominal magnitudes.
+    The projection is the closest one in units of the nominal magnitudes.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     rows, rates = _constraint_rows(problem.resolved)
     clock = problem.reference.jet(time, 1).T
     for function, part in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
-        # Positions first: the constraints of velocities hold G at the positions.
+        # Positions first: the constraints of velocities depend on G at the positions.
         moves = free[part] * nominal
         for _ in range(_ITERATIONS):
             residual, jacobian = function(consistent, clock, problem.p)

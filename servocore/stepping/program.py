@@ -1,7 +1,7 @@
 """`Program`: a model, a formulation and a method together, as a few compiled functions of plain vectors.
 
-Compiled once for a system, whatever its path. The state is one flat float64 vector, history included: copy it to roll
-back, list it to serialize.
+Compiled once for a system, for all paths. The state is one flat float64 vector, history included: a copy serves for
+rollback, a list for serialization.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from servocore.structure.inversion import inversion
 
 @dataclass(frozen=True)
 class StepReport:
-    """How a step or a start went.
+    """Report of a step or a start.
 
     Attributes
     ----------
@@ -60,25 +60,24 @@ class StepReport:
 class Program:
     """Compiled functions of one problem: model, formulation and method together.
 
-    Each is compiled when it is used first: Newton's method for a system takes longer than anything else, and an exact
-    inversion seldom needs it.
+    Each is compiled at its first use: Newton's method takes longest to compile, and an exact inversion seldom needs it.
 
     Attributes
     ----------
     name : str
         Model, formulation and method, for messages.
     array : DerivativeArray
-        Of the system, with the states that the formulation names.
+        Derivative array of the system, with the states of the formulation.
     dae, reduced : Dae
-        What is stepped, and the reduced form of the same array.
+        The form that is stepped, and the reduced form of the same array.
     discretization : Discretization
         The equations of a step.
     start_order : int
-        Highest derivative of the reference that start and observation take.
+        Highest derivative of the reference in start and observation.
     smaller_steps_help : bool
         False for forms without a step, and where errors grow from step to step, more so the smaller the step.
     follow_branch : bool
-        Whether an exact inversion starts from where the instant before was heading, and not from the model's guess.
+        Whether an exact inversion starts from the extrapolated previous instant instead of the model's guess.
     """
 
     name: str
@@ -95,14 +94,14 @@ class Program:
         """Differentiation index of the form."""
         return self.dae.index
 
-    @cached_property  # every step asks
+    @cached_property  # used in every step
     def order(self) -> int:
-        """Highest derivative of the reference that a step takes."""
+        """Highest derivative of the reference in a step."""
         return self.dae.reference_order if self.dae.x.numel() else self.start_order
 
     @property
     def nodes(self) -> tuple[float, ...]:
-        """Where a step takes the reference, in steps from its beginning."""
+        """Instants of the reference in a step, as fractions of the step."""
         return self.discretization.nodes
 
     @property
@@ -110,14 +109,14 @@ class Program:
         """Names of the equations of a step."""
         return self.discretization.labels
 
-    @cached_property  # every step asks
+    @cached_property  # used in every step
     def start_instants(self) -> tuple[float, ...]:
-        """Where the start takes the reference, in steps from the initial time."""
+        """Instants of the reference in the start, in steps from the initial time."""
         return start_instants(self.array, self.discretization)
 
     @cached_property
     def channels(self) -> tuple[Quantity, ...]:
-        """What is observed."""
+        """Observed quantities."""
         return tuple(quantity for quantity, _ in observed(self.array.system))
 
     @cached_property
@@ -137,7 +136,7 @@ class Program:
         """(state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual)."""
         if self.dae.x.numel():
             return compile_step(self.discretization)
-        # Without differential states every instant stands alone: a step is a start.
+        # Without differential states instants are independent: a step is a start.
         if self.follow_branch:
             return compile_following_step(self.array, self.start_order)
         return compile_pointwise_step(self.start)
@@ -155,13 +154,13 @@ class Program:
 
     @cached_property
     def rescale(self) -> ca.Function:
-        """(state, ratio) -> the state made ready for steps of another size, `ratio` times the old."""
+        """(state, ratio) -> the state for a new step size, `ratio` times the old."""
         step = self.discretization
         return ca.Function("sc_rescale", [step.state, step.ratio], [ca.densify(step.rescaled)])
 
     @cached_property
     def between(self) -> ca.Function:
-        """(state, fraction, h) -> the state with its own instant moved to a fraction of the last step."""
+        """(state, fraction, h) -> the state moved to a fraction of the last step."""
         step = self.discretization
         return ca.Function("sc_between", [step.state, step.fraction, step.step], [ca.densify(step.between)])
 
@@ -185,7 +184,7 @@ class Program:
         Returns
         -------
         tuple of (ndarray, StepReport)
-            The state, shape (state_size,), and how the start went.
+            The state, shape (state_size,), and a report.
         """
         jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
         # CasADi maps column by column: (instants, orders, m) becomes (m, orders * instants).
@@ -198,7 +197,7 @@ class Program:
         Parameters
         ----------
         state : ndarray, shape (state_size,)
-            Before the step.
+            State before the step.
         gamma : ndarray, shape (nodes, orders, m)
             Reference jets at the nodes of the step.
         h : float
@@ -209,35 +208,35 @@ class Program:
         Returns
         -------
         tuple of (ndarray, StepReport)
-            The state after the step, and how it went.
+            The state after the step, and a report.
         """
         return _outcome(*call_of(self.step)(state, self._at_nodes(gamma), h, p))
 
     def rescaled(self, state: Array, ratio: float) -> Array:
-        """Make a state ready for steps of another size; for forms of index one and less.
+        """Return the state for a new step size; for forms of index one and less.
 
         Parameters
         ----------
         state : ndarray, shape (state_size,)
-            After a step of the old size.
+            State after a step of the old size.
         ratio : float
             New size divided by the old one.
 
         Returns
         -------
         ndarray, shape (state_size,)
-            The state from which to go on.
+            The state for steps of the new size.
         """
-        # Interpolating a history at its own instants would cost round-off for nothing.
+        # Interpolation at the instants of the history would only add round-off.
         return state if ratio == 1.0 else call_of(self.rescale)(state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
-        """Move a state's own instant to a fraction of its last step, for `values` there: dense output.
+        """Move a state to a fraction of its last step, for `values` there: dense output.
 
         Parameters
         ----------
         state : ndarray, shape (state_size,)
-            After a step.
+            State after a step.
         fraction : float
             0 at the beginning of that step, 1 at its end.
         h : float
@@ -256,9 +255,9 @@ class Program:
         Parameters
         ----------
         state : ndarray, shape (state_size,)
-            After a step.
+            State after a step.
         gamma : ndarray, shape (orders, m)
-            Reference jet at the state's own instant.
+            Reference jet at the instant of the state.
         p : ndarray
             Parameters.
 
@@ -277,16 +276,16 @@ class Program:
         values : ndarray, shape (channels,)
             From `values`.
         time : float
-            Of the values, in s, for the message.
+            Time of the values in s, for the message.
         """
         for channel, value in zip(self.channels, values, strict=True):
-            # Newton's method may land on a mirror image, such as a rope that pushes; only signs tell.
+            # Newton's method may converge to a mirror image, such as a rope that pushes; signs reveal it.
             if channel.positive and not value > 0.0:
                 helps = self.smaller_steps_help and not channel.tension
-                cure = "; a smaller step keeps to its own" if helps else ""
+                remedy = "; reduce the step" if helps else ""
                 raise IntegrationFailed(
                     f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit},"
-                    f" {channel.wrong_sign}{cure}"
+                    f" {channel.wrong_sign}{remedy}"
                 )
 
     def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
@@ -295,7 +294,7 @@ class Program:
         Parameters
         ----------
         state : ndarray, shape (state_size,)
-            Before the step.
+            State before the step.
         gamma : ndarray, shape (nodes, orders, m)
             Reference jets at the nodes of the step.
         h : float
@@ -308,7 +307,7 @@ class Program:
         str
             Name of the equation.
         """
-        # A form without a step is given more derivatives of the path than its equations hold.
+        # Without a step, gamma has more derivatives of the path than the equations.
         orders = self.guess_residual.size2_in(1) // len(self.nodes)
         (residual,) = call_of(self.guess_residual)(state, self._at_nodes(gamma[:, :orders]), h, p)
         return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
@@ -320,7 +319,7 @@ class Program:
 
 
 def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
-    # CasADi's fast_newton takes NaN for convergence, and failed blocks answer NaN: look at the numbers.
+    # CasADi's fast_newton treats NaN as convergence, and failed blocks return NaN: test the values.
     converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
     most, total = (round(count) if np.isfinite(count) else 0 for count in counts)
     return state, StepReport(converged, most, total, float(residual[0]))
@@ -329,19 +328,19 @@ def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepR
 def program_of(
     problem: Problem, formulation: Formulation, method: Method, native: bool | None = False, steps: int = 0
 ) -> Program:
-    """Return the program of a problem; asked again for the same system and settings, the same program.
+    """Return the program of a problem; the same object for the same system and settings.
 
     Parameters
     ----------
     problem : Problem
-        What is to be stepped.
+        The problem.
     formulation, method : Formulation, Method
-        How.
+        Formulation and method.
     native : bool or None
-        Whether a C compiler shall turn it into machine code; with None it does so in the background, for a
-        program that is used again or for many steps.
+        Whether to compile to machine code; with None in the background, for a program that is used again or for many
+        steps.
     steps : int
-        How many are to be taken.
+        Number of steps to be taken.
     """
     program = _program(problem.resolved, formulation, method, problem.follow_branch)
     code = None if native is False else _in_machine_code(program, native)
@@ -360,7 +359,7 @@ def _program(resolved: ResolvedSystem, formulation: Formulation, method: Method,
     if isinstance(formulation, Reduced):
         array = formulation.array(resolved.system)
     if array.states == resolved.array.states:
-        array = resolved.array  # the usual states share one inversion with everything else that asks for it
+        array = resolved.array  # the usual states share one inversion with all other users
     stepped = bool(dae.x.numel())
     return Program(
         name=f"{dae.name}, {method.name}" if stepped else dae.name,

@@ -6,13 +6,14 @@ unknowns w are changes of places, and for every body a rotation theta:
     d_i1 = cay(theta) d_i0,     cay(theta) = (I - S/2)^-1 (I + S/2),     S = skew(theta)
 
 Then q1 - q0 = P w with the columns -skew(d_ih) of P at the middle of the step, directors stay orthonormal, and P^T
-takes the multipliers of that out. With r(w) = P^T R of the momentum rows R, A = G P of the joints in the middle of the
-step and A0 the same at its beginning, the multipliers of the joints go by a projection:
+eliminates their multipliers. With r(w) = P^T R of the momentum rows R, A = G P of the joints in the middle of the
+step and A0 the same at its beginning, a projection eliminates the multipliers of the joints:
 
     (I - A^T (A0 A^T)^-1 A0) r(w) + A0^T g(q1) = 0
 
-The first term lies across A0 and the second along it, so that both vanish. No columns are chosen that others depend
-on: the matrix is regular as long as the joints are independent. One linear solve gives all multipliers afterwards.
+The first term is orthogonal to the rows of A0 and the second in their span, so that both vanish. No dependent columns
+are chosen: the matrix is regular as long as the joints are independent. All multipliers then follow from one linear
+solve.
 """
 
 from __future__ import annotations
@@ -36,24 +37,24 @@ _ROUND_OFF = 1e-9
 class RotationUpdate:
     """For `EnergyMomentum`: six unknowns a body, and no multipliers in the equations of a step.
 
-    The motion is that with multipliers, to Newton's tolerance. Directors stay orthonormal by themselves, to round-off
-    that gathers over the steps. A body can turn by less than half a turn in a step. It pays where most constraints
-    are those of rigid bodies; with many joints multipliers are cheaper.
+    The motion is that with multipliers, to Newton's tolerance. Directors stay orthonormal, to accumulated round-off. A
+    body can turn by less than half a turn in a step. The update is faster where most constraints are those of rigid
+    bodies; with many joints multipliers are.
     """
 
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """The unknowns w of a step: what they are beside the coordinates.
+    """The unknowns w of a step, by places of the coordinates.
 
     Attributes
     ----------
     frames : list of list of int
-        Places of the nine components of the directors of every body.
+        Indices of the nine components of the directors of every body.
     plain : list of int
-        Places of all other coordinates.
+        Indices of all other coordinates.
     rows : list of int
-        Constraints that are not those of orthonormality.
+        Constraints other than orthonormality.
     """
 
     frames: list[list[int]]
@@ -65,7 +66,7 @@ class _Unknowns:
         return len(self.plain) + 3 * len(self.frames)
 
     def change(self, q: ca.SX, w: ca.SX) -> ca.SX:
-        """Return by how much the unknowns change a configuration, shape (n,)."""
+        """Return the change of a configuration by the unknowns, shape (n,)."""
         moves = ca.SX.zeros(q.numel())
         moves[self.plain] = w[: len(self.plain)]
         for k, places in enumerate(self.frames):
@@ -76,7 +77,7 @@ class _Unknowns:
         return moves
 
     def basis(self, q: ca.SX) -> ca.SX:
-        """Return P, shape (n, count): the velocities of which the unknowns are the sizes."""
+        """Return P, shape (n, count): the directions in which the unknowns move the coordinates."""
         directions = ca.SX(q.numel(), self.count)
         for column, place in enumerate(self.plain):
             directions[place, column] = 1
@@ -87,7 +88,7 @@ class _Unknowns:
         return directions
 
     def guess(self, q: ca.SX, change: ca.SX) -> ca.SX:
-        """Return unknowns that change a configuration by as much, to first order."""
+        """Return the unknowns of a change of configuration, to first order."""
         turns = [
             sum(ca.cross(q[d], change[d]) for d in (places[:3], places[3:6], places[6:])) / 2 for places in self.frames
         ]
@@ -124,7 +125,7 @@ def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
 
 
 def _orthonormality(system: MechanicalSystem, places: list[int]) -> list[int]:
-    """Return constraints on nine directions that hold after every rotation, found by two arbitrary ones."""
+    """Return constraints on nine directions that hold after every rotation, tested by two arbitrary ones."""
     pattern = np.asarray(ca.DM(ca.jacobian_sparsity(system.constraints, system.q), 1))
     others = np.setdiff1d(range(pattern.shape[1]), places)
     rows = [k for k in range(len(pattern)) if not pattern[k, others].any() and pattern[k].any()]
@@ -188,7 +189,7 @@ def _solved(unknowns: _Unknowns, terms: StepTerms, givens: ca.MX) -> tuple[ca.MX
 
 
 def _begin(unknowns: _Unknowns, terms: StepTerms) -> ca.Function:
-    """Compile givens -> where Newton starts, in units of the scales, and the scales of the unknowns."""
+    """Compile givens -> start of Newton's method in units of the scales, and scales of the unknowns."""
     plain = unknowns.plain
     scale = ca.vertcat(terms.nominal[plain] + ca.fabs(terms.q0[plain]), ca.SX.ones(3 * len(unknowns.frames)))
     start = unknowns.guess(terms.q0, terms.h * terms.v0) / scale
@@ -196,7 +197,7 @@ def _begin(unknowns: _Unknowns, terms: StepTerms) -> ca.Function:
 
 
 def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, givens: ca.MX, scale: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Return the projected equations and their Jacobian; what is scaled is in units of the heaviest inertia.
+    """Return the projected equations and their Jacobian, scaled by the largest inertia.
 
     Rows and unknowns are weighed by the roots of their inertias, joints by the sizes of their rows, so that the
     condition of the matrix depends neither on units nor on h.
@@ -228,11 +229,11 @@ def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, givens: ca.MX, s
         return residual, bend(x, handed, ca.MX(0, 1))
     reduce = ca.solve(ca.mtimes(along, across.T), along, "qr")
     K = bend(x, handed, -ca.mtimes(reduce, residual))
-    # Twice: round-off of the forces along A0 would be taken for a gap of the joints.
+    # Twice: round-off of the forces along A0 would act like a gap of the joints.
     left = _without(across, reduce, _without(across, reduce, residual))
     return left + ca.mtimes(along.T, gap), _without(across, reduce, K) + ca.mtimes(along.T, slope)
 
 
 def _without(across: ca.MX, reduce: ca.MX, columns: ca.MX) -> ca.MX:
-    """Return columns without what the joints' forces can take."""
+    """Return columns without their components along forces of the joints."""
     return columns - ca.mtimes(across.T, ca.mtimes(reduce, columns))

@@ -1,6 +1,6 @@
 """The functions of a `Program`, compiled: consistent initial values, with the history of a multistep method, and steps.
 
-What a start takes is the reference alone.
+A start depends on the reference alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, inversion
 
 _BACKWARDS = RadauIIA(4)
-"""Carries internal dynamics back before the initial time, at order seven."""
+"""Method that integrates internal dynamics backwards from the initial time, of order seven."""
 
 
 def compile_step(step: Discretization) -> ca.Function:
@@ -27,16 +27,16 @@ def compile_step(step: Discretization) -> ca.Function:
 
 
 def compile_following_step(array: DerivativeArray, order: int) -> ca.Function:
-    """Invert exactly, starting from where the instant before was heading.
+    """Compile an exact inversion that starts from the extrapolated previous instant.
 
-    Without internal dynamics its state is all unknowns, derivatives included. Where two motions meet, the one that goes
-    on with the same velocity and acceleration is the nearer, by a power of h.
+    Its state is all unknowns, derivatives included. Where two motions meet, the one of continuous velocity and
+    acceleration is closer to the extrapolation, by a power of h.
     """
     system = array.system
     state, h = ca.MX.sym("state", len(array.unknowns)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
     known = dict(zip(array.unknowns, ca.vertsplit(state), strict=True))
-    # By the derivatives that the array holds of an unknown; the highest ones have none and stay as they are.
+    # By the derivatives of an unknown in the array; the highest ones have none and stay constant.
     ahead = [
         value + h * known.get((j, k + 1), 0) + h**2 / 2 * known.get((j, k + 2), 0) for (j, k), value in known.items()
     ]
@@ -45,7 +45,7 @@ def compile_following_step(array: DerivativeArray, order: int) -> ca.Function:
 
 
 def compile_pointwise_step(start: ca.Function) -> ca.Function:
-    """Return a step that forgets its state and starts again."""
+    """Return a step that is a start, whatever the state."""
     state, h = ca.MX.sym("state", start.numel_out(0)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(2))
     return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
@@ -54,14 +54,14 @@ def compile_pointwise_step(start: ca.Function) -> ca.Function:
 def compile_guess_residual(step: Discretization) -> ca.Function:
     """Compile (state, gamma, h, p) -> residual of every equation at the first guess."""
     equations = step.equations
-    # At the guess, not at the last iterate: where Newton's method has blown up all equations look alike.
+    # At the guess, not at the last iterate: where Newton's method diverged, all residuals are large.
     residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
     evaluate = ca.Function("sc_residual", [equations.givens], [ca.densify(residual)])
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
 
 
 def _with_step_arguments(name: str, step: Discretization, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:
-    """Give a function of the flat givens the arguments (state, gamma, h, p)."""
+    """Return a function of (state, gamma, h, p) from one of the flat givens."""
     state = ca.MX.sym("state", step.state.numel())
     gamma = ca.MX.sym("gamma", *step.reference.shape)
     h = ca.MX.sym("h")
@@ -70,7 +70,7 @@ def _with_step_arguments(name: str, step: Discretization, evaluate: Callable[[ca
 
 
 def start_instants(array: DerivativeArray, step: Discretization) -> tuple[float, ...]:
-    """Instants, in steps from the initial time, at which `compile_start` needs the reference."""
+    """Return the instants of the reference in `compile_start`, in steps from the initial time."""
     if not array.states:
         return step.start.instants
     past = len(step.start.instants) - 1
@@ -96,7 +96,7 @@ def compile_restart(
 ) -> ca.Function:
     """Compile (unknowns of the array now, gamma as for `compile_start`, h, p) -> first state.
 
-    `dae` is what is stepped, `reduced` the reduced form of the same array.
+    `dae` is the form that is stepped, `reduced` the reduced form of the same array.
     """
     system = array.system
     first = ca.MX.sym("now", len(array.unknowns))
@@ -140,6 +140,6 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     for k in range(0, len(jets), stages):
         gamma = [jet[:, : dae.reference_order + 1] for jet in jets[k : k + stages]]
         state = solve(ca.vertcat(state, ca.vec(ca.horzcat(*gamma)), -h, p))[0]
-        # A start whose step is not known yet (h = 0) takes the present for the past.
+        # A start whose step is not known yet (h = 0) uses present values as past ones.
         history.append(ca.if_else(h == 0, first, state[: len(entries)][from_dae]))
     return history

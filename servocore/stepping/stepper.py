@@ -24,16 +24,16 @@ class Stepper:
     Parameters
     ----------
     scene : Scene
-        What to step.
+        The scene.
     formulation, method : Formulation, Method
-        How.
+        Formulation and method.
     step : float
         Step size in s.
     model : str, optional
         Model of the scene; the default one when not given.
     native : bool
-        Whether a C compiler shall turn the program into machine code: the same numbers to the last bit, some five
-        times faster, after seconds of compiling, once a process.
+        Whether to compile the program to machine code with a C compiler: results are identical, steps some five times
+        faster, after a compilation of seconds.
 
     Examples
     --------
@@ -66,7 +66,7 @@ class Stepper:
 
     @property
     def system(self) -> MechanicalSystem:
-        """The system that is stepped: the model, less redundant constraints."""
+        """The system that is stepped: the model without redundant constraints."""
         return self.problem.system
 
     @property
@@ -76,7 +76,7 @@ class Stepper:
 
     @property
     def index(self) -> int:
-        """Index of the form that is stepped: 0 where every instant stands alone."""
+        """Index of the form that is stepped: 0 if instants are independent."""
         return self.program.index
 
     @property
@@ -106,10 +106,10 @@ class Stepper:
         Returns
         -------
         tuple of (ndarray, StepReport)
-            The state at the initial time, and how it was found.
+            The state at the initial time, and a report.
         """
         jets = self._jets(reference_jet, len(self.start_instants), self.start_order)
-        # h = 0 tells the start that it has one instant only, and must not form difference quotients.
+        # h = 0 for a start with one instant only, which must not form difference quotients.
         return self.program.begin(jets, self.parameters, self.step if jets.ndim == 3 else 0.0)
 
     def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
@@ -125,12 +125,12 @@ class Stepper:
         Returns
         -------
         tuple of (ndarray, StepReport)
-            The state at the new instant, and how the step went.
+            The state at the new instant, and a report.
 
         Raises
         ------
         InvalidSetting
-            If the state is none of this stepper's.
+            If the state has another shape than those of this stepper.
         InvalidReference
             If the jet has too few derivatives, or another shape.
         """
@@ -144,7 +144,7 @@ class Stepper:
         numbers = numbers_of(jets, "reference jets")
         components = len(self.system.outputs)
         one = numbers.ndim == 2
-        # More derivatives than needed are allowed: a user may feed all routes from one source.
+        # More derivatives than needed are allowed, so that one jet serves all routes.
         if numbers.ndim not in (2, 3) or numbers.shape[-1] != components or numbers.shape[-2] <= order:
             raise InvalidReference(
                 f"a reference jet of {self.system.name} has shape ({order + 1}, {components}) or more rows, once or for"
@@ -155,17 +155,17 @@ class Stepper:
         return numbers
 
     def values(self, state: Array, reference_jet: Array, *, fraction: float = 1.0) -> dict[str, float]:
-        """Return what the state says of its own instant, by name; or of an instant within its last step.
+        """Return the observed values at the instant of a state, or within its last step, by name.
 
         Parameters
         ----------
         state : ndarray
             From `advance`.
         reference_jet : ndarray, shape (start_order + 1, m)
-            Reference at the instant asked for.
+            Reference at that instant.
         fraction : float
             Of the last step: 0 at its beginning, 1 at its end. In between the method's own polynomial is evaluated,
-            through the stages of `RadauIIA`, through the history of `BDF`. Exact inversions answer by another step.
+            through the stages of `RadauIIA`, through the history of `BDF`. For exact inversions take a step instead.
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""What the equations of a system say before they are solved: signature, derivative array, projection, zero dynamics."""
+"""Structural analysis of equations: signature method, derivative array, exact inversion, zero dynamics."""

@@ -2,13 +2,13 @@
 
 With the offsets c, d of `analyse_structure`, the equations f_i, ..., f_i^(c_i) in the unknowns
 y_j, ..., y_j^(d_j) are a square system when no internal dynamics remain. Its data are the reference and its derivatives
-at that instant. It gives consistent initial values to every formulation, and is itself the `Reduced` one.
+at that instant. It yields consistent initial values for every formulation, and is the `Reduced` formulation itself.
 
-The second-order equations (1) in the variables y = (q, lam, u) are analysed as they stand. The method sees structure,
-not values: in generalized coordinates accelerations that cancel hide the true index, and the system Jacobian is then
-singular everywhere. The remedy is a linear combination of equations: the momentum equations that no input enters, less
-what the servo constraints say of the same accelerations (`combine`); and if that does not help, whatever combination is
-free of the highest derivatives (`servocore.structure.linear_combination`).
+The second-order equations (1) in the variables y = (q, lam, u) are analysed unchanged. The method uses structure, not
+values: in generalized coordinates accelerations that cancel hide the true index, and the system Jacobian is then
+singular everywhere. The remedy is a linear combination of equations: the momentum equations without inputs less the
+accelerations that follow from the servo constraints (`combine`); and if that does not help, any combination free of the
+highest derivatives (`servocore.structure.linear_combination`).
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class DerivativeArray:
     Attributes
     ----------
     system : MechanicalSystem
-        What was differentiated.
+        The differentiated system.
     signature : Signature
-        With the offsets that say how often.
+        With the offsets: the numbers of differentiations.
     y : casadi.SX
         Symbols of the variables (q, lam, u) and their derivatives, shape (N, max d + 1).
     unknowns : tuple of (int, int)
@@ -87,21 +87,21 @@ class DerivativeArray:
 
     def column(self, entries: tuple[tuple[int, int], ...]) -> ca.SX:
         """Return the symbols of `entries`."""
-        symbols, height = ca.vec(self.y), self.y.size1()  # one look for all: each takes some microseconds
+        symbols, height = ca.vec(self.y), self.y.size1()  # indexed once for all: each takes some microseconds
         return symbols[[order * height + j for j, order in entries]] if entries else ca.SX(0, 1)
 
     def places(self, entries: Iterable[tuple[int, int]]) -> list[int]:
-        """Places of derivatives of variables among the unknowns."""
+        """Return the indices of derivatives of variables among the unknowns."""
         return [self.unknowns.index(entry) for entry in entries]
 
     def position(self, variable: str, order: int) -> int:
-        """Place of a derivative of a named variable among the unknowns."""
+        """Return the index of a derivative of a named variable among the unknowns."""
         return self.unknowns.index((self.names.index(variable), order))
 
 
-@made_once  # a formulation knows the system alone, and asks for its array whenever it makes a Dae
+@made_once  # every Dae of a system needs its array
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
-    """Differentiate the equations of `system` as often as their offsets ask."""
+    """Differentiate the equations of `system` as often as their offsets require."""
     structure = analyse_structure(system)
     equations = structure.equations
     c, d = structure.equation_offsets, structure.variable_offsets
@@ -109,7 +109,7 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
         for order in range(orders):
-            # A symbol each, named as derivatives are on paper: what is printed can be read.
+            # One symbol each, named with primes, so that printed expressions are readable.
             y[j, order] = ca.SX.sym(name + "'" * order)
     current = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
     rows: list[tuple[int, int]] = []
@@ -122,7 +122,7 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         rows += [(i, order) for i in active]
         residual.append(current)
         current = time_derivative(current, y, gamma)
-        if system.time.numel():  # it goes on evenly: a path needs no more derivatives because of it
+        if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
             later = gamma[-1, 2:]
             current = ca.substitute(current, later, ca.SX.zeros(later.shape))
     equations_of_all_orders = ca.vertcat(*residual)
@@ -169,7 +169,7 @@ def nominal(system: MechanicalSystem, variable: int) -> float:
 
 
 def analyse_structure(system: MechanicalSystem) -> Signature:
-    """Apply the signature method at the system's home, with a remedy if the equations as they stand mislead it.
+    """Apply the signature method at the system's home, with a remedy where their structure is misleading.
 
     Raises
     ------
@@ -179,14 +179,14 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
     """
     system.require_independent_constraints()
     equations = second_order_equations(system)
-    # Cheapest first: what the equations say as they stand needs no remedy.
+    # Cheapest first: most equations need no remedy.
     for remedy in (None, leave_out_vanishing, combine):
         changed = equations if remedy is None else remedy(system, equations)
         if changed is None:
             continue
         if remedy is leave_out_vanishing:
             equations = changed  # the other remedies start from these
-        with contextlib.suppress(InvalidModel):  # the last remedy will say why
+        with contextlib.suppress(InvalidModel):  # the last remedy reports the reason
             structure = signature(changed)
             if is_regular(structure):
                 return structure
@@ -226,7 +226,7 @@ def _in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.S
 
 
 def leave_out_vanishing(_: MechanicalSystem, equations: SecondOrderEquations) -> SecondOrderEquations | None:
-    """Take derivatives out of equations where their coefficients vanish, if there are any."""
+    """Remove derivatives with vanishing coefficients from equations, None if there are none."""
     residual, special, changed = without_vanishing(equations, [equations.residual])
     if not changed:
         return None
@@ -234,12 +234,12 @@ def leave_out_vanishing(_: MechanicalSystem, equations: SecondOrderEquations) ->
 
 
 def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> SecondOrderEquations | None:
-    """Subtract servo accelerations from the momentum equations that no input enters.
+    """Subtract servo accelerations from the momentum equations without inputs.
 
     With C = [C_d, C_i] split into dependent and independent columns, a momentum row without inputs loses the
     accelerations of the dependent coordinates: its new form is row - M_d C_d^-1 (C a + C_dot v - gamma''). Where
     inertia couples the row to the servo constrained directions only, as the swing of a crane's load, the other
-    accelerations and the velocities cancel as well. What vanishes at several points is taken out.
+    accelerations and the velocities cancel as well. Entries that vanish at several points are removed.
 
     Returns None if every momentum equation holds an input.
     """
@@ -255,7 +255,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
         + ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v)
         - system.path[:, 2]
     )
-    # Subtracting multiples of c'' = 0 changes no solution, only the structure that sigma sees.
+    # Subtracting multiples of c'' = 0 changes no solution, only the structure.
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     taken = ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)

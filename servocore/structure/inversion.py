@@ -19,15 +19,15 @@ from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.signature import condition_numbers, equilibrated
 
 LARGEST_RESIDUAL = 1e-9
-"""Of the derivative array where its guess counts as exact."""
+"""Residual of the derivative array below which its guess counts as exact."""
 
-_MOST_OPERATIONS = 2500  # of equations that do not fall apart: beyond, evaluating takes longer than calling
+_MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """A derivative array compiled: what gives its unknowns at an instant.
+    """A compiled derivative array: functions that return its unknowns at an instant.
 
     gamma has shape (m, reference_order + 1). Every function returns the unknowns of the array, the counts of Newton's
     method and the residual; states of the internal dynamics keep their guess.
@@ -41,7 +41,7 @@ class Inversion:
         (gamma, p, guess) -> the results by Newton's method from a guess.
     expression : casadi.Function or None
         (gamma, p) -> the results where the guess is exact, and NaN elsewhere, as one expression: a quarter of the cost
-        of calling Newton's method block by block. None where that does not pay.
+        of calling Newton's method block by block. None if the expression would be too long.
     search_from_guess : casadi.Function
         (gamma, p) -> the results of `search` from `guess`.
     function : casadi.Function
@@ -54,7 +54,7 @@ class Inversion:
 
     @property
     def search(self) -> ca.Function:
-        """See above; compiled at the first use, as what is made from it: `analyse` seldom needs any."""
+        """See above; compiled at the first use, since `analyse` seldom needs it."""
         return _compile_search(self._array)
 
     @cached_property
@@ -79,7 +79,7 @@ class Inversion:
         return ca.Function("sc_inversion", [gamma, p], list(results), ["gamma", "p"], ["y", "counts", "residual"])
 
     def by_search(self) -> Inversion:
-        """Return the same without the expression, which takes half of the code where speed does not count."""
+        """Return the inversion without the expression: half of the code, where speed does not matter."""
         return replace(self, expression=None)
 
     def _arguments(self) -> list[ca.MX]:
@@ -101,10 +101,10 @@ def inversion(array: DerivativeArray) -> Inversion:
     except RuntimeError as error:
         if "are free" not in str(error):
             raise
-        # CasADi takes the slopes of a linear table for constants, and leaves what they depend on in the expression.
+        # CasADi treats the slopes of a linear table as constants, with free symbols in the expression.
         raise InvalidModel(
             f"{array.system.name}: its equations call a function that cannot be differentiated as often as the"
-            " inputs ask for, such as a table that is interpolated linearly; one of the kind bspline can be"
+            " inputs require, such as a table with linear interpolation; use a table of the kind bspline"
         ) from None
 
 
@@ -117,7 +117,7 @@ def system_jacobian(array: DerivativeArray) -> ca.Function:
 
 @made_once
 def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[Part, ...]]:
-    """Compile the same -> entries of the system Jacobian, column by column, and find its independent parts."""
+    """Compile (unknowns, gamma, p) -> entries of the system Jacobian, column by column, and find independent parts."""
     arguments, J = _system_jacobian(array)
     return ca.Function("sc_J_entries", arguments, [J.nz[:]]), parts_of(J.sparsity())
 
@@ -125,7 +125,7 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
 def determinant_signs(parts: Sequence[Part], entries: Array) -> Array:
     """Return the signs of the determinants of a matrix' parts, shape (N, parts), from its entries (nnz, N).
 
-    Part by part they also tell that two determinants change their signs at once, which their product hides.
+    Sign changes of two parts at the same instant cancel in the sign of the whole determinant.
     """
     signs = np.zeros((entries.shape[1], len(parts)))
     for k, part in enumerate(parts):
@@ -137,10 +137,10 @@ def determinant_signs(parts: Sequence[Part], entries: Array) -> Array:
 def is_regular_throughout(parts: Sequence[Part], entries: Array, most: float) -> bool:
     """Whether the condition number of a matrix, from its entries (nnz, N), lies below a limit at all instants.
 
-    Inverses take a fifth of singular values, and Frobenius norms bound the condition number from above.
+    Inverses take a fifth of the time of singular values, and Frobenius norms bound the condition number from above.
     """
     norms, inverses = np.zeros(entries.shape[1]), np.zeros(entries.shape[1])
-    with suppress(np.linalg.LinAlgError):  # of a part that is singular to the last bit, or not square
+    with suppress(np.linalg.LinAlgError):  # of a part that is exactly singular, or not square
         for part in parts:
             matrices = equilibrated(part.dense(entries))
             norms = np.maximum(norms, np.linalg.norm(matrices, axis=(1, 2)))
@@ -158,12 +158,12 @@ def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
 
 
 def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Function | None:
-    """Compile the inversion as one expression, with NaN where the guess is not exact; None where that does not pay.
+    """Compile the inversion as one expression, with NaN where the guess is not exact; None if too long.
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
     if array.states:
-        return None  # they are followed from step to step
+        return None  # states are integrated from step to step
     unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
         return None
@@ -199,8 +199,8 @@ def _longest(function: ca.Function, array: DerivativeArray) -> int:
     parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
     if len(parts) == 1:
         return total
-    # That all guesses are exact is asked once for all parts, so no part can be measured by itself: equations with more
-    # entries take more operations.
+    # One test of exactness joins all parts, so that operations cannot be counted by part: they are taken as
+    # proportional to the entries of the equations.
     entries = [len(part.entries) for part in parts]
     return total * max(entries) // sum(entries)
 
@@ -217,13 +217,13 @@ def _compile_search(array: DerivativeArray) -> ca.Function:
 
 @made_once
 def _equations(array: DerivativeArray) -> tuple[SquareSystem, list[ca.SX]]:
-    """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as what is wanted."""
+    """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as outputs."""
     system = array.system
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
     guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     scale = np.array([nominal(system, j) for j, _ in array.determined])
     forces = tuple(force for force in array.determined if force[0] >= len(system.coordinates))
-    # States keep the value of their guess: what follows from step to step is not to be solved for.
+    # States keep the value of their guess: they are integrated, not solved for.
     pinned = ca.vertcat(ca.SX(0, 1), *[guessed[state] for state in array.states])
     equations = SquareSystem(
         unknowns=array.column(array.determined),

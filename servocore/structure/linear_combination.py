@@ -1,16 +1,15 @@
-"""The linear combination method (Tan, Nedialkov and Pryce, BIT 57 (2017) 845), for what the signature method misses.
+"""The linear combination method (Tan, Nedialkov and Pryce, BIT 57 (2017) 845), where the signature method fails.
 
-Where the system Jacobian J is singular as an expression, some u(y) != 0 has u^T J = 0. With c the smallest offset of
-the equations that take part,
+Where the system Jacobian J is singular as an expression, u^T J = 0 for some u(y) != 0. With c the smallest offset of
+the equations involved,
 
     f = sum_i u_i f_i^(c_i - c)
 
-holds none of the derivatives y_j^(d_j - c), provided that u does not either. In the place of an equation of offset c
-it makes the offsets tell less than before, so that after some such steps the Jacobian is regular or nothing is left.
+is free of the derivatives y_j^(d_j - c), provided that u is too. In place of an equation of offset c it lowers the sum
+of the offsets, so that after finitely many such steps the Jacobian is regular or no combination is left.
 
-u is found by elimination. Expressions are accompanied by their numbers at some points, so that what cancels is known to
-cancel. Rows of equal offset are turned against each other, for a sine and a cosine never vanish together: then no
-configuration is lost that was regular.
+u is found by elimination. Expressions carry their values at some points, which reveal terms that cancel. Rows of equal
+offset are rotated like (sine, cosine), which never vanish together: then no regular configuration is lost.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from servocore.structure.signature import (
 
 _DEPENDENT = 1e-9  # of an equilibrated Jacobian: singular values and factors below count as zero
 _CONSTANT = 1e-12  # relative spread over the points
-_WEAK = 0.1  # of the largest entry of its column at home: a pivot that may vanish near by
+_WEAK = 0.1  # of the largest entry of its column at home: a pivot that may vanish nearby
 _MOST_OPERATIONS = 20_000  # of combined equations, which are differentiated further
 _COMBINED = ", combined"
 
@@ -90,7 +89,7 @@ class _Traced:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """A sum of equations: what each is multiplied with, and what the system Jacobian has in that row, by column."""
+    """A linear combination of equations: factors by equation, entries of its row of the system Jacobian by column."""
 
     factors: dict[int, _Traced]
     entries: dict[int, _Traced]
@@ -98,7 +97,7 @@ class _Row:
 
 @dataclass(frozen=True, eq=False)
 class _Combination:
-    """Sums that take the place of equations of the least offset; `null` is the one free of highest derivatives."""
+    """Combinations that replace equations of the least offset; `null` is the one free of highest derivatives."""
 
     null: int
     rows: dict[int, _Row]
@@ -110,7 +109,7 @@ def convert(equations: SecondOrderEquations) -> Signature:
     Raises
     ------
     InvalidModel
-        If it stays singular, with what stands in the way.
+        If it stays singular, with the reason.
     """
     structure = signature(equations)
     names: list[str] = []
@@ -125,7 +124,7 @@ def convert(equations: SecondOrderEquations) -> Signature:
 
 def _combination(structure: Signature) -> _Combination:
     """Find a combination of equations that is free of the highest derivatives."""
-    refusal = "round-off hides how these depend on one another"
+    refusal = "round-off hides their linear dependence"
     home = _at_home(structure)
     for taking_part in _dependent_rows(structure, home):
         combination = _eliminate(structure, _traced_jacobian(structure, taking_part, home))
@@ -146,9 +145,9 @@ def _at_home(structure: Signature) -> Point:
 
 
 def _dependent_rows(structure: Signature, home: Point) -> Iterator[list[int]]:
-    """Yield equations between whose rows of the system Jacobian there is one dependence, of least offset the last.
+    """Yield equations whose rows of the system Jacobian have one linear dependence; the last has the least offset.
 
-    Rows that are independent at home already are preferred as those that others depend on.
+    Rows that are independent at home are taken first.
     """
     c = structure.equation_offsets
     matrices = [equilibrated(J) for J in jacobian_at_probes(structure) if np.isfinite(J).all()]
@@ -177,7 +176,7 @@ def _rank(matrices: list[Array], rows: list[int]) -> int:
 
 
 def _traced_jacobian(structure: Signature, rows: list[int], home: Point) -> dict[int, _Row]:
-    """Return rows of the system Jacobian, with their numbers at the probes and at home."""
+    """Return rows of the system Jacobian, with their values at the probes and at home."""
     J, function = structure.jacobian[rows, :], jacobian_function(structure)
     points = [*probe_points(structure.equations, function), home]
     values, errors = (of_matrix[:, rows] for of_matrix in evaluate(function, points))
@@ -193,9 +192,9 @@ def _present(entries: dict[int, _Traced]) -> dict[int, _Traced]:
 
 
 def _eliminate(structure: Signature, rows: dict[int, _Row]) -> _Combination | None:
-    """Eliminate until a row of the system Jacobian vanishes; None if round-off hides which.
+    """Eliminate until a row of the system Jacobian vanishes; None if round-off hides it.
 
-    Equations of higher offset are used up first: the one that is replaced has the least.
+    Equations of higher offset are eliminated first: the replaced one has the least.
     """
     c = structure.equation_offsets
     least = min(c[i] for i in rows)
@@ -242,7 +241,7 @@ def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Row]) -> tuple[int, 
 
 
 def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
-    """Return the sum of rows, each multiplied with something, None for one."""
+    """Return the sum of rows times factors, None for one."""
     factors: dict[int, _Traced] = {}
     entries: dict[int, _Traced] = {}
     for factor, row in parts:
@@ -262,7 +261,7 @@ def _scaled(row: _Row) -> _Row:
 
 
 def _obstacle(structure: Signature, combination: _Combination) -> str:
-    """Say which of the derivatives that should cancel the factors themselves depend on; empty if on none."""
+    """Return, as a sentence, on which of the cancelling derivatives the factors depend; empty if on none."""
     y, names = structure.equations.y, structure.equations.names
     least = structure.equation_offsets[combination.null]
     factors = ca.vertcat(
@@ -273,14 +272,14 @@ def _obstacle(structure: Signature, combination: _Combination) -> str:
             if order >= structure.variable_offsets[j] - least:
                 where = ", ".join(structure.equations.equations[i] for i in combination.rows[combination.null].factors)
                 return (
-                    f"combining {where} would need factors that depend on what should cancel,"
-                    f" {names[j]}{chr(39) * order}, which is out of reach of structural analysis"
+                    f"combining {where} needs factors that depend on a derivative that should cancel,"
+                    f" {names[j]}{chr(39) * order}, which structural analysis cannot treat"
                 )
     return ""
 
 
 def _replaced(structure: Signature, combination: _Combination) -> SecondOrderEquations:
-    """Return the equations with the combination in their place."""
+    """Return the equations with the combination in place of the equations that it replaces."""
     equations, c, d = structure.equations, structure.equation_offsets, structure.variable_offsets
     least = c[combination.null]
     most = max(c[i] - least for row in combination.rows.values() for i in row.factors)

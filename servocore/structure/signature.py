@@ -21,11 +21,11 @@ from servocore.numerics.components import Part, filled, largest_assignment, of_o
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
-"""Entry of the signature matrix for a variable that does not occur."""
+"""Entry of the signature matrix for a variable that is absent."""
 
 _SWEEPS = 6  # of equilibration
-_DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may not reach far
-_PROBES = 3  # points at which a coefficient must vanish to count as absent
+_DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may have a small range
+_PROBES = 3  # number of points at which a coefficient must vanish to count as absent
 _SUSPICIOUS = 1e-9  # of the largest entry: perhaps round-off of terms that cancel, which equilibration would magnify
 
 Point = tuple[Array, Array, Array]
@@ -61,21 +61,21 @@ class SecondOrderEquations:
     Attributes
     ----------
     name : str
-        Of the system, for messages.
+        Name of the system in messages.
     residual : casadi.SX
         Momentum balance (n), servo constraints (m), holonomic constraints (m_h); shape (N,).
     y : casadi.SX
         Symbols of the variables and their derivatives, shape (N, 3); more columns where equations were combined.
     names, equations : tuple of str
-        What the variables and the rows are called.
+        Names of the variables and of the rows.
     embedded : tuple of int
         How often some equation of (1) was differentiated to make each row: 2 for most combined rows, else 0.
     home : Home
         The point at which they are analysed.
     remedy : str
-        What was done to the equations first; empty if nothing.
+        Remedy that was applied to the equations; empty if none.
     special : bool
-        Whether that holds for the home parameters only.
+        Whether the remedy holds for the home parameters only.
     combined : bool
         Whether equations were replaced by combinations of any (`servocore.structure.linear_combination`).
     """
@@ -93,7 +93,7 @@ class SecondOrderEquations:
 
     @property
     def arguments(self) -> list[ca.SX]:
-        """What the residual is a function of."""
+        """Arguments of the residual."""
         return [self.y, self.home.gamma, self.home.p]
 
 
@@ -104,9 +104,9 @@ class Signature:
     Attributes
     ----------
     equations : SecondOrderEquations
-        What was analysed, after a remedy if one was needed.
+        The analysed equations, after a remedy if one was needed.
     sigma : ndarray of int
-        Shape (N, N); `ABSENT` where a variable does not occur.
+        Shape (N, N); `ABSENT` where a variable is absent.
     equation_offsets, variable_offsets : tuple of int
         c and d.
     jacobian : casadi.SX
@@ -136,12 +136,12 @@ class Signature:
 
     @property
     def algebraic(self) -> int:
-        """One if some variable occurs without derivatives, so that its rate takes another differentiation, or zero."""
+        """One if some variable occurs without derivatives, so that its rate takes one differentiation; else zero."""
         return int(0 in self.variable_offsets)
 
 
 def signature(equations: SecondOrderEquations) -> Signature:
-    """Apply the signature method to equations as they stand.
+    """Apply the signature method to equations.
 
     Raises
     ------
@@ -158,11 +158,11 @@ def signature(equations: SecondOrderEquations) -> Signature:
     if missing:
         equation, variable = missing[0]
         raise InvalidModel(
-            f"{equations.name}: structurally singular: nothing determines {variable}, and nothing is left that"
-            f" {equation} could determine; look for inputs that move nothing, and for outputs that no input"
-            " moves or that follow from others"
+            f"{equations.name}: structurally singular: no equation determines {variable}, and {equation} determines no"
+            " variable; check for inputs that move nothing, and for outputs that no input moves or that follow from"
+            " others"
         )
-    # Velocities are wanted too, also of a coordinate that no equation differentiates.
+    # Velocities are unknowns too, also of a coordinate that no equation differentiates.
     floor = np.array([int(name.startswith("q.")) for name in equations.names])
     c, d = _smallest_offsets(sigma, columns, floor)
     return Signature(equations, sigma, c, d, _system_jacobian(equations, c, d))
@@ -197,12 +197,12 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
 
 
 def equilibrated(matrix: Array) -> Array:
-    """Scale rows and columns to unit maximum (Ruiz 2001), so that units do not decide about rank and condition.
+    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units.
 
     Takes one matrix, or many stacked.
     """
     scaled = np.array(matrix, dtype=np.float64)
-    size = np.empty_like(scaled)  # in place: to find memory anew in every sweep takes longer than to divide
+    size = np.empty_like(scaled)  # in place: allocation in every sweep takes longer than the divisions
     for sweep in range(_SWEEPS if matrix.size else 0):
         for axis in (-1, -2):
             largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
@@ -220,13 +220,13 @@ def condition_number(matrix: Array) -> float:
 
 
 def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
-    """Return the same of a sparse square matrix at N instants, from its entries (nnz, N), part by part."""
+    """Return the condition numbers of a sparse square matrix at N instants, from its entries (nnz, N)."""
     finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
     largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
     if any(len(part.rows) != len(part.columns) for part in parts):
         return np.full(len(finite), np.inf)
     entries = entries if finite.all() else np.where(finite, entries, 0.0)
-    for same in of_one_shape(parts):  # a call for each of hundreds of parts takes longer than their decomposition
+    for same in of_one_shape(parts):  # stacked: calls for hundreds of parts take longer than decompositions
         stacked = equilibrated(np.stack([part.dense(entries) for part in same]))
         values = np.linalg.svd(stacked, compute_uv=False)
         largest = np.maximum(largest, values[:, :, 0].max(axis=0))
@@ -266,7 +266,7 @@ def _points(equations: SecondOrderEquations, distance: float, p: Array | None, d
     """Return fixed points (y, gamma, p), with coordinates and their derivatives near those of the system's home.
 
     They are up to `distance` of their nominal values away, or of one unit if that is less. With `disturbed` the
-    parameters leave their home as well, by a few per cent of themselves and of one.
+    parameters differ from home as well, by a few per cent of themselves and of one.
     """
     home, q = equations.home, equations.home.q
     generator = np.random.default_rng(20090601)
@@ -285,7 +285,7 @@ def _points(equations: SecondOrderEquations, distance: float, p: Array | None, d
 
 
 def jacobian_at_probes(structure: Signature, p: Array | None = None) -> list[Array]:
-    """Return the system Jacobian as numbers at points without symmetry near the system's home, without round-off."""
+    """Return the system Jacobian at points without symmetry near the system's home, without round-off."""
     function = jacobian_function(structure)
     return jacobian_at(function, probe_points(structure.equations, function, p))
 
@@ -296,7 +296,7 @@ def jacobian_function(structure: Signature) -> ca.Function:
 
 
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
-    """Return the system Jacobian as numbers at points, zero where nothing but round-off is left of an entry."""
+    """Return the system Jacobian at points, zero where an entry is round-off."""
     matrices = [filled(function(*point)) for point in points]
     if not any(_has_suspicious(matrix) for matrix in matrices):
         return matrices
@@ -323,12 +323,12 @@ def _has_full_rank(matrix: Array) -> bool:
 
 
 def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:
-    """Tell which entries of a sum of matrices, expressions of y, gamma and p, vanish at all probes.
+    """Return which entries of a sum of matrices, expressions of y, gamma and p, vanish at all probes.
 
-    They are expressions, and numbers of their own nowhere, but the round-off of terms that cancel. The second result is
-    whether some vanish at the system's parameter values only.
+    Such entries are expressions whose values are the round-off of terms that cancel. The second result is whether some
+    vanish at the system's parameter values only.
 
-    The parts are evaluated one by one: where constants cancel, their sum no longer shows the size of the terms.
+    The parts are evaluated one by one: where constants cancel, their sum does not show the size of the terms.
     """
     arguments = equations.arguments
     pattern = reduce(operator.add, (part.sparsity() for part in parts))

@@ -14,14 +14,14 @@ from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, inversion
 
 DAMPED = 1e-9
-"""Real parts of smaller magnitude, relative to the eigenvalue, count as zero."""
+"""Relative real part of an eigenvalue below which it counts as zero."""
 
 _EQUILIBRIUM_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """Where the internal dynamics rest while the output does, and how they leave from there.
+    """Equilibrium of the internal dynamics for an output at rest, and their linearization.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Equilibrium:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """What gives the equilibrium of internal dynamics and their linearization there.
+    """Compiled linearization of internal dynamics.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Linearization:
     inversion : Inversion
         Of that array.
     terms : Call
-        (unknowns, gamma, p) -> derivatives of the residual by what is determined and by the states.
+        (unknowns, gamma, p) -> derivatives of the residual by the determined unknowns and by the states.
     """
 
     array: DerivativeArray
@@ -94,7 +94,7 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
         if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
         guess = values
-        # Newton on x_dot(x) = 0. Least squares, since an integrator among the states makes A singular there.
+        # Newton's method on x_dot(x) = 0. Least squares, since an integrator among the states makes A singular.
         guess[states] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
     if not np.isfinite(A).all():
         unknown = np.full(len(states), np.nan)
@@ -104,14 +104,14 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
     eigenvalues = tuple(
         complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda eigenvalue: -eigenvalue.real)
     )
-    # Round-off moves undamped modes off the imaginary axis by its own size: they must not count as unstable.
+    # Round-off moves undamped modes off the imaginary axis: they must not count as unstable.
     growing = sum(value.real > DAMPED * abs(value) for value in eigenvalues)
     stable, unstable = (_left_space(A, growing, stable=decays) for decays in (True, False))
     return Equilibrium(guess[states], eigenvalues, stable, unstable)
 
 
 def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
-    """Rows that span the left invariant subspace of the stable or of the unstable eigenvalues (ordered Schur form)."""
+    """Return rows that span the left invariant subspace of stable or unstable eigenvalues (ordered Schur form)."""
     import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
 
     threshold = sorted(np.linalg.eigvals(A).real, reverse=True)
@@ -121,7 +121,7 @@ def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
         else (np.inf if growing == 0 else (threshold[growing - 1] + threshold[growing]) / 2)
     )
 
-    def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - the signature SciPy calls
+    def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - called by SciPy with both
         return real <= limit if stable else real > limit
 
     # The Schur form of A^T orders left invariant spaces without eigenvectors, which defective matrices lack.

@@ -102,7 +102,7 @@ REFUSED = {
     each.__name__: Refusal(lambda each=each: scene(each), words)  # type: ignore[misc]  # wrong on purpose
     for each, words in {
         ball_on_a_beam: "no relative degree|singular",
-        car_that_nothing_drives: "structurally singular: nothing determines u.F",
+        car_that_nothing_drives: "structurally singular: no equation determines u.F",
         two_motors_on_one_joint: "the inputs T_1, T_2 drive the same",
         one_output_twice: "the outputs X, 2X follow the same coordinates",
         knife_edge: "nonholonomic constraints are not solved",

@@ -92,7 +92,7 @@ def test_simulate_starts_where_it_is_told() -> None:
         ({"theta": 0.1}, "gives the 2 states of the internal dynamics, such as theta, theta_dot, not theta"),
         ({"phi": 0.1, "theta": 0.1}, "not phi"),
         ({"theta": 0.1, "theta_dot": float("nan")}, "theta_dot must be a finite number, not nan"),
-        ({"x": 0.1, "x_dot": 0.0}, "x, x_dot cannot all be chosen, the path determines one of them; theta, theta_dot"),
+        ({"x": 0.1, "x_dot": 0.0}, "x, x_dot cannot all be given: the path determines one of them; theta, theta_dot"),
     ],
 )
 def test_a_start_that_cannot_be_is_refused_by_name(start: dict[str, float], words: str) -> None:
@@ -137,7 +137,7 @@ def test_a_time_that_is_no_symbol_is_refused() -> None:
 
 
 def test_a_plant_knows_no_time() -> None:
-    with pytest.raises(sc.InvalidModel, match="hold the time, which a plant does not know; simulate does"):
+    with pytest.raises(sc.InvalidModel, match="depend on the time, which is not part of a plant's state; use simulate"):
         sc.compile_plant(timed.crane_on_a_ship())
 
 
@@ -190,7 +190,7 @@ def test_a_coordinate_that_is_called_as_a_rate_is_told_from_it() -> None:
         potential=10 * (s**2 + other**2), guess=lambda at: [at[0], 0.0, 0.0], home=(0.1,),
     )  # fmt: skip
     scene = sc.Scene("names", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
-    words = "a start cannot tell the coordinate s_dot from the rate of s: the coordinate needs another name"
+    words = "in a start s_dot is both a coordinate and the rate of s: the coordinate needs another name"
     with pytest.raises(sc.InvalidSetting, match=words):
         sc.simulate(scene, lambda _: np.zeros(1), t=np.linspace(0.0, 1.0, 11), start={"s_dot": 0.3})
     with pytest.raises(sc.InvalidSetting, match=words):

@@ -22,7 +22,7 @@ static Outcome require_route_branch(const Instance *instance, const Moment *mome
         if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
             return say(instance, DISCARD, "%s: at t = %.6g s %s is %.4g%s, %s%s", route->name, time,
                        VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit,
-                       WRONG_SIGNS[k], route->smaller_steps_help && !OUTPUT_IS_FORCE[k] ? "; a smaller step keeps to its own" : "");
+                       WRONG_SIGNS[k], route->smaller_steps_help && !OUTPUT_IS_FORCE[k] ? "; reduce the step" : "");
     return GOOD;
 }
 

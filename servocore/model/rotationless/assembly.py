@@ -1,4 +1,4 @@
-"""`Assembly`: a list of parts that knows their coordinates and puts mechanisms together."""
+"""`Assembly`: a list of parts with their coordinates, from which mechanisms are assembled."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Assembly:
     mass : casadi.SX
         Constant mass matrix, shape (n, n); zero for augmented coordinates.
     potential : casadi.SX
-        Potential of gravity and of what flexible parts store, J.
+        Potential of gravity and of flexible parts, J.
     orthonormality : casadi.SX
         Six constraints of every rigid body and node, in the order of the parts.
     """
@@ -97,7 +97,7 @@ class Assembly:
         object.__setattr__(self, "orthonormality", rows)
 
     def body(self, name: str) -> Frame:
-        """Return the frame of a rigid body, the hook for its joints."""
+        """Return the frame of a rigid body, for its joints."""
         return frame_of(self._coordinates_of(name, RigidBody, "body"))
 
     def point(self, name: str) -> Place:
@@ -168,7 +168,7 @@ class Assembly:
         Parameters
         ----------
         name : str
-            What the system is called in messages.
+            Name of the system in messages.
         constraints : mapping of str to casadi.SX
             Rows that vanish, by name of the joint. Orthonormality of the directors is added in front of them.
         inputs : mapping of Quantity to casadi.SX
@@ -177,15 +177,15 @@ class Assembly:
         outputs : mapping of Quantity to casadi.SX
             For every component of the servo output the function of q that follows the reference.
         guess : callable
-            Function of a reference y, shape (m,), that returns what `configuration` takes: the configuration near it.
-            Newton's method starts there, so it decides between branches.
+            Function of a reference y, shape (m,), that returns an argument of `configuration`: a configuration near
+            it. Newton's method starts there, so that it decides between branches.
         home : tuple of float, optional
             A regular value of the servo output; ones when not given.
         multipliers : mapping of str to casadi.SX, optional
-            What `multipliers` returned, if observables use them.
+            Result of `multipliers`, if observables use them.
         observables : mapping of Quantity to casadi.SX, optional
-            What else a solution reports. The tension of every rope is added, as ``rope.tension`` of a joint ``rope``,
-            unless it is among them already: it must stay positive.
+            Further reported quantities. The tension of every rope is added, as ``rope.tension`` of a joint ``rope``,
+            unless it is among them: it must stay positive.
         force : casadi.SX, optional
             Applied forces f(q, v, p), shape (n,).
         """
@@ -237,7 +237,7 @@ class Assembly:
         return with_tensions
 
     def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:
-        """Whether two expressions are the same function, told at a point without symmetry."""
+        """Whether two expressions have the same value at a point without symmetry."""
         symbols = [self.coordinates.q, ca.vertcat(*lam.values()), self.parameters.p]
         compare = ca.Function("sc_compare", symbols, [one, other], {"allow_free": True})
         if compare.get_free():
@@ -263,7 +263,7 @@ class Assembly:
 
     @property
     def _slices(self) -> list[ca.SX]:
-        """Coordinates of every part."""
+        """Return the coordinates of every part."""
         ends = itertools.accumulate((len(_quantities(part)) for part in self.parts), initial=0)
         return [self.coordinates.q[a:b] for a, b in itertools.pairwise(ends)]
 
@@ -280,6 +280,6 @@ def _quantities(part: Part) -> tuple[Quantity, ...]:
 
 
 def _expressions(values: Mapping[Named, Any], what: str) -> dict[Named, ca.SX]:
-    """Return what a mapping names as expressions; raises `InvalidModel` if it is something else."""
+    """Return the values of a mapping as expressions; raises `InvalidModel` if it is not a mapping."""
     require_kind(values, Mapping, what, "expressions by name", InvalidModel)
     return {key: as_expression(value, f"{what}: {getattr(key, 'name', key)}") for key, value in values.items()}

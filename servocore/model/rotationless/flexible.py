@@ -1,6 +1,6 @@
 """Flexible parts: geometrically exact beams with directors at their nodes, and ropes of points.
 
-Strains are products of positions and directors, so that rotations leave them as they are, discretized too (Betsch and
+Strains are products of positions and directors, so that they are invariant under rotations, discretized too (Betsch and
 Steinmann 2002), and their energies are those of quadratic invariants, which `EnergyMomentum` conserves.
 """
 
@@ -78,7 +78,7 @@ class Beam:
     section : Section
         Stiffnesses and inertias.
     curvature : sequence of three
-        That of the beam without forces about d1, d2 and d3, numbers in 1/m; straight when not given.
+        Free curvature about d1, d2 and d3, numbers in 1/m; straight when not given.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Beam:
         return energies
 
     def pieces(self, value: Any) -> list[Any]:
-        """Return what a configuration gives, (position, directors) of every node, one after the other."""
+        """Return positions and directors of all nodes in a configuration, one after the other."""
         return [piece for node in value for piece in node]
 
     def check(self, parameters: Parameters) -> None:
@@ -161,14 +161,14 @@ class Beam:
 class ElasticRope:
     """A rope of points with elastic pieces between them; node k has the coordinates ``name.k.x``, ``.y``, ``.z``.
 
-    The energy of a piece of length h is h E A (|r'| - 1)^2 / 2; it can push as far as it has a stiffness.
+    The energy of a piece of length h is h E A (|r'| - 1)^2 / 2; in compression it pushes.
 
     Parameters
     ----------
     name : str
         Of the rope.
     length : number or casadi.SX
-        Without force, m.
+        Free length, m.
     elements : int
         Number of pieces N; there are N + 1 points.
     axial : number or casadi.SX
@@ -225,7 +225,7 @@ class ElasticRope:
         return [(energy, ca.sumsqr(b - a) / size**2) for a, b in pairwise(self.points(q))]
 
     def pieces(self, value: Any) -> list[Any]:
-        """Return what a configuration gives: the positions."""
+        """Return the positions of the points in a configuration."""
         return list(value)
 
     def check(self, parameters: Parameters) -> None:
@@ -257,7 +257,7 @@ def _centre(places: Sequence[ca.SX]) -> ca.SX:
 
 
 def require_elements(what: str, elements: object) -> None:
-    """Raise `InvalidModel` unless this is how many elements a body may have."""
+    """Raise `InvalidModel` unless `elements` is a positive integer."""
     require_count(elements, 1, f"{what}: its number of elements", InvalidModel)
 
 

@@ -77,7 +77,7 @@ def on_plane(a: Place, b: Place) -> ca.SX:
 
 
 class Distance(ca.SX):
-    """The row of a distance, which knows its length and whether it can push.
+    """The row of a distance, with its length and whether it can push.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def distance(a: Place, b: Place, length: Scalar, *, pushes: bool | None = None) 
     """Return |b - a|^2 - length^2, shape (1,), m^2: a rigid link, or a rope if `length` is a coordinate.
 
     With its multiplier lam the tension (positive when it pulls) is 2 length lam. A rope cannot push: an assembly
-    observes its tension, and a motion in which it is not positive is refused.
+    reports its tension, and a motion in which it is not positive is refused.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
 
     It counts right-handed about the axis of `a`, across which the normal of `b` must lie. This is the only
     row, shape (1,), that is not quadratic: it holds sine and cosine of an augmented coordinate, which may
-    exceed a full turn. It vanishes half a turn away as well, so the first guess has to tell the two apart.
+    exceed a full turn. It also vanishes at the angle plus 180 degrees: the guess decides between the two.
     """
     coordinate = as_expression(coordinate, "the coordinate of an angle")
     across = ca.cos(coordinate) * a.binormal - ca.sin(coordinate) * a.normal

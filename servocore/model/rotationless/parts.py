@@ -78,11 +78,11 @@ class RigidBody:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Its name, once: what has directors."""
+        """Name of the body, which has directors."""
         return (self.name,)
 
     def pieces(self, value: Any) -> Any:
-        """Return what a configuration gives: (position, directors)."""
+        """Return position and directors in a configuration."""
         return value
 
     def weight_centre(self, q: ca.SX) -> ca.SX:
@@ -94,7 +94,7 @@ class RigidBody:
         return orthonormality(q)
 
     def check(self, parameters: Parameters) -> None:
-        """Raise `InvalidModel` if at default parameters no distribution of mass has these moments."""
+        """Raise `InvalidModel` if no distribution of mass has these moments at default parameters."""
         require_kind(self.name, str, "the name of a body", "a text", InvalidModel)
         what = f"body {self.name}"
         _check_mass(what, self.mass, parameters)
@@ -136,11 +136,11 @@ class PointMass:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """None: it has no directors."""
+        """Empty: a point mass has no directors."""
         return ()
 
     def pieces(self, value: Any) -> Any:
-        """Return what a configuration gives: a position."""
+        """Return the position in a configuration, as a tuple."""
         return (value,)
 
     def weight_centre(self, q: ca.SX) -> ca.SX:
@@ -205,7 +205,7 @@ class Frame:
         axis : sequence of three
             Direction in body coordinates, of any length but zero.
         normal : sequence of three, optional
-            A direction from which angles count; its part along the axis is dropped. The director after the
+            Zero direction of angles; its component along the axis is dropped. The director after the
             axis when not given (d1 for d3, d2 for d1, d3 for d2).
 
         Raises
@@ -218,7 +218,7 @@ class Frame:
 
 
 GROUND = Frame(ca.SX.zeros(3), ca.SX.eye(3))
-"""The inertial frame; z points wherever the assembly's gravity does not."""
+"""The inertial frame; `gravity` of the assembly decides which axis is vertical."""
 
 
 def frame_of(q: ca.SX) -> Frame:

@@ -1,4 +1,4 @@
-"""The house stays one that a newcomer finds the way in: what a default solve runs, what stays in its file, the map."""
+"""Rules of the architecture: modules of a default solve, direction of calls, single places, the map of the page."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LAYERS = next(
     ]
     if contract.get("containers") == ["servocore"]
 )
-HEIGHT = {room.strip(): -k for k, line in enumerate(LAYERS) for room in line.split("|")}
+HEIGHT = {package.strip(): -k for k, line in enumerate(LAYERS) for package in line.split("|")}
 TRACED = """
 import sys
 import servocore as sc
@@ -88,27 +88,27 @@ def test_a_default_solve_runs_few_modules() -> None:
 
 
 @pytest.mark.parametrize("scene", ["rotary_crane", "mass_on_car", "passive_joint_arm"])
-def test_no_room_runs_code_of_a_higher_one(scene: str) -> None:
-    """A scene is the user's: its factories and limits are called by what is below."""
-    rooms = [(below.split(".")[1:2], above.split(".")[1:2]) for below, above in calls(scene)]
-    known = {(below[0], above[0]) for below, above in rooms if below and above}
+def test_no_package_runs_code_of_a_higher_layer(scene: str) -> None:
+    """Scenes are exempt: lower layers call the factories and limits that a scene passes to them."""
+    packages = [(below.split(".")[1:2], above.split(".")[1:2]) for below, above in calls(scene)]
+    known = {(below[0], above[0]) for below, above in packages if below and above}
     assert len(known) > 20
     assert {(below, above) for below, above in known if above != "scenes" and HEIGHT[above] > HEIGHT[below]} == set()
 
 
 def test_one_module_of_the_library_starts_compilers() -> None:
-    """The command line stops what runs."""
+    """The command line is exempt: it stops processes that it started."""
     starts = {name for name, path in MODULES.items() if "subprocess" in path.read_text(encoding="utf-8")}
     own = {name for name in starts if name.startswith("servocore.") and name.split(".")[1] != "cli"}
     assert own == {"servocore.numerics.machine_code"}
 
 
-def test_one_module_puts_exact_inversion_together() -> None:
+def test_one_module_assembles_exact_inversion() -> None:
     whole = {name for name, path in MODULES.items() if ".search_from_guess" in path.read_text(encoding="utf-8")}
     assert whole == {"servocore.structure.inversion", "servocore.stepping.exact_evaluation"}
 
 
-def test_what_is_made_once_is_kept_in_one_way() -> None:
+def test_one_decorator_keeps_results() -> None:
     kept = re.compile(r"^\s*@(?:functools\.)?(?:lru_)?cache\b|\blru_cache\(", re.MULTILINE)
     own = {name for name, path in MODULES.items() if kept.search(path.read_text(encoding="utf-8"))}
     own -= {
@@ -120,19 +120,19 @@ def test_what_is_made_once_is_kept_in_one_way() -> None:
 
 
 def test_names_with_an_underscore_stay_in_their_file() -> None:
-    strangers = [
+    private = [
         f"{path.relative_to(ROOT)} imports {name} from {module}"
         for path in SOURCES
         for module, name in imported(path)
         if name.startswith("_") and not name.startswith("__")
     ]
-    assert strangers == []
+    assert private == []
 
 
-def test_the_map_of_the_documentation_shows_every_room() -> None:
+def test_the_map_of_the_documentation_shows_every_package() -> None:
     page = (ROOT / "docs" / "development.md").read_text(encoding="utf-8")
-    house = page.split("## Architecture")[1]
+    chapter = page.split("## Architecture")[1]
     for package in PACKAGES:
-        rooms = {each.stem for each in (ROOT / package).iterdir() if each.suffix == ".py" or each.is_dir()}
-        shown = {room for room in rooms if re.search(rf"\b{room}\b", house)}
-        assert rooms - shown - {"__init__", "__main__", "__pycache__"} == set()
+        names = {path.stem for path in (ROOT / package).iterdir() if path.suffix == ".py" or path.is_dir()}
+        shown = {name for name in names if re.search(rf"\b{name}\b", chapter)}
+        assert names - shown - {"__init__", "__main__", "__pycache__"} == set()
