@@ -365,7 +365,9 @@ def test_other_time_laws_and_ends_are_those_of_the_library(opened: Page) -> None
 
 def test_a_limit_lights_up_where_it_is_exceeded(opened: Page) -> None:
     status = 'document.querySelector(".status").textContent'
-    field = '[...document.querySelectorAll("input")].find((e) => e.ariaLabel === "limit of the magnitude of M_b in N m")'
+    field = (
+        '[...document.querySelectorAll("input")].find((e) => e.ariaLabel === "limit of the magnitude of M_b in N m")'
+    )
     bound = f'const limit = {field}; limit.value = "%s"; limit.dispatchEvent(new Event("input"))'
     settled(opened, bound % 180)
     assert opened.run(status) == "All limits are kept."

@@ -13,6 +13,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference, require_consistent
+from servocore.references.likely_units import require_likely_units
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Makes a model. Factories that compare equal make one model; one without a hash makes a new one every time."""
@@ -150,7 +151,10 @@ class Scene:
         return system
 
     def with_reference(self, reference: Reference) -> Scene:
-        """Return the scene with another path; raises `InvalidReference` if its dimension does not fit.
+        """Return the scene with another path; raises `InvalidReference` if it does not fit.
+
+        A path needs the scene's dimension. One from a file whose header declares no units is also refused where its
+        times or positions are out of proportion to the scene, as milliseconds and millimetres would be.
 
         Parameters
         ----------
@@ -163,7 +167,9 @@ class Scene:
             A new scene; this one stays as it is.
         """
         changed = replace(self, reference=reference)
-        changed.require_path(changed.model())
+        system = changed.model()
+        changed.require_path(system)
+        require_likely_units(reference, self.reference, system.home, [output.unit for output in system.outputs])
         return changed
 
     def require_path(self, system: MechanicalSystem) -> None:

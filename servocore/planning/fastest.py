@@ -116,6 +116,8 @@ def fastest(
     if progress is not None:
         require_callable(progress, "progress", "a function of a text")
     bounded = within_limits(scene, limits)
+    if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
+        scene.with_reference(path)  # which refuses units that are implausible for the scene
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
+from servocore.references.likely_units import UndeclaredUnits
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -49,6 +50,8 @@ class Reference(ABC):
     fit_error : float or None
         None for paths that are exact by definition; for fits, their own estimate of the largest deviation
         in position (m).
+    undeclared : UndeclaredUnits or None
+        Of a path from a file: units that its header does not declare, which a scene judges by its own size.
     """
 
     start_time: float
@@ -57,6 +60,7 @@ class Reference(ABC):
     max_order: int
     smoothness: int
     fit_error: float | None = None
+    undeclared: UndeclaredUnits | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start_time) and np.isfinite(self.end_time)):

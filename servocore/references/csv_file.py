@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -11,8 +12,9 @@ from servocore.errors import InvalidReference, require_kind
 from servocore.files import csv_text
 from servocore.references.base import FloatArray, Reference
 from servocore.references.bspline import REST_ORDER, require_order
-from servocore.references.csv_table import PREFIXES, Table, doubtful_units, read_table
+from servocore.references.csv_table import PREFIXES, Table, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
+from servocore.references.likely_units import doubtful_units
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import fewest_samples, joined_legs, sampled
 
@@ -242,11 +244,12 @@ def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     speeds = table.derivatives[:, 1] if table.derivatives.shape[1] > 1 else None
     positions = table.derivatives[:, 0]
     try:
-        return joined_legs(
+        path = joined_legs(
             positions, table.t, None, rest_order, speeds, table.stops, lambda k: f"line {table.lines[k]}"
         )
     except InvalidReference as error:
         raise InvalidReference(f"{table.path}: {error}") from None
+    return replace(path, undeclared=table.undeclared)
 
 
 def _path_of(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
@@ -256,7 +259,7 @@ def _path_of(table: Table, tolerance: float | None, rest_order: int) -> Piecewis
     found, worst = hermite(table.t, table.derivatives)
     if worst is not None:
         _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
-    return found
+    return replace(found, undeclared=table.undeclared)
 
 
 def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
@@ -273,7 +276,7 @@ def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> Pie
     found[:, 0] = given[:, 0]  # positions were judged by `sampled`
     worst = disagreement(given, found, path.duration)
     _refuse_contradiction(table, worst, SPLINE_AGREEMENT, "the spline through the positions")
-    return path
+    return replace(path, undeclared=table.undeclared)
 
 
 def _refuse_contradiction(table: Table, worst: Disagreement, limit: float, judge: str) -> None:

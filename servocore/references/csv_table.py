@@ -22,6 +22,7 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
+from servocore.references.likely_units import UndeclaredUnits, doubtful_units
 from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
 PREFIXES = ("", "v", "a", "j", "s")
@@ -39,9 +40,6 @@ _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _CLOCK = re.compile(r"\d[:/.-]\d+[:/.-]\d|\d:\d\d")
 _RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
 _POWERS = {"²": 2, "³": 3, "⁴": 4}
-_SLOW, _FAST = 1e-3, 20.0  # m/s: mean speeds beside which one asks whether units are what they seem
-_LONG, _FAR = 1000.0, 300.0  # s and m
-_RARE = 0.999  # s: rows that lie so far apart or farther may be milliseconds apart
 _SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # what spreadsheets write above a header
 _SHOWN = 80  # letters of a header that is none
 _YES, _NO = ("1", "1.0", "yes", "true", "x", "stop"), ("", "0", "0.0", "no", "false")
@@ -64,6 +62,8 @@ class Table(NamedTuple):
         Positions and their derivatives in SI units; NaN where a cell of waypoints is empty.
     stops : ndarray of bool, shape (n,), or None
         Where the path comes to rest; None without that column.
+    undeclared : UndeclaredUnits, optional
+        Units that the header does not declare.
     """
 
     path: Path
@@ -72,6 +72,7 @@ class Table(NamedTuple):
     t: FloatArray
     derivatives: FloatArray
     stops: np.ndarray | None
+    undeclared: UndeclaredUnits | None = None
 
 
 def read_table(
@@ -131,7 +132,7 @@ def read_table(
             " zero: let times begin near it, or write their unit into the header, as time [ns]"
         )
     table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
-    _require_likely_units(table, layout)
+    table = table._replace(undeclared=_undeclared_units(table, layout))
     if notes:
         warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
     return table
@@ -349,41 +350,15 @@ def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
     return []
 
 
-def doubtful_units(t: FloatArray, positions: FloatArray) -> tuple[bool, bool]:
-    """Say whether times look like milliseconds, and positions (n, columns) like millimetres, where no header names one.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Times in s.
-    positions : ndarray, shape (n, columns)
-        In m.
-    """
-    speed = _mean_speed(t, positions)
-    if not speed > 0.0:
-        return False, False
-    slow = bool(t[-1] - t[0] >= _LONG and speed < _SLOW and np.diff(t).min() >= _RARE)
-    return slow, bool(np.abs(positions).max() >= _FAR and speed > _FAST)
-
-
-def _mean_speed(t: FloatArray, positions: FloatArray) -> float:
-    way = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    return way / float(t[-1] - t[0]) if t[-1] > t[0] else 0.0
-
-
-def _require_likely_units(table: Table, layout: _Layout) -> None:
-    """Refuse times that look like milliseconds and lengths that look like millimetres where no header says so."""
+def _undeclared_units(table: Table, layout: _Layout) -> UndeclaredUnits:
+    """Return which units the header leaves open; refuse those that look like milliseconds or millimetres."""
     t, positions = table.t, table.derivatives[:, 0]
     unnamed = [k for k, name in enumerate(table.columns) if name not in layout.units]
-    if "time" not in layout.units and doubtful_units(t, positions)[0]:
-        raise InvalidReference(
-            f"{table.path}: its times look like milliseconds, for {t[-1] - t[0]:g} s would make a mean speed of"
-            f" {_mean_speed(t, positions):.2g} m/s: write time [ms] into the header, or time [s] if they are right"
-        )
-    if doubtful_units(t, positions[:, unnamed])[1]:
-        first, own = table.columns[unnamed[0]], positions[:, unnamed]
-        raise InvalidReference(
-            f"{table.path}: its positions look like millimetres, for up to {np.abs(own).max():g} m at a mean speed of"
-            f" {_mean_speed(t, own):.3g} m/s are out of reach: write {first} [mm] and so on into the header, or"
-            f" {first} [m] if they are right"
-        )
+    timed = "time" in layout.units
+    spacing = 0.0 if timed or len(t) < 2 else float(np.diff(t).min())
+    column = table.columns[unnamed[0]] if unnamed else ""
+    found = UndeclaredUnits(str(table.path), column, tuple(unnamed), spacing)
+    slow = doubtful_units(t, positions)[0] and not timed
+    far = doubtful_units(t, positions[:, unnamed])[1] if unnamed else False
+    found.require_likely(t, positions[:, unnamed] if far else positions, slow, far, "")
+    return found
