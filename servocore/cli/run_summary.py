@@ -69,7 +69,7 @@ def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
 
 
 def summary(solution: Solution) -> list[str]:
-    """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
+    """Return the summary of a run, a line each: peaks, swing, rest at the ends, fit, numerical error of the inputs."""
     problem: Problem = solution.origin
     system, path = problem.system, problem.reference
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
@@ -88,7 +88,13 @@ def summary(solution: Solution) -> list[str]:
         return [*lines, f"  inputs: how far they are off is not told for more than {_MANY} rows"]
     error = solution.error
     if error.largest is not None:
-        lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
+        lines.append(
+            f"  inputs: numerical error at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')} (data,"
+            " path fitting and unmodelled effects not included)"
+        )
+    fitting = solution.fit_effect
+    if fitting is not None and fitting.largest is not None:
+        lines.append(f"  inputs: from path fitting about {fitting.largest:.1e} of their peaks, by {fitting.basis}")
     return lines
 
 

@@ -13,7 +13,6 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference, require_consistent
-from servocore.references.likely_units import require_likely_units
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Makes a model. Factories that compare equal make one model; one without a hash makes a new one every time."""
@@ -166,6 +165,8 @@ class Scene:
         Scene
             A new scene; this one stays as it is.
         """
+        from servocore.references.likely_units import require_likely_units  # noqa: PLC0415 - a scene has a path already
+
         changed = replace(self, reference=reference)
         system = changed.model()
         changed.require_path(system)

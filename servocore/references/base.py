@@ -10,14 +10,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
-from servocore.references.likely_units import UndeclaredUnits
+
+if TYPE_CHECKING:
+    from servocore.references.likely_units import UndeclaredUnits
 
 FloatArray = npt.NDArray[np.float64]
 

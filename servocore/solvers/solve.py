@@ -15,7 +15,14 @@ from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidSetting, require_callable, require_formulation, require_method, require_real
+from servocore.errors import (
+    InvalidSetting,
+    ServocoreError,
+    require_callable,
+    require_formulation,
+    require_method,
+    require_real,
+)
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -118,7 +125,8 @@ def solve(
     if checked:
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
-    return replace(solution, advice=advice, estimator=estimator, origin=problem)
+    fit = partial(_fit_effect, problem, route)
+    return replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
 
 
 def _native_checks(route: Route, t: Array) -> bool | None:
@@ -219,6 +227,32 @@ def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     return better_solver_of(problem, route).estimate(problem, solution)
+
+
+def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:
+    """Return how much inputs depend on the samples that a path is fitted to; None if no samples were fitted.
+
+    Paths fitted to half of the samples each are independent: their difference has twice the deviation of the path's own
+    error, which makes the largest of all differences a moderate upper estimate.
+    """
+    from servocore.references.piecewise import PiecewisePolynomial  # noqa: PLC0415 - for paths of samples only
+    from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415
+
+    path = problem.reference.path if isinstance(problem.reference, TimeAugmented) else problem.reference
+    if not isinstance(path, PiecewisePolynomial) or path.refitted is None or not isinstance(route, JudgedRoute):
+        return None
+    names = [quantity.name for quantity in problem.system.inputs]
+    inputs = [solution.values[:, : len(names)]]
+    peaks = dict(zip(names, np.abs(inputs[0]).max(axis=0).tolist(), strict=True))
+    try:
+        for half in path.refitted():
+            reference = half if path is problem.reference else TimeAugmented.of(half)
+            found = route.run(replace(problem, reference=reference), solution.t)
+            inputs.append(found.values[:, : len(names)])
+    except ServocoreError as error:
+        return ErrorEstimate(dict.fromkeys(names), peaks, f"unknown: {error}")
+    apart = np.ptp(inputs, axis=0).max(axis=0).tolist()
+    return ErrorEstimate(dict(zip(names, apart, strict=True)), peaks, "fits to every second sample")
 
 
 def recommended(problem: Problem) -> tuple[Method | Route, str]:
