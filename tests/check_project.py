@@ -142,6 +142,30 @@ def test_words_are_spelled_as_in_oxford() -> None:
     assert wrong == []
 
 
+DIALECT = re.compile(
+    r"""(?:^|[.:;(] |\"\"\"(?:Return |Say )?)(?:what|who|whoever|nobody|whatever|that which) [a-z]+"""
+    r"""|\bReturn what\b|\bsay what\b|\bof late\b|\bfor ever\b|\b(?:is|was|are|were|been) told\b|stands? on its head"""
+    r"""|nobody asked|\bin vain\b|\bby itself\b, the|\bas it is told\b""",
+    re.IGNORECASE | re.MULTILINE,
+)
+MOST_DIALECT = 40
+"""Phrases of a private dialect: sentences that begin with a relative clause, code that is told something.
+
+Readers look for the terms of the field and for a subject; a few are right, in questions for instance."""
+
+
+def test_sentences_are_those_of_the_field() -> None:
+    rooms = ("README.md", "CONTRIBUTING.md", "docs/", "servocore/", "crane_fmu/", "demands/")
+    texts = (".md", ".py", ".j2", ".h", ".c", ".js")
+    found = [
+        f"{name}: {phrase[0].strip()}"
+        for name, text in tracked_texts()
+        if name.startswith(rooms) and name.endswith(texts) and "/decisions/" not in name
+        for phrase in DIALECT.finditer(text)
+    ]
+    assert len(found) <= MOST_DIALECT, found
+
+
 def test_nothing_mentions_the_machine_it_was_written_on() -> None:
     places = ("/" + "work/", "/" + "home/", "/" + "root/", "share" + "d/design", "share" + "d/theory", "bash" + "_jobs")
     found = [f"{name} mentions {place}" for name, text in tracked_texts() for place in places if place in text]
