@@ -1,6 +1,6 @@
 """A scene as a `FlatSystem` of python-control, for its planners and its design methods.
 
-python-control asks for two maps between state and inputs, (x, u), and the flat flag, the outputs with their
+python-control needs two maps between state and inputs, (x, u), and the flat flag, the outputs with their
 derivatives. The reverse map is the exact inversion. The forward map differentiates the outputs along the plant,
 y' = L_f y, with inputs that stay, as at the ends of a manoeuvre.
 """
@@ -90,7 +90,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """What python-control calls; states are (q, v).
+    """The maps of python-control's `FlatSystem`; states are (q, v).
 
     Attributes
     ----------

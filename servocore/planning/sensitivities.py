@@ -38,7 +38,7 @@ class Sensitivities:
     t : ndarray, shape (N,)
         Times in s.
     quantities : tuple of Quantity
-        The inputs that the path asks for, and each output with `DRIFT` behind its name: where the load goes instead
+        The inputs of the path, and each output with `DRIFT` behind its name: where the load goes instead
         if the inputs stay as they were, by the linearized plant.
     parameters : tuple of str
         Names.
@@ -62,7 +62,7 @@ class Sensitivities:
 
     def __getitem__(self, names: tuple[str, str]) -> Array:
         if not isinstance(names, tuple) or len(names) != 2:
-            raise KeyError(f"{names!r} is not what changes and by which parameter, such as found['F', 'load_mass']")
+            raise KeyError(f"{names!r} is no pair of a quantity and a parameter, such as found['F', 'load_mass']")
         quantity, parameter = names
         known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:
@@ -89,7 +89,7 @@ def sensitivities(
 
     The inputs follow from the equations and their derivatives at an instant, so that the implicit function theorem
     gives their derivatives; the motion under the inputs of the present parameters follows the linearized plant, from
-    the state in which the path asks the plant to start.
+    the state in which the path starts.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What computes blocks of a sweep: an executor of this machine, or the workers of a Dask cluster."""
+"""Workers for blocks of a sweep: an executor of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ PATIENCE = 60.0
 """How long a cluster may be without any worker, in s; workers that die are started again within seconds."""
 
 _LOOKS = 12  # in that time, and no more: a scheduler has other things to do
-_FEWEST = 16  # workers that an executor is thought to have, which tells nobody how many there are
+_FEWEST = 16  # workers assumed of an executor, whose number cannot be read
 
 
 class PoolLost(Exception):
-    """What computed does so no more; the message says why."""
+    """The worker process or the cluster has ended; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Pool:
             future.cancel()
 
     def result(self, future: Any) -> Any:
-        """Return what was computed.
+        """Return the result of a call.
 
         Raises
         ------
@@ -76,9 +76,9 @@ class Pool:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Workers of Dask, asked for one result after the other; see `Pool`.
+    """Workers of Dask, whose results are fetched one after the other; see `Pool`.
 
-    Dask's own executor asks for all at once. Where a worker died with results that nobody had fetched yet, every one of
+    Dask's own executor fetches all at once. Where a worker died with results that were not fetched yet, every one of
     these questions has all of them computed again.
 
     Attributes
@@ -113,11 +113,11 @@ class Cluster:
 
     def forget(self, waiting: Collection[Any]) -> None:
         """Cancel calls whose results nobody wants any more."""
-        if self.client.status == "running":  # else there is nobody to tell
+        if self.client.status == "running":  # else the cluster has ended
             self.client.cancel(list(waiting))
 
     def result(self, future: Any) -> Any:
-        """Return what was computed; `PoolLost` if the cluster has lost the call."""
+        """Return the result of a call; `PoolLost` if the cluster has lost the call."""
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
@@ -139,7 +139,7 @@ class Cluster:
             raise PoolLost("the cluster's scheduler answers no more") from error
 
     def _patiently(self, asked: Callable[[float], Any]) -> Any:
-        """Ask with a time to wait, again and again; a result whose worker died before it was fetched is asked for too.
+        """Wait in intervals; a result of a worker that died before it was fetched is computed again.
 
         Raises
         ------

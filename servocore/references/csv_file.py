@@ -1,4 +1,4 @@
-"""Paths from CSV files, SI units throughout; every complaint names file, line and column."""
+"""Paths from CSV files, SI units throughout; every error names file, line and column."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RETURNS = 1e-6
 
 _FEWEST_EACH, _MOST_EACH = 2, 64
 _NO_STRETCH, _APART = 1e-12, 1e3  # of the duration, and in units of the last digit of a time
-_BETWEEN = (0.06, 0.2, 0.5, 0.8, 0.94)  # of the way from row to row: where a path is compared with what comes back
+_BETWEEN = (0.06, 0.2, 0.5, 0.8, 0.94)  # of the way from row to row: where a path is compared with the path read back
 
 
 def from_csv(
@@ -47,8 +47,8 @@ def from_csv(
     """Path from a file with times, positions and, if known, their derivatives.
 
     Commas, semicolons or tabs divide the cells; the encoding is UTF-8 or UTF-16. Units are those of SI unless the
-    header names others, as `time [ms],x [mm]`; times may also be dates, as 2026-01-01T12:00:00.100Z. What is converted
-    is told by a warning.
+    header names others, as `time [ms],x [mm]`; times may also be dates, as 2026-01-01T12:00:00.100Z. Conversions
+    are reported by a warning.
 
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, then `ax,ay,az`, then `jx,jy,jz`, then
     `sx,sy,sz` (velocity, acceleration, jerk, snap); with other columns, their names in place of x, y and z. With
@@ -122,7 +122,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
     """Return a path as the text of a file that `from_csv` reads: positions and four derivatives.
 
     Of a path with fewer continuous derivatives it has those alone, for no row holds two values at a jump; `from_csv`
-    then reads it with as many as its `rest_order`. What was read is the path between its start and its end.
+    then reads it with as many as its `rest_order`. The path that is read has these values between start and end.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
         If there are more or fewer names than components, two are the same, or `each` is not a whole number of one or
         more.
     """
-    require_kind(path, Reference, "what path_to_csv is given", "a Reference", InvalidReference)
+    require_kind(path, Reference, "the argument of path_to_csv", "a Reference", InvalidReference)
     if len(columns) != path.dimension:
         raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
     if len({"time", *columns}) <= len(columns):
@@ -154,7 +154,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
     if each is not None and not (isinstance(each, int) and each >= 1):
         raise InvalidReference(f"every stretch of a path has one or more whole rows, not {each}")
     t, jets = _rows_enough(path) if each is None else _rows_of(path, each)
-    slow, far = doubtful_units(t, jets[:, 0])  # what a reader would ask about, the header says
+    slow, far = doubtful_units(t, jets[:, 0])  # then the header declares the unit, for the reader would refuse it
     names = [f"{prefix}{name}" for prefix in PREFIXES[: jets.shape[1]] for name in columns]
     if far and tuple(columns) == COLUMNS:
         names[: len(columns)] = [f"{name} [m]" for name in columns]

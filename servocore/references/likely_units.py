@@ -22,7 +22,7 @@ _INSTANTS = 101  # at which a path is compared with the scene
 
 
 class UndeclaredUnits(NamedTuple):
-    """What the header of a file leaves open, for the scene that the path of the file is given to.
+    """Units that the header of a file leaves open, to be judged by the scene that takes the path.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Paths made of polynomial pieces: what splines and Hermite data become, evaluated with NumPy alone."""
+"""Paths made of polynomial pieces, from splines and Hermite data, evaluated with NumPy alone."""
 
 from __future__ import annotations
 

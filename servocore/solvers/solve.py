@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from servocore.checks.better_solutions import BetterSolver
 
 _SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
-_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide what happens in between
+_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide peaks in between
 
 
 def solve(
@@ -71,7 +71,7 @@ def solve(
     scene : Scene
         With its reference and parameters.
     formulation, method : Formulation, Method or Route, optional
-        What the analysis recommends when neither is given; else `Reduced` and `BackwardEuler`.
+        The recommendation of the analysis when neither is given; else `Reduced` and `BackwardEuler`.
     step : float or Adaptive, optional
         Step in s, which must divide the duration of the path (a 200th of it when not given), or the accuracy wanted.
     output_step : float, optional
@@ -112,7 +112,7 @@ def solve(
     if problem.start:
         require_start(problem)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
-    is_route = route is method  # such a route brings no checks of its own, and chooses its instants
+    is_route = route is method  # a user's route has no checks, and chooses its instants
     checked = checks or is_route
     if checked:
         require_feasible(problem, None if is_route else times, _native_checks(route, times))
@@ -144,7 +144,7 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     warned = check_between_instants(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
         check_between_instants(problem, _on_survey_grid(problem), unknowns_near)
-    stated = solution.statistics.branch  # what a route of the user's says is its own business
+    stated = solution.statistics.branch  # a user's route states its branch itself
     if isinstance(route, JudgedRoute):
         stated = route.branch_statement(problem, solution)
     return replace(solution, statistics=replace(solution.statistics, branch=stated + passed))
@@ -176,7 +176,7 @@ def _require_arguments(
     if output_step is not None:
         require_real(output_step, "the output step", "a time in s", InvalidSetting)
         if not isinstance(step, Adaptive):
-            raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
+            raise InvalidSetting("output_step needs step=Adaptive(...); at constant step every step is reported")
     if progress is not None:
         require_callable(progress, "progress", "a function of (steps done, steps in all)")
 
@@ -194,7 +194,7 @@ def chosen_route(
     Raises
     ------
     InvalidSetting
-        If a bounded inversion is asked for with another form than `Reduced`, with a tolerance for its steps, or with
+        If a stable inversion has another form than `Reduced`, a tolerance for its steps, or
         a start.
     """
     if isinstance(method, JudgedRoute):
@@ -215,14 +215,14 @@ def chosen_route(
 
 
 def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
-    """Return the better solution that the solutions of a route are compared with, to estimate the errors of inputs."""
+    """Return the solver that the solutions of a route are compared with, to estimate the errors of inputs."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
 
     if isinstance(route, JudgedRoute):
         return route.better(problem)
     if problem.flat:
         return exact_values(problem)
-    return BetterSolver(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
+    return BetterSolver(None, False, f"no more accurate solver of {problem.system.name} is known for this route")
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
@@ -256,7 +256,7 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
 
 
 def recommended(problem: Problem) -> tuple[Method | Route, str]:
-    """Return the method that the analysis recommends for the reduced form, and what it says."""
+    """Return the method that the analysis recommends for the reduced form, and its advice."""
     kind, method = internal_dynamics(problem).kind, RadauIIA(3)
     advice = f"{kind}: {ADVICE[kind]}"
     if kind != NON_MINIMUM_PHASE:
