@@ -260,13 +260,13 @@ servocore sweep cars -o s --vary duration=1..2:3 --scheduler '' -> write it as i
 servocore sweep cars -o s --vary duration=1..2:100000000000 -> more than 1e+07 values or instants fill the memory
 servocore sweep cars -o afile --vary duration=1..2:3 -> cannot write afile: it is a file, not a folder; name another
 servocore effects -> see servocore effects --help
-servocore effects cars --bandwidth 0 -> the bandwidth of drives must be positive and finite, not 0
-servocore effects cars --bandwidth -3 -> the bandwidth of drives must be positive and finite, not -3
-servocore effects cars --bandwidth inf -> the bandwidth of drives must be positive and finite, not inf
+servocore effects cars --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
+servocore effects cars --bandwidth -3 -> the bandwidth of position loops must be positive and finite, not -3
+servocore effects cars --bandwidth inf -> the bandwidth of position loops must be positive and finite, not inf
 servocore effects cars --bandwidth nan -> write it as in --bandwidth 1e-3
-servocore effects overhead_crane --bandwidth 0 -> the bandwidth of drives must be positive and finite, not 0
-servocore effects overhead_crane --bandwidth -2 -> the bandwidth of drives must be positive and finite, not -2
-servocore effects overhead_crane --bandwidth inf -> the bandwidth of drives must be positive and finite, not inf
+servocore effects overhead_crane --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
+servocore effects overhead_crane --bandwidth -2 -> the bandwidth of position loops must be positive and finite, not -2
+servocore effects overhead_crane --bandwidth inf -> the bandwidth of position loops must be positive and finite, not inf
 servocore effects overhead_crane --deviation 0mm -> the tolerance must be positive and finite, not 0
 servocore effects overhead_crane --deviation -1mm -> the tolerance must be positive and finite, not -0.001
 servocore effects overhead_crane --deviation inf -> write it as in --deviation 5mm
