@@ -127,7 +127,7 @@ OXFORD = re.compile(  # stems that take -ize; other words do not: otherwise, pre
     r"|recogni|regulari|seriali|stabili|summari|symmetri|synchroni|utili|vectori|visuali)s(e|ing|ation|able)",
     re.IGNORECASE,
 )
-PUBLIC_SPELLING = re.compile(r"\b(generalize|[Dd]iscretis(e|ation)|factorizations|linearized?)\b|emphasis")
+PUBLIC_SPELLING = re.compile(r"\b(generali[sz]e|[Dd]iscretis(e|ation)|factorizations|linearized?)\b|emphasis")
 
 
 def test_words_are_spelled_as_in_oxford() -> None:

@@ -1,4 +1,4 @@
-// The live page: what is set, what follows from it, and everything that shows it.
+// The live page: its settings, the computed run, and the elements that show it.
 
 const KEPT = "All limits are kept.";
 const INSTANTS = 2001, MOST_STEPS = 20000;
@@ -105,15 +105,15 @@ class LivePage {
   }
 
   buildPlots() {
-    const tell = {
+    const on = {
       go: (time) => this.go(time), hover: (time) => this.plots.forEach(({ plot }) => plot.point(time ?? this.now)),
       zoom: (from, to) => this.zoom(from, to), whole: () => this.zoom(), closer: (factor, about) => this.closer(factor, about),
     };
     this.plots = about.outputs.map(({ name, unit, description }, i) => ({
-      plot: new Plot({ title: name, unit: shownUnit(unit), factor: factorOf(unit), describe: `${name} over time: ${description}` }, this.view, tell), output: i,
+      plot: new Plot({ title: name, unit: shownUnit(unit), factor: factorOf(unit), describe: `${name} over time: ${description}` }, this.view, on), output: i,
     }));
     if (about.live && about.steps) this.plots.push({ plot: new Plot({ title: "error of the paper's scheme", unit: "% of peak", factor: 100, logarithmic: true,
-      describe: "inputs by the scheme of the paper less the exact ones, in percent of the largest" }, this.view, tell), output: null });
+      describe: "inputs by the scheme of the paper less the exact ones, in percent of the largest" }, this.view, on), output: null });
     const order = [...this.inputs(), null, ...about.shown, ...about.outputs.keys()], more = made("details", {}, made("summary", {}, "more"));
     this.plots.sort((a, b) => order.indexOf(a.output) - order.indexOf(b.output));
     const chosen = new Set([...this.inputs(), null, ...about.shown]), choices = this.part("choices"), place = this.part("plots");
