@@ -280,7 +280,7 @@ def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_wi
     tmp_path: Path, cluster: Any
 ) -> None:
     distributed, store = pytest.importorskip("distributed"), tmp_path / "s.zarr"
-    told = pytest.raises(sc.InvalidSetting, match=r"scheduler answers no more; .* of 21 cases are done: resume=True")
+    told = pytest.raises(sc.InvalidSetting, match=r"scheduler does not answer; .* of 21 cases are done: resume=True")
     # As a default client Dask would ask for it ever after, closed as it is.
     with distributed.Client(cluster, set_as_default=False) as own, told:
         sc.sweep(CRANE, VARIED, distributed=own, store=store, chunk=1, progress=lambda *_: own.close())

@@ -179,7 +179,7 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: 
     scene = sc.scenes.cars()
     solution = sc.solve(scene)
     lost = sc.Solution(solution.t, solution.channels, solution.values, solution.route)
-    with pytest.raises(sc.InvalidSetting, match=r"view\(solution, path, scene=scene\) says it"):
+    with pytest.raises(sc.InvalidSetting, match=r"has no origin: give its scene, view\(solution, path, scene=scene\)"):
         sc.view(lost, tmp_path / "cars.html")
     assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
 

@@ -62,7 +62,7 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     """
     system = resolved.system
     if system.time.numel():
-        raise InvalidModel(f"{system.name}: its equations hold the time, which no loop of drives knows")
+        raise InvalidModel(f"{system.name}: its equations depend on time; position loops need equations that do not")
     quantities, y = measured_in(system, measured)
     m, state = len(system.inputs), ca.vertcat(system.q, system.v)
     read = ca.Function("sc_drives", [state], [ca.densify(y), ca.densify(ca.jtimes(y, system.q, system.v))])
@@ -175,7 +175,7 @@ def run_loop(
     Raises
     ------
     InvalidModel
-        If the plant is too stiff to be run, or its equations hold the time.
+        If the plant is too stiff to be run, or its equations depend on time.
     """
     loop, gains, motion = compile_loop(problem.resolved, measured, hanging), driven.gains, driven.motion
     start, both = inversion.start, np.concatenate([gains.position, gains.rate])

@@ -50,7 +50,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     Raises
     ------
     InvalidModel
-        If the scene has internal dynamics or holds the time, or holonomic constraints are redundant.
+        If the scene has internal dynamics or depends on time, or holonomic constraints are redundant.
     InvalidSetting
         If python-control is not installed.
 
@@ -71,7 +71,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     if not problem.flat:
         raise InvalidModel(f"{scene.name} has internal dynamics: its state does not follow from the outputs")
     if problem.system.time.numel():
-        raise InvalidModel(f"{scene.name} holds the time: python-control's flat systems do not")
+        raise InvalidModel(f"{scene.name} depends on time: python-control's flat systems do not")
     problem.system.require_independent_constraints()
     maps = _Maps.of(problem)
     quantities, system = problem.system.coordinates.quantities, problem.system

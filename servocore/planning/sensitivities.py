@@ -26,7 +26,7 @@ _STEPS = 2000
 """Least number of steps in which the linearized plant is integrated, by the classical method of order four."""
 
 DRIFT = " drift"
-"""How the name of an output's deviation ends."""
+"""Suffix of the name of an output's deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def sensitivities(
     Raises
     ------
     InvalidModel
-        If the model has internal dynamics, or its equations hold the time.
+        If the model has internal dynamics, or its equations depend on time.
     InvalidReference
         If the path is out of reach.
     InvalidSetting
@@ -126,7 +126,7 @@ def sensitivities(
     require_scene(scene, "sensitivities")
     problem = Problem.of(scene, model)
     if not problem.flat or problem.system.time.numel():
-        why = "has internal dynamics" if not problem.flat else "holds the time"
+        why = "has internal dynamics" if not problem.flat else "depends on time"
         raise InvalidModel(f"{scene.name} {why}: its inputs do not follow from the path at the same instant")
     declared = {parameter.name: parameter for parameter in problem.system.parameters.declared}
     names = tuple(declared) if wrt is None else tuple([wrt] if isinstance(wrt, str) else wrt)

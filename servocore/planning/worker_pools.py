@@ -13,7 +13,7 @@ from typing import Any
 PATIENCE = 60.0
 """How long a cluster may be without any worker, in s; workers that die are started again within seconds."""
 
-_LOOKS = 12  # in that time, and no more: a scheduler has other things to do
+_LOOKS = 12  # polls in that time, few enough for the scheduler
 _FEWEST = 16  # workers assumed of an executor, whose number cannot be read
 
 
@@ -44,7 +44,7 @@ class Pool:
         Raises
         ------
         PoolLost
-            If the executor does not work any more.
+            If the executor has ended.
         """
         try:
             return self.executor.submit(call, *arguments)
@@ -56,7 +56,7 @@ class Pool:
         return wait(waiting, return_when=FIRST_COMPLETED).done
 
     def forget(self, waiting: Collection[Any]) -> None:
-        """Cancel calls whose results nobody wants any more."""
+        """Cancel calls whose results are not needed any more."""
         for future in waiting:
             future.cancel()
 
@@ -79,7 +79,7 @@ class Cluster:
     """Workers of Dask, whose results are fetched one after the other; see `Pool`.
 
     Dask's own executor fetches all at once. Where a worker died with results that were not fetched yet, every one of
-    these questions has all of them computed again.
+    these requests has all of them computed again.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Cluster:
             return done
 
     def forget(self, waiting: Collection[Any]) -> None:
-        """Cancel calls whose results nobody wants any more."""
+        """Cancel calls whose results are not needed any more."""
         if self.client.status == "running":  # else the cluster has ended
             self.client.cancel(list(waiting))
 
@@ -128,7 +128,7 @@ class Cluster:
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
-        """Say in one sentence that the scheduler is gone: Dask closes the client then, and fails where it is used."""
+        """Raise `PoolLost` where the scheduler has ended: Dask closes the client then, and fails where it is used."""
         try:
             yield
         except PoolLost:
@@ -136,9 +136,9 @@ class Cluster:
         except (Exception, CancelledError) as error:
             if self.client.status == "running":
                 raise
-            raise PoolLost("the cluster's scheduler answers no more") from error
+            raise PoolLost("the cluster's scheduler does not answer") from error
 
-    def _patiently(self, asked: Callable[[float], Any]) -> Any:
+    def _patiently(self, fetch: Callable[[float], Any]) -> Any:
         """Wait in intervals; a result of a worker that died before it was fetched is computed again.
 
         Raises
@@ -149,7 +149,7 @@ class Cluster:
         seen = time.monotonic()
         while True:
             try:
-                return asked(PATIENCE / _LOOKS)
+                return fetch(PATIENCE / _LOOKS)
             except TimeoutError:
                 if self.client.ncores():
                     seen = time.monotonic()

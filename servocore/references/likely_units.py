@@ -55,10 +55,7 @@ class UndeclaredUnits(NamedTuple):
         why : str
             Beside which length or duration they are implausible; empty for the mean speed alone.
         """
-        looks = [
-            *(["its times look like milliseconds"] if slow else []),
-            *(["its positions look like millimetres"] if far else []),
-        ]
+        looks = ["its times look like milliseconds"] * slow + ["its positions look like millimetres"] * far
         if not looks:
             return
         speed = f"a mean speed of {mean_speed(t, positions):.3g} m/s"
@@ -122,7 +119,7 @@ def require_likely_units(path: Reference, own: Reference, home: Sequence[float],
     reach = max(np.abs(own.jet(usual, 0)[:, 0, lengths]).max(), np.abs(np.array(home)[lengths]).max())
     period = 2.0 * math.pi * math.sqrt(reach / _GRAVITY)
     slow = undeclared.spacing >= _SPACING and path.duration >= _LONGER * max(own.duration, period)
-    open_lengths = [k for k in range(len(lengths)) if lengths[k] in undeclared.positions]
-    far = bool(open_lengths) and np.abs(positions[:, open_lengths]).max() >= _FARTHER * reach
+    open_lengths = [place in undeclared.positions for place in lengths]
+    far = bool(np.abs(positions[:, open_lengths]).max(initial=0.0) >= _FARTHER * reach)
     why = f", while the scene has a path of {own.duration:.3g} s and reaches {reach:.3g} m"
-    undeclared.require_likely(t, positions, slow, bool(far), why)
+    undeclared.require_likely(t, positions, slow, far, why)

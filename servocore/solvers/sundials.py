@@ -60,7 +60,7 @@ class Sundials:
         Raises
         ------
         InvalidModel
-            If there are no internal dynamics, or the equations hold the time.
+            If there are no internal dynamics, or the equations depend on time.
         InvalidReference
             If the path is no formula.
         IntegrationFailed
