@@ -274,7 +274,7 @@ servocore effects overhead_crane --deviation infmm -> write it as in --deviation
 servocore effects overhead_crane --markdown no/e.md -> cannot write no/e.md: there is no folder no; make it first
 servocore effects overhead_crane --markdown . -> cannot write .: it is a folder; name a file
 servocore effects overhead_crane --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there
-servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth: there are no position loops
+servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth
 servocore effects cars --from 0 --to 1 -> a straight line also needs --duration
 servocore view -> see servocore view --help
 servocore view cars -o -> write it as in --output FILE

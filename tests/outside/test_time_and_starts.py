@@ -106,7 +106,7 @@ def test_what_has_no_internal_dynamics_takes_no_start() -> None:
 
 
 def test_a_bounded_inversion_takes_no_start() -> None:
-    with pytest.raises(sc.InvalidSetting, match="finds its own initial values"):
+    with pytest.raises(sc.InvalidSetting, match="determines the initial values itself"):
         sc.solve(moving.cart_pole().scene, start=SWINGING)
 
 
