@@ -149,7 +149,7 @@ for _room in ("effects", "view"):
     del globals()[_room]
 
 
-@cache  # at the first use of a name: programs need some of them, and a command line heeds Ctrl-C before it imports any
+@cache  # at the first use of a name: programs need some of them; a command line handles Ctrl-C before it imports any
 def _homes() -> dict[str, str]:
     """Return the modules of the public names: those that type checkers import them from, above."""
     with open(__file__, encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""`analyse`: what kind of servo constraint problem a scene is, and which route is enough for it."""
+"""`analyse`: the class of a servo constraint problem, and the route that suits it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SURVEY_POINTS = 201
 
 @dataclass(frozen=True)
 class StructureReport:
-    """What `analyse` finds; printing it gives a page for humans.
+    """The results of `analyse`; `print` shows them as a page.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class StructureReport:
     eigenvalues : tuple of complex
         Of the internal dynamics linearized at rest.
     remedy : str
-        What had to be done to the equations before the analysis applied.
+        Changes of the equations that the analysis needed.
     reason : str
         Why the problem is singular, with the time if a reference is known.
     rank_loss : str
@@ -129,7 +129,7 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
     Parameters
     ----------
     subject : Scene or MechanicalSystem
-        What to analyse; a scene with its own parameters and reference, a system at its home.
+        A scene with its parameters and reference, or a system at its home.
     model : str, optional
         Model of the scene; its smallest when not given.
 
@@ -197,7 +197,7 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
 def _unknowns_along(problem: Problem, times: Array, jets: Array) -> list[Array]:
     """Return the unknowns of the derivative array at instants, with the jets there; NaN where they are not found.
 
-    What a guess that knows nothing of the path does not solve is solved from a neighbour.
+    Instants that are not solved from the guess of the model are solved from a neighbour.
     """
     states, by_expression = exact_unknowns(problem, times)
     unknowns = list(states.T)

@@ -1,7 +1,7 @@
-"""`Problem`: a servo constraint problem resolved once. Whatever solves it or looks at it starts from this value.
+"""`Problem`: a servo constraint problem resolved once, from which solvers, checks and pages start.
 
-What follows from the system alone (its structure, its derivative array, compiled functions) stands in `ResolvedSystem`
-and is shared by all problems of that system; what belongs to one path and one set of parameter values, in `Problem`.
+`ResolvedSystem` has the results that depend on the system alone (its structure, its derivative array, compiled
+functions) and is shared by all problems of that system; `Problem` adds one path and one set of parameter values.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ class ResolvedSystem:
     Attributes
     ----------
     system : MechanicalSystem
-        What is solved.
+        The system without redundant constraints.
     redundant : tuple of int
         Rows of the holonomic constraints that were left out.
     outcome : DerivativeArray or InvalidModel
-        What the signature method leads to, or why it does not apply.
+        The derivative array of the signature method, or the reason why it does not apply.
     left_out : casadi.SX
         These rows, expressions of the system's symbols: around home they follow from the others.
     """
@@ -60,7 +60,7 @@ class ResolvedSystem:
 
     @property
     def left_out_shares(self) -> ca.SX:
-        """How far each of `left_out` is from zero, as a share of what a motion as large as q changes it by."""
+        """Residual of each of `left_out`, relative to its change over a motion as large as q."""
         system = self.system
         nominal = ca.DM(system.coordinates.nominal)
         reach = ca.mtimes(ca.fabs(ca.jacobian(self.left_out, system.q)), ca.fmax(ca.fabs(system.q), nominal))
@@ -68,7 +68,7 @@ class ResolvedSystem:
 
     @property
     def must_be_positive(self) -> list[tuple[Quantity, ca.SX]]:
-        """Observables that must be positive, and margins that are as long as what was left out holds."""
+        """Observables that must be positive, and margins that are positive while redundant constraints hold."""
         signs = [(quantity, each) for quantity, each in self.system.observables.items() if quantity.positive]
         shares = ca.vertsplit(self.left_out_shares) if self.redundant else []
         margins = [
@@ -100,7 +100,7 @@ def _dae(resolved: ResolvedSystem, formulation: Formulation) -> Dae:
     return formulation.dae(resolved.system)
 
 
-@made_once  # solves of one scene on many paths share what was compiled for its system
+@made_once  # solves of one scene on many paths share the compiled functions of its system
 def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     """Leave out redundant constraints and find the structure of a system at parameter values.
 
@@ -164,14 +164,14 @@ def _rows(column: ca.SX, rows: tuple[int, ...]) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A scene and one of its models, resolved: what `analyse`, `solve`, `simulate` and the others start from.
+    """A scene and one of its models, resolved: the input of `analyse`, `solve`, `simulate` and others.
 
     Attributes
     ----------
     name : str
         Of the scene.
     resolved : ResolvedSystem
-        The system, its structure and what was compiled for it.
+        The system, its structure and its compiled functions.
     p : ndarray, shape (n_p,)
         Parameter values.
     reference : Reference
@@ -181,11 +181,11 @@ class Problem:
     follow_branch : bool
         Whether every instant starts from the one before, see `Scene`.
     left_out : str
-        What messages call the redundant constraints that were left out; empty if there were none.
+        Names of the redundant constraints that were left out, for messages; empty if there were none.
     start : mapping of str to float
         Initial values of the states of the internal dynamics by name; those of the guess, at rest, when empty.
     drawing : callable or None
-        What pages draw of it, see `Scene`.
+        Parts that pages draw, see `Scene`.
 
     Examples
     --------
@@ -237,7 +237,7 @@ class Problem:
             system, p = subject, np.array(subject.home_parameters)
             scene = Scene(system.name, {"only": lambda: subject}, _AtRest.at(system.home))
         else:
-            require_kind(subject, Scene, "what is to be solved", "a Scene", InvalidModel)
+            require_kind(subject, Scene, "the problem", "a Scene", InvalidModel)
             scene, system = subject, subject.model(model)
             scene.require_path(system)
             p = system.parameters.values(scene.parameters)
@@ -255,7 +255,7 @@ class Problem:
 
     @property
     def system(self) -> MechanicalSystem:
-        """What is solved."""
+        """The system that is solved."""
         return self.resolved.system
 
     @property
@@ -265,7 +265,7 @@ class Problem:
 
     @property
     def signature(self) -> Signature:
-        """What the signature method finds, with the structural index; raises as `array` does."""
+        """The signature matrix with the structural index; raises as `array` does."""
         return self.array.signature
 
     @property

@@ -158,6 +158,8 @@ class Solution:
         Recommendation of the analysis that chose the formulation; empty when the caller chose.
     estimator : callable or None
         Function from the solution to `error`; omitted when the solution is pickled.
+    fit_estimator : callable or None
+        Function from the solution to `fit_effect`; omitted when the solution is pickled.
     margins : mapping of str to Margin
         Margins of the limits of the scene (not of the path) by name, at the instants of the solution.
     origin : Problem or None
@@ -172,6 +174,7 @@ class Solution:
     fit_error: float | None = None
     advice: str = ""
     estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
+    fit_estimator: Callable[[Solution], ErrorEstimate | None] | None = field(default=None, repr=False)
     margins: Mapping[str, Margin] = field(default_factory=dict)
     origin: Any = field(default=None, repr=False)  # a `Problem`, of a higher layer
 
@@ -184,12 +187,22 @@ class Solution:
 
     @cached_property  # it may take longer than the solution
     def error(self) -> ErrorEstimate:
-        """Estimated errors of the inputs, computed at the first access."""
+        """Numerical error of the inputs on the path as it is, computed at the first access.
+
+        Errors of the path (see `fit_effect`), of data and of the model are not in it.
+        """
         return NOTHING_KNOWN if self.estimator is None else self.estimator(self)
 
+    @cached_property
+    def fit_effect(self) -> ErrorEstimate | None:
+        """About how far the inputs are off because the path was fitted to samples, which are rounded or noisy.
+
+        By how much they change when the path is fitted to every second sample. None of a path that is no such fit.
+        """
+        return None if self.fit_estimator is None else self.fit_estimator(self)
+
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in self.__dict__.items() if name not in ("estimator", "origin")}
-        return {**kept, "estimator": None, "origin": None}
+        return {**self.__dict__, "estimator": None, "fit_estimator": None, "origin": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -228,7 +228,23 @@ class TestFeedforward:
         assert told[0].endswith("201 rows, 20 s")
         assert told[4].startswith("  swing: peak 1.00")
         assert told[5] == "  ends: at rest at start and end"
-        assert re.fullmatch(r"  inputs: numerical error at most \d(\.\d)?e-1[4-6] of their peaks, by .*", told[6])
+        assert re.fullmatch(
+            r"  inputs: numerical error at most \d\.\de-1[4-6] of their peaks, .* \(data, path fitting and unmodelled"
+            r" effects not included\)",
+            told[6],
+        )
+        assert len(told) == 7  # the path of a line is exact
+
+    def test_what_rounded_samples_do_to_the_inputs_is_told_apart_from_numerics(self) -> None:
+        t = np.linspace(0.0, 20.0, 201)
+        rows = np.column_stack([t, np.round(sc.scenes.rotary_crane().reference.jet(t, 0)[:, 0], 3)])
+        lines = [",".join(map(repr, row)) for row in rows.tolist()]
+        Path("rounded.csv").write_text("\n".join(["time,x,y,z", *lines, ""]))
+        told = run("feedforward", "--reference", "rounded.csv", "--tolerance", "1mm").stderr
+        assert re.search(r"inputs: numerical error at most \d\.\de-1[4-6] of their peaks", told)
+        found = re.search(r"inputs: from path fitting about (\S+) of their peaks, by fits to every second sample", told)
+        assert found, told
+        assert 3e-5 < float(found[1]) < 3e-4  # the true error of M_b is 7e-5
 
     def test_a_path_that_does_not_rest_is_told_with_what_moves(self) -> None:
         moving = reference_csv(count=201, groups=1)

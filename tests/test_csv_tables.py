@@ -131,6 +131,10 @@ def test_units_of_derivatives_are_converted_too(tmp_path: Path) -> None:
 UNCLEAR = {
     "milliseconds": (text(np.round(ROWS * [1e3, 1, 1, 1], 6)), "its times look like milliseconds, .* write time .ms."),
     "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
+    "milliseconds and millimetres": (  # whose mean speed is plausible
+        text(np.round(ROWS * [1e3, 1e3, 1e3, 1e3], 6)),
+        "milliseconds and its positions look like millimetres, for 20000 s and up to 5000 m .* time .ms. and x .mm.",
+    ),
     "parts of milliseconds": (text(ROWS * [1e3, 1, 1, 1] + [0.1, 0, 0, 0]), "its times look like milliseconds"),
     "nanoseconds": (text(ROWS * [1e9, 1, 1, 1]), "line 42, column time: 20000000000 s is more than 1e.09 s from zero"),
     "seconds since long ago": (text(np.add(ROWS, [5e9, 0, 0, 0])), "5000000020 s is more than 1e.09 s from zero: let"),

@@ -375,7 +375,7 @@ def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss() 
         (
             {"plant": {"ours": sc.scenes.cars}},
             sc.InvalidModel,
-            "what the plant ours returns must be a MechanicalSystem",
+            "the result of the plant ours must be a MechanicalSystem",
         ),
         (
             {"plant": {"ours": sc.scenes.cars().model}},

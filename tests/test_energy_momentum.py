@@ -218,8 +218,8 @@ def test_a_step_that_turns_too_far_is_refused_with_the_time() -> None:
         ({"step": 0.3}, "reports whole steps, but t = 1 s is 3.33333 steps of 0.3 s"),
         ({"step": -0.1}, "the step must be positive and finite, not -0.1 s"),
         ({"step": None}, "the step of the energy-momentum scheme"),
-        ({"method": None}, "goes by EnergyMomentum.*, not by None"),
-        ({"method": sc.BackwardEuler()}, "goes by EnergyMomentum"),
+        ({"method": None}, "needs method=EnergyMomentum.*, not None"),
+        ({"method": sc.BackwardEuler()}, "needs method=EnergyMomentum"),
     ],
 )
 def test_steps_and_methods_that_do_not_fit_are_refused(

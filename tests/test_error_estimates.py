@@ -219,7 +219,7 @@ def test_a_run_is_compared_on_the_branch_that_it_began_on() -> None:
     found, said = solved(aircraft.scene, sc.Projected(), sc.BDF(2), step=0.005)
     exact = aircraft.exact(found.t)
     assert said == []
-    assert found.statistics.branch.startswith("one: every instant is near what the exact inversion gives")
+    assert found.statistics.branch.startswith("one: every instant is near the exact inversion")
     true = np.abs(found["torque"] - exact["torque"]).max()
     assert found.error["torque"] == pytest.approx(true, rel=1e-3)
 
@@ -268,7 +268,7 @@ def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is() -> None:
     assert said == []
     assert found.error["u"] is None
     assert found.error.largest is None
-    assert "nothing is known to solve mass on car, generalized" in found.error.basis
+    assert "no more accurate solver of mass on car, generalized is known" in found.error.basis
 
 
 # What is said ---------------------------------------------------------------------------------------------------------
@@ -384,3 +384,44 @@ def test_every_solution_says_of_its_motion_that_it_is_one() -> None:
             for step in (sc.Adaptive(1e-2), scene(name).reference.duration / 200):
                 method = sc.RadauIIA(3) if form == sc.Reduced() else sc.BDF(2)
                 assert solved(scene(name), form, method, step=step)[0].statistics.branch.startswith("one: ")
+
+
+@pytest.mark.parametrize("count", [101, 201, 401, 2001])
+def test_the_part_of_a_fit_to_rounded_samples_is_estimated_beside_the_numerical_error(count: int) -> None:
+    crane = sc.scenes.rotary_crane()
+    t = np.linspace(0.0, 20.0, count)
+    path = sc.sampled(t, np.round(crane.reference.jet(t, 0)[:, 0], 3), 1e-3)
+    found, exact = sc.solve(crane.with_reference(path)), sc.solve(crane)
+    fit = found.fit_effect
+    assert found.error.largest is not None
+    assert found.error.largest < 1e-14  # which says nothing of the samples
+    assert fit is not None
+    assert found.fit_effect is fit
+    assert fit.largest is not None
+    true = {name: np.abs(found[name] - exact[name]).max() / np.abs(exact[name]).max() for name in fit}
+    assert max(true.values()) / 2.0 < fit.largest < 10.0 * max(true.values())
+
+
+def test_a_fit_is_judged_with_internal_dynamics_and_a_time_in_the_equations_too() -> None:
+    car = sc.scenes.mass_on_car()
+    t = np.linspace(car.reference.start_time, car.reference.end_time, 201)
+    path = sc.sampled(t, np.round(car.reference.jet(t, 0)[:, 0], 4), 1e-4)
+    found, exact = sc.solve(car.with_reference(path)), sc.solve(car)
+    assert found.fit_effect is not None
+    for name, effect in found.fit_effect.items():
+        true = np.abs(found[name] - exact[name]).max()
+        assert effect is not None
+        assert true / 2.0 < effect < 20.0 * true
+
+
+def test_exact_samples_have_no_part_of_a_fit_and_exact_paths_no_estimate_of_one() -> None:
+    crane = sc.scenes.rotary_crane()
+    t = np.linspace(0.0, 20.0, 201)
+    found = sc.solve(crane.with_reference(sc.sampled(t, crane.reference.jet(t, 0)[:, 0])))
+    assert found.fit_effect is not None
+    assert found.fit_effect.largest is not None
+    assert found.fit_effect.largest < 1e-12
+    assert sc.solve(crane).fit_effect is None
+    again = pickle.loads(pickle.dumps(found))
+    assert again.fit_effect.largest == found.fit_effect.largest
+    assert pickle.loads(pickle.dumps(sc.solve(crane.with_reference(found.origin.reference)))).fit_effect is None

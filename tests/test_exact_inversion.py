@@ -103,7 +103,7 @@ def test_a_guess_that_is_not_exact_costs_time_and_nothing_else() -> None:
 
 
 def test_internal_dynamics_are_refused() -> None:
-    with pytest.raises(sc.InvalidModel, match=r"passive_joint_arm has internal dynamics: .* solve computes them"):
+    with pytest.raises(sc.InvalidModel, match=r"passive_joint_arm has internal dynamics: .* path; use solve"):
         sc.ExactInversion(scene("passive_joint_arm"))
 
 

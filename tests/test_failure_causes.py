@@ -222,8 +222,8 @@ def inputs() -> sc.Solution:
 @pytest.mark.parametrize("t", [[0.0, 20.1], [-0.5, 3.0], [25.0, 30.0]])
 def test_inputs_are_not_known_outside_their_time(inputs: sc.Solution, t: list[float]) -> None:
     said = re.escape(
-        f"the inputs are known from t = 0 s to 20 s, the simulation is to go from {t[0]:g} s to {t[1]:g} s: nothing"
-        " says what they are outside their time"
+        f"the inputs are known from t = 0 s to 20 s, the simulation is to go from {t[0]:g} s to {t[1]:g} s: outside"
+        " their time they are unknown"
     )
     with pytest.raises(sc.InvalidSetting, match=f"^{said}$"):
         sc.simulate(CRANE, inputs, t=np.array(t))

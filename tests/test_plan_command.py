@@ -128,7 +128,7 @@ FREE = ["--limit", "M_b=1000", "--limit", "F=60", "--limit", "M_w=-108..-88", "-
     ("options", "sentence"),
     [
         (["--limit", "F=60", "--keep-out", "sphere 1 2 -3 1"], "--keep-out belongs to --free"),
-        (["--limit", "F=60", "--free"], "needs a limit of every input, and M_b has none"),
+        (["--limit", "F=60", "--free"], "needs a limit of every input; M_b has none"),
         (["--limit", "F=60", "--free", "--keep-out", "cone 1 2 -3 1"], "'cone 1 2 -3 1' is neither"),
         (["--limit", "F=60", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),
         (
@@ -159,7 +159,7 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=heavy"], "is no NAME=LOW..HIGH: write it as in --robust"),
         ([*LEVEL, "--limit", "F=200", "--robust", "load=0.9..1.1"], "no parameter load"),
         ([*LEVEL, "--limit", "F=200", "--plot", "p.txt"], "cannot draw p.txt"),
-        ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input, and M_w has none"),
+        ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input; M_w has none"),
         ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
         ([*LEVEL, "--limit", "F=200", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),

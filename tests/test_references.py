@@ -223,7 +223,7 @@ def test_a_path_that_makes_no_sense_is_refused_with_a_sentence(
 
 def test_jets_refuse_orders_and_times_they_cannot_answer() -> None:
     path = rest_to_rest(START, END, DURATION)
-    with pytest.raises(InvalidReference, match="order 100 were asked for, but this path has orders 0 to 99"):
+    with pytest.raises(InvalidReference, match="order 100 are not available: this path has orders 0 to 99"):
         path.jet(0.0, 100)
     with pytest.raises(InvalidReference, match="order -1"):
         path.jet(0.0, -1)

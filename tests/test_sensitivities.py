@@ -61,7 +61,7 @@ def test_what_has_no_derivatives_is_refused() -> None:
         sc.sensitivities(CRANE, ("mass",))
     with pytest.raises(sc.InvalidModel, match="internal dynamics"):
         sc.sensitivities(sc.scenes.mass_on_car())
-    with pytest.raises(KeyError, match=r"'F' is not what changes and by which parameter, such as found\['F', 'load"):
+    with pytest.raises(KeyError, match=r"'F' is no pair of a quantity and a parameter, such as found\['F', 'load"):
         _ = sc.sensitivities(OVERHEAD, ("gravity",))["F"]  # type: ignore[index]  # wrong on purpose
     with pytest.raises(KeyError, match="there are"):
         _ = sc.sensitivities(OVERHEAD, ("gravity",))["F", "load_mass"]

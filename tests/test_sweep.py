@@ -280,7 +280,7 @@ def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_wi
     tmp_path: Path, cluster: Any
 ) -> None:
     distributed, store = pytest.importorskip("distributed"), tmp_path / "s.zarr"
-    told = pytest.raises(sc.InvalidSetting, match=r"scheduler answers no more; .* of 21 cases are done: resume=True")
+    told = pytest.raises(sc.InvalidSetting, match=r"scheduler does not answer; .* of 21 cases are done: resume=True")
     # As a default client Dask would ask for it ever after, closed as it is.
     with distributed.Client(cluster, set_as_default=False) as own, told:
         sc.sweep(CRANE, VARIED, distributed=own, store=store, chunk=1, progress=lambda *_: own.close())
@@ -358,7 +358,7 @@ def test_a_store_of_another_sweep_is_not_resumed(tmp_path: Path, name: str) -> N
     sc.sweep(CRANE, VARIED, store=store)
     with pytest.raises(sc.InvalidSetting, match="is there already"):
         sc.sweep(CRANE, VARIED, store=store)
-    with pytest.raises(sc.InvalidSetting, match="another sweep, whose instants differ"):
+    with pytest.raises(sc.InvalidSetting, match="another sweep: instants differ"):
         sc.sweep(CRANE, VARIED, store=store, instants=101, resume=True)
     (tmp_path / "folder").mkdir()
     with pytest.raises(sc.InvalidSetting, match="no store of a sweep"):
@@ -370,7 +370,7 @@ def test_a_store_of_other_equations_under_the_same_name_is_not_resumed(tmp_path:
     sc.sweep(CRANE, masses, store=store)
     system = CRANE.model()
     heavier = replace(system, mass=2.0 * system.mass)
-    with pytest.raises(sc.InvalidSetting, match="another sweep, whose function differ"):
+    with pytest.raises(sc.InvalidSetting, match="another sweep: function differ"):
         sc.sweep(replace(CRANE, models={"points": lambda: heavier}), masses, store=store, resume=True)
 
 
@@ -390,7 +390,7 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
     original = kind.put
     with monkeypatch.context() as limited:
         limited.setattr(kind, "put", full)
-        with pytest.raises(sc.InvalidSetting, match="No space left on device; a resumed sweep goes on"):
+        with pytest.raises(sc.InvalidSetting, match="No space left on device; a resumed sweep continues"):
             sc.sweep(CRANE, VARIED, store=store, chunk=3)
     done = []
     found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda *_: done.append(1))

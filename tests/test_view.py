@@ -179,7 +179,7 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: 
     scene = sc.scenes.cars()
     solution = sc.solve(scene)
     lost = sc.Solution(solution.t, solution.channels, solution.values, solution.route)
-    with pytest.raises(sc.InvalidSetting, match=r"view\(solution, path, scene=scene\) says it"):
+    with pytest.raises(sc.InvalidSetting, match=r"has no origin: give its scene, view\(solution, path, scene=scene\)"):
         sc.view(lost, tmp_path / "cars.html")
     assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
 
@@ -333,7 +333,7 @@ def test_limits_that_differ_by_more_than_the_sign_have_a_field_each(tmp_path: Pa
             page,
             f'const upper = {field}("upper limit of M_w"); upper.value = ""; upper.dispatchEvent(new Event("input"))',
         )
-        assert page.run(status) == "All limits are kept."
+        assert page.run(status) == "All limits are kept."  # the lower one is left
         assert page.errors == []
 
 
@@ -368,14 +368,35 @@ def test_other_time_laws_and_ends_are_those_of_the_library(opened: Page) -> None
 
 def test_a_limit_lights_up_where_it_is_exceeded(opened: Page) -> None:
     status = 'document.querySelector(".status").textContent'
+    field = (
+        '[...document.querySelectorAll("input")].find((e) => e.ariaLabel === "limit of the magnitude of M_b in N m")'
+    )
+    bound = f'const limit = {field}; limit.value = "%s"; limit.dispatchEvent(new Event("input"))'
+    settled(opened, bound % 180)
     assert opened.run(status) == "All limits are kept."
     settled(opened, SET % ("duration", 12.0))
-    assert re.match(r"Limit exceeded: M_b reaches −\d+ N m at \d", opened.run(status))
-    assert opened.run('document.querySelectorAll(".plot.exceeded").length') >= 1
+    assert re.match(r"Limit exceeded: M_b reaches −\d+ N m at \d[^;]*$", opened.run(status))
+    assert opened.run('document.querySelectorAll(".plot.exceeded").length') == 1
     settled(opened, "servocore.settings.end[2] = 1; servocore.change()")
     assert "the load is not below the girder" in opened.run(status)
     settled(opened, "servocore.reset()")
     assert opened.run(status) == "All limits are kept."
+    settled(opened, bound % "")
+    assert opened.run(status) == ""
+
+
+def test_no_limit_is_judged_that_nobody_set(opened: Page) -> None:
+    status = 'document.querySelector(".status")'
+    assert opened.run(f"{status}.textContent") == ""
+    assert opened.run(f"{status}.offsetHeight") == 0
+    assert opened.run('[...document.querySelectorAll(".plot .bound-field input")].every(({ value }) => value === "")')
+    settled(opened, SET % ("duration", 6.0))  # large inputs
+    assert opened.run(f"{status}.textContent") == ""
+    assert opened.run('document.querySelectorAll(".plot.exceeded").length') == 0
+    settled(opened, "servocore.settings.end[2] = 1; servocore.change()")
+    assert "the load is not below the girder" in opened.run(f"{status}.textContent")  # the model is not valid there
+    settled(opened, "servocore.reset()")
+    assert opened.errors == []
 
 
 def test_keys_move_the_time_zoom_and_orbit(opened: Page) -> None:

@@ -331,7 +331,7 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], sa
         ),
         (lambda: a_scene(limits="none"), "mine: limits must be a tuple of Limit, not the text 'none'"),
         (lambda: a_scene(closed_form=3), "mine: closed_form must be a function, not 3"),
-        (lambda: sc.analyse("crane"), "what is to be solved must be a Scene, not the text 'crane'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.analyse("crane"), "the problem must be a Scene, not the text 'crane'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.compile_plant(CRANE), "the system to be compiled must be a MechanicalSystem, not a Scene"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: rl.revolute(rl.GROUND, rl.GROUND), "a joint is between two places, not a Frame; frame.at(...) is one"),  # type: ignore[arg-type]  # wrong on purpose
         (
@@ -453,7 +453,10 @@ def test_settings_of_methods_and_studies_of_the_wrong_kind_are_refused(make: Cal
         (lambda: sc.figure_of_eight(0.0, 1.0, 2.0, 1.0), "a table with one centre a row is needed, not an array of..."),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.path_to_csv("path.csv"), "what path_to_csv is given must be a Reference, not the text 'path.csv'"),  # type: ignore[arg-type]  # wrong on purpose
+        (
+            lambda: sc.path_to_csv("path.csv"),
+            "the argument of path_to_csv must be a Reference, not the text 'path.csv'",
+        ),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: PATH.jet("now", 0), "the times of a path must be numbers in s, not the text 'now'"),
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),  # type: ignore[arg-type]  # wrong on purpose
     ],

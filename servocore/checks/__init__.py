@@ -1,1 +1,1 @@
-"""What can be wrong though every equation holds: limits, angles, branches, inputs far from the exact ones."""
+"""Checks beyond the residual of the equations: limits, angles, branches, errors of the inputs."""

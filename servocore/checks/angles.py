@@ -23,8 +23,8 @@ _MOST_BISECTIONS = 40
 def ambiguous_angles(problem: Problem, program: Program) -> tuple[int, ...]:
     """Return the channels that are coordinates which some equation knows up to full turns only.
 
-    A step of half a turn cannot be told from one the other way round. On a form of index
-    one or less the velocities are unknowns of their own, and tell.
+    A step of half a turn cannot be distinguished from one the other way round. On a form of index
+    one or less the velocities are unknowns too, and decide.
     """
     if program.index <= 1:
         return ()
@@ -63,7 +63,7 @@ def follow_angles(
 ) -> None:
     """Make the angles of an exact inversion continuous, in place, between instants however far apart.
 
-    An inversion knows its angles up to full turns, and every instant stands alone. Where an angle turns by more than a
+    An inversion determines angles up to full turns, at each instant independently. Where an angle turns by more than a
     quarter turn from one to the next, or would at the rates there, instants in between are solved.
 
     Raises
@@ -185,6 +185,6 @@ def require_less_than_half_a_turn(program: Program, channel: int, t: Array, angl
         )
         raise IntegrationFailed(
             f"{program.name}: {program.channels[channel].name} turns by {turns[k]:.4g} rad in the step from"
-            f" t = {t[k]:.6g} s to {t[k + 1]:.6g} s, a step tells turns of less than pi from those the other way round;"
+            f" t = {t[k]:.6g} s to {t[k + 1]:.6g} s, a step resolves turns of less than pi only;"
             f" {cure}"
         )

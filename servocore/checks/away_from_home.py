@@ -1,4 +1,4 @@
-"""What holds of a model where it is at home and may not hold farther along a motion.
+"""Properties of a model that are checked at its home and may fail along a motion.
 
 Constraints that were left out as redundant, and masses that are positive.
 """
@@ -34,7 +34,7 @@ def require_redundant_constraints(problem: Problem, t: Array, q: Array | None) -
     Parameters
     ----------
     problem : Problem
-        What was solved.
+        The problem that was solved.
     t : ndarray, shape (N,)
         Instants.
     q : ndarray, shape (N, n), or None
@@ -64,7 +64,7 @@ def require_redundant_constraints_along_path(problem: Problem, states: Callable[
 def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
     """Return the problem with limits that refuse a motion on which a constraint that was left out does not hold.
 
-    For what is exported: it meets other paths than the one of its scene.
+    For exported models, which follow other paths than the one of their scene.
     """
     if not problem.resolved.redundant:
         return problem
@@ -79,7 +79,7 @@ def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
     return replace(problem, limits=problem.limits + limits)
 
 
-def _share(resolved: ResolvedSystem, row: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - asked of one system
+def _share(resolved: ResolvedSystem, row: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - a part of the key
     return resolved.left_out_shares[row]
 
 
@@ -103,7 +103,7 @@ _ROUND_OFF = 1e-9  # of the largest eigenvalue
 def require_positive_mass(problem: Problem, solution: Solution) -> None:
     """Raise `InvalidModel` if a mass matrix that depends on the configuration has a negative eigenvalue on the way.
 
-    A constant one is looked at when the system is made.
+    A constant one is checked when the system is made.
     """
     evaluate = _compiled_mass(problem.resolved)
     q = configurations(problem, solution) if evaluate is not None else None

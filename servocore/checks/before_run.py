@@ -1,4 +1,4 @@
-"""What can be said before a run: that it cannot succeed, or not as well as its user expects."""
+"""Warnings before a run: that it cannot succeed, or is less accurate than expected."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Without internal dynamics the exact answer at every instant is known, on the branch that the run began on. With them
 the same initial value problem is solved again by a method of high order, at steps halved until the difference to the
-run is much larger than what half the step changes. Both cost more than a step of backward Euler. So a run is looked at
-first by inputs alone, or beside a run at a much larger step, and closely only if that leaves a doubt.
+run is much larger than what half the step changes. Both cost more than a step of backward Euler. So a run is checked
+first by its inputs alone, or against a run at a much larger step, and closely only if that leaves a doubt.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ from servocore.stepping.exact_evaluation import ExactEvaluation
 STEPWISE = "one: no step of the motion stands out from its neighbours"
 
 Run = Callable[[Problem, Array], Solution]
-"""What solves a problem at instants."""
+"""(problem, instants) -> its solution."""
 
 LOOSE_TOLERANCE = 0.01
-"""A tolerance above it does not prove by itself that inputs are good."""
+"""A larger tolerance alone does not prove that inputs are accurate."""
 
 _MOST_HALVINGS = 3
-_SURE = 2.0  # times what half the step changes in the better values: a difference that is larger is the run's error
+_SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
 _FLOOR = 1e-11  # of the peak: round-off of the better values
-_COARSER = 8  # times the step, of the run that tells whether a closer look is worth its price
-_SHORT, _LONG = 128, 512  # steps: fewer are looked at closely, more beside a step twice as large
+_COARSER = 8  # times the step, of the run that decides whether a closer check is worth its cost
+_SHORT, _LONG = 128, 512  # steps: fewer are checked closely, more against a step twice as large
 _SAFE = 0.02  # of the peak: by how much an input may be off, judged by two steps, without a closer look
 _COARSE_ENOUGH = 0.3  # of the peak: by how much it may change with the step
-_EVERY = 8  # instants, where the exact inversion is as dear as a step
-_SUSPICIOUS = 0.04  # of the peak: an input that is off by more, at one of these, is looked at everywhere
+_EVERY = 8  # instants, where the exact inversion costs as much as a step
+_SUSPICIOUS = 0.04  # of the peak: an input that is off by more, at one of these, is checked everywhere
 _SMOOTH = 0.02  # of the range: of third differences, those of a wave at 20 instants a period
-_FEW, _MANY = 40, 400  # instants at which a run with internal dynamics is looked at, at first and then
+_FEW, _MANY = 40, 400  # instants at which a run with internal dynamics is checked, at first and then
 
 
 @dataclass(frozen=True, eq=False)
 class BetterSolver:
-    """What solutions are compared with.
+    """The more accurate solver that solutions are compared with.
 
     Attributes
     ----------
     run : callable or None
         Solves the same problem better; None where nothing is known to.
     exact : bool
-        Whether what it gives does not depend on its steps.
+        Whether its results do not depend on its steps.
     basis : str
-        What messages call it; why there is none.
+        Its name in messages; the reason where there is none.
     beside : callable or None
         Gives the same as `run` for less, from a solution; None where it fails.
     """
@@ -135,16 +135,16 @@ def warn_and_state_branch(
     doubtful: bool,
     how: tuple[Formulation, Method | None],
 ) -> str:
-    """Warn if inputs are far from better ones, and return in which sense the motion of a solution is one.
+    """Warn if inputs are far from better ones, and return on which branch the motion of a solution is.
 
     Parameters
     ----------
     problem, better, solution : Problem, BetterSolver, Solution
-        What was solved, what it is judged by, and the result.
+        The problem, the more accurate solver, and the result.
     doubtful : bool
-        Whether a closer look is needed whatever the motion looks like.
+        Whether a closer check is needed in any case.
     how : tuple of Formulation and Method or None
-        What the advice depends on.
+        Form and method, on which the advice depends.
     """
     places = {name: k for k, name in enumerate(solution.names)}
     columns = [places[name] for name in problem.system.coordinates.names]
@@ -158,14 +158,14 @@ def warn_and_state_branch(
     warn_of_wrong_inputs(problem, *how, solution, comparison)
     far = comparison.far_from_better(columns)
     if far is None:
-        return f"one: every instant is near what {better.basis} gives, on the branch of the first"
+        return f"one: every instant is near {better.basis}, on the branch of the first"
     if not len(odd):
         return STEPWISE
     return f"not known: {_standing_out(solution, odd)}, and {better.basis} gives another motion from t = {far:.6g} s"
 
 
 def _compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison:
-    """Compare a solution with better values, at few instants only if that settles it and each of them is dear."""
+    """Compare a solution with better values, at few instants only if that decides and each of them is costly."""
     if better.exact:
         return better.compared(problem, solution)
     comparison = better.compared(problem, _thinned(solution, _FEW))
@@ -190,21 +190,21 @@ def _standing_out(solution: Solution, steps: npt.NDArray[np.intp]) -> str:
 
 
 def inputs_may_be_far(problem: Problem, solution: Solution, exact: ExactEvaluation) -> bool:
-    """Whether inputs may be far from the exact ones, which are known at every instant.
+    """Whether inputs may be far from the exact ones, which can be computed at every instant.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
-        Without internal dynamics, and what was found.
+        Without internal dynamics, and its solution.
     exact : ExactEvaluation
-        Of the inputs and more. Where it is an expression every instant is looked at, else some are, with less patience.
+        Of the inputs and more. Where it is an expression every instant is checked, else some, with a tighter limit.
     """
     everywhere = exact.is_expression
     inputs = solution.values[:, : len(problem.system.inputs)]
     at = np.arange(len(inputs)) if everywhere else _samples(inputs)
     known = exact.by_expression(problem, solution.t[at])[0][: inputs.shape[1]].T
     allowed = LARGEST_UNWARNED if everywhere else _SUSPICIOUS
-    # Not <=, so that what is not known is looked at again.
+    # Not <=, so that NaN counts as far.
     return not bool((np.abs(inputs[at] - known).max(axis=0) <= allowed * np.abs(known).max(axis=0)).all())
 
 

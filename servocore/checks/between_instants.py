@@ -1,7 +1,7 @@
-"""What a run hides between its instants: poles of inputs and tensions, peaks, and values of a sign that is wrong.
+"""Checks between the instants of a run: poles of inputs and tensions, peaks, and values of a wrong sign.
 
 An input that grows towards a pole and comes back from it is small again at the next instant. Its second differences
-stand out from those around: there, and only there, exact inversions look in between.
+stand out from those around: there, and only there, exact inversions are computed in between.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def suspected_poles(problem: Problem, solution: Solution, native: bool | None = 
     own = set(problem.system.inputs)
     inputs = [row for row, k in enumerate(columns) if solution.channels[k] in own]
     turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
-    if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # what spins stands out everywhere, and says nothing
+    if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # a spinning body stands out everywhere
         standing_out[inputs] |= turning_back
     return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
 
@@ -73,7 +73,7 @@ def _peaks(values: Array) -> Array:
 
 
 def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[int]) -> bool:
-    """Whether something of values (N, channels) stands out: what `_marked` looks at first, with nothing stored.
+    """Whether something of values (N, channels) stands out: the first test of `_marked`, without storage.
 
     At both ends, where neighbours are missing, it looks itself.
     """
@@ -106,9 +106,9 @@ def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], na
 
 
 def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
-    """Whether second differences (rows, N) are larger than those some instants beside, and than what says nothing.
+    """Whether second differences (rows, N) are larger than those some instants beside, and than a negligible change.
 
-    Seldom does one stand out of its own row: a look at those nearest is enough for most runs.
+    Few stand out of their own row: comparing neighbours is enough for most runs.
     """
     near, far = _BESIDE
     stands_out = bend > least[:, None]
@@ -139,7 +139,7 @@ def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[
 def refuse_or_warn_of_poles(
     solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]
 ) -> bool:
-    """Refuse or warn of what exact inversions find beside some instants of a solution; return whether it warned.
+    """Refuse or warn of poles and peaks that exact inversions find beside some instants; return whether it warned.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def refuse_or_warn_of_poles(
 def _extremes(
     evaluate: Callable[[Array], Array], begin: float, end: float, downwards: bool
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield where a function is largest in magnitude between two times, and where it is smallest if that is asked.
+    """Yield where a function is largest in magnitude between two times, and where it is smallest if requested.
 
     With the time and the value comes the largest magnitude that is seen before the last rounds, some millionths of the
     interval away.

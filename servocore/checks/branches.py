@@ -29,8 +29,8 @@ from servocore.stepping.observation import observed
 CONDITION_LIMIT = 1e5
 """Of the scaled Jacobian of all constraints: beyond it they count as dependent."""
 
-_WATCHED = 201  # most instants of a motion that are looked at
-_TOUCHES = 0.1  # of the determinants beside it: a parabola's minimum below this is looked into
+_WATCHED = 201  # most instants of a motion that are checked
+_TOUCHES = 0.1  # of the determinants beside it: a parabola's minimum below this is examined
 _SUBSTEPS = 12  # before the instant, to go through it as the motion would go on
 _ASTRAY = 0.1  # of how far the motion moves meanwhile: further from where it would have gone on is another branch
 _JUMP = 10.0  # of the third differences beside it: one across the instant that is larger is a change of branch
@@ -48,7 +48,7 @@ class RankLoss:
     condition : float
         Condition number found there, beyond `CONDITION_LIMIT`.
     holonomic : bool
-        Whether the holonomic constraints lose rank by themselves, and not only together with the servo constraints.
+        Whether the holonomic constraints alone lose rank, and not only together with the servo constraints.
     """
 
     time: float
@@ -69,7 +69,7 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     Parameters
     ----------
     problem : Problem
-        What was solved.
+        The problem that was solved.
     t : ndarray, shape (N,)
         Instants of the motion, in rising order.
     q : ndarray, shape (N, n)
@@ -133,7 +133,7 @@ def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
 class _Motion:
     """A motion between its instants: configurations that satisfy constraints, from interpolated ones.
 
-    Of constraints that have coordinates of their own, only these are looked at; q is divided by its magnitudes.
+    Of constraints with separate coordinates only these are examined; q is divided by its magnitudes.
     """
 
     problem: Problem
@@ -146,7 +146,7 @@ class _Motion:
 
     @classmethod
     def of(cls, problem: Problem, t: Array, q: Array, part: Part | None, row_scale: Array) -> _Motion:
-        """Prepare to look at a part of the constraints, or at all of them."""
+        """Compile the rank of a part of the constraints, or of all of them."""
         magnitudes, holonomic = _magnitudes(problem, q), problem.system.lam.numel()
         if part is None:
             evaluate = constraint_rows(problem.resolved)
@@ -250,7 +250,7 @@ def constraint_rows(
 def require_one_branch(problem: Problem, solution: Solution) -> str:
     """Warn where the constraints of a solution lose rank, and refuse a solution that changes branch there.
 
-    Returns what is warned of, to be added to what is said of the branch.
+    Returns the warning, to be added to the statement on the branch.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def changes_branch(problem: Problem, t: Array, q: Array, time: float) -> bool:
     """Whether a motion q, shape (N, n), at the instants `t` does not go on smoothly at a time when rank is lost.
 
     Where the constraints determine the configuration, the smooth motion is followed through that time in small steps
-    and compared. Elsewhere a third difference across it must not stand out, which takes small steps to tell.
+    and compared. Elsewhere a third difference across it must not stand out, which needs small steps.
     """
     apart = np.abs(t - time) > 0.25 * np.diff(t).max()
     before, after = np.flatnonzero(apart & (t < time)), np.flatnonzero(apart & (t > time))

@@ -1,6 +1,6 @@
 """Why a problem was not solved, looked for after it was not: the path is out of reach, or the equations are singular.
 
-What Newton's method does not solve is looked at by least squares, which ends anywhere: at the nearest configuration to
+Unsolved points are examined by least squares, which ends anywhere: at the nearest configuration to
 a point that is out of reach, and at a solution where the equations have lost rank.
 """
 
@@ -28,7 +28,7 @@ from servocore.structure.signature import condition_number, lost_rank
 SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
 
-_INSTANTS = 41  # of the path that are looked at
+_INSTANTS = 41  # of the path that are examined
 _STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
@@ -60,7 +60,7 @@ def _jump(problem: Problem) -> str:
 
 @contextmanager
 def causes_explained(problem: Problem) -> Iterator[None]:
-    """Let what fails inside fail with the error that names the cause."""
+    """Context in which a failure is raised again with its cause."""
     try:
         yield
     except (InconsistentStart, IntegrationFailed) as error:
@@ -69,7 +69,7 @@ def causes_explained(problem: Problem) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class _Reach:
-    """What measures how near a system can come to a point of its path."""
+    """Functions for the least distance of a system from a point of its path."""
 
     problem: Problem
     rows: Call
@@ -80,7 +80,7 @@ class _Reach:
     def of(cls, problem: Problem) -> _Reach:
         reference = problem.reference
         times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-        # Outputs of one unit are of one size, so that near is what it is in space.
+        # Outputs of one unit have one scale, so that distances are those in space.
         units = np.array([quantity.unit for quantity in problem.system.outputs])
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
@@ -88,7 +88,7 @@ class _Reach:
         rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
         nominal = np.array(problem.system.coordinates.nominal)
         residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
-        # Constraints hold to a part of what their rows change by when a coordinate goes as far as it does.
+        # Constraints hold to a part of the change of their rows over the range of a coordinate.
         scale = np.abs(np.nan_to_num(jacobian.reshape(len(residual), -1)) * nominal).max(axis=1)
         scale = np.where(scale > 0.0, scale, 1.0)[: len(residual) - len(size)]
         return cls(problem, rows, size, _HELD / scale)
@@ -132,7 +132,7 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
 def out_of_reach(problem: Problem) -> str:
     """Say where the path of a problem is first out of reach, and by how much at most; empty if it never is.
 
-    Every configuration counts that the holonomic constraints allow, whatever moves it there. The nearest one to a point
+    Every configuration that the holonomic constraints allow counts. The nearest one to a point
     may be a saddle, as the axis of a crane is on the way to the other side: a miss counts if starts from all around
     lead to no better one.
     """
@@ -207,9 +207,9 @@ def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> 
 
 
 def singular(problem: Problem) -> str:
-    """Say where along the path the equations are first singular, and in what; empty if that is not found.
+    """Return where along the path the equations are first singular, and in which unknowns; empty if not found.
 
-    With internal dynamics only the start is looked at: later configurations are not known.
+    With internal dynamics only the start is examined: later configurations are not known.
     """
     reference, array = problem.reference, problem.array
     if reference.max_order < array.reference_order:
@@ -265,12 +265,12 @@ def _compiled_array(resolved: ResolvedSystem) -> Call:
 
 
 def singular_in_words(problem: Problem, time: float, values: Array, jacobian: Array) -> str:
-    """Say that the equations are singular at an instant, and in what.
+    """Return the sentence that the equations are singular at an instant, and in which unknowns.
 
     Parameters
     ----------
     problem : Problem
-        Whose equations they are.
+        The problem with these equations.
     time : float
         In s.
     values : ndarray, shape (size,)
@@ -291,9 +291,9 @@ def singular_in_words(problem: Problem, time: float, values: Array, jacobian: Ar
 
 
 def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
-    """Say what makes the system Jacobian singular where the path rests; empty where it moves, or if that is not it.
+    """Return why the system Jacobian is singular where the path rests; empty where it moves, or for another cause.
 
-    Velocities and higher derivatives that are numbers without symmetry tell whether the configuration is to blame.
+    Velocities and higher derivatives that are numbers without symmetry show whether the configuration is the cause.
     """
     array, p = problem.array, problem.p
     if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):

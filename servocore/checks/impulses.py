@@ -1,11 +1,11 @@
 """Where a motion jumps although its path does not: the inputs would have to strike between two instants.
 
 A spring with two stiffnesses, a rail with a corner or a stop make the inputs of a flat system hold impulses: they are
-derivatives of a force that has a kink. The equations hold at every instant that is asked for, and nothing shows. Where
-an output has a step, no motion may follow the path for a while; a potential or a mass with a step strikes by itself.
+derivatives of a force that has a kink. The equations hold at every reported instant, which hides it. Where
+an output has a step, no motion may follow the path for a while; a step of a potential or a mass is an impulse itself.
 
 Between two switches that lie close together (`sign` changes, `floor` steps, a branch of `if_else` ends) a model may
-differ from what it is at all instants that are asked for: those on both sides of every switch are added.
+differ from its mode at all reported instants: those on both sides of every switch are added.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MOST = 2000  # intervals at first; of more instants some are left out
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _ROUND_OFF = 1e-12  # of a quantity: a range that is smaller is none
 _HALVINGS = 60
-_RESOLVED = 1e-12  # of the time: what changes over less jumps
+_RESOLVED = 1e-12  # of the time: a change over less is a jump
 _ASIDE = 1e-8  # of the duration: instants beside a jump, where round-off would show
 _STEADY = 0.2  # of a jump: by how much values beside it may differ
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
@@ -88,7 +88,7 @@ class Jump:
 
 @made_once
 def has_kinks_or_jumps(resolved: ResolvedSystem) -> bool:
-    """Whether the equations of a system hold operations with a kink or a jump; what has none, has no impulses."""
+    """Whether the equations of a system hold operations with a kink or a jump; without any there are no impulses."""
     return any(holds_any(getattr(resolved.system, name), KINKS) for name in _FIELDS)
 
 
@@ -104,7 +104,7 @@ def first_jump(problem: Problem, t: Array, states: States) -> Jump | None:
     Parameters
     ----------
     problem : Problem
-        What was solved.
+        The problem that was solved.
     t : ndarray, shape (N,)
         Instants in rising order, between which it is looked for.
     states : callable
@@ -129,7 +129,7 @@ def require_no_jumps(problem: Problem, t: Array, states: States) -> None:
 
 @made_once
 def _switching_arguments(resolved: ResolvedSystem) -> ca.Function | None:
-    """Compile (q, v, path with the time, p) -> arguments of what switches, shape (k,); see `switching_levels`."""
+    """Compile (q, v, path with the time, p) -> arguments of switches, shape (k,); see `switching_levels`."""
     system = resolved.system
     levels = switching_levels(ca.vertcat(*(ca.vec(ca.densify(getattr(system, name))) for name in _FIELDS)))
     given = [system.q, system.v, system.gamma[:, 0], system.p]
@@ -138,7 +138,7 @@ def _switching_arguments(resolved: ResolvedSystem) -> ca.Function | None:
 
 
 class SteppedQuantities(NamedTuple):
-    """(q, v, path with the time, p) -> what must not jump but the motion, and its rates but for jumps."""
+    """(q, v, path with the time, p) -> quantities of the motion that must not jump, and their rates without jumps."""
 
     function: ca.Function
     quantities: tuple[Quantity, ...]
@@ -168,7 +168,7 @@ def stepped_quantities(resolved: ResolvedSystem) -> SteppedQuantities | None:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Coordinates and velocities, one below the other, and what strikes; with their rates.
+    """Coordinates and velocities, one below the other, and quantities whose steps are impulses; with their rates.
 
     Accelerations that are not known count as zero.
     """
@@ -206,7 +206,7 @@ class _Motion:
         return np.vstack([values, others[0]]), np.vstack([rates, others[1]])
 
     def arguments(self) -> Callable[[Array], Array] | None:
-        """Return what switches as a function of times, None if nothing is known to."""
+        """Return the state of the switches as a function of times; None if there are none."""
         function = _switching_arguments(self.problem.resolved)
         if function is None:
             return None
@@ -245,7 +245,7 @@ class _Motion:
         sides = [self.at(t)[0] for t in times]
         before, after = (side[row] for side in sides)
         way = float(self.moved(sides[0], sides[1])[row].mean())
-        if strikes and stepped:  # not what changes with the time alone
+        if strikes and stepped:  # not what depends on time alone
             here = self._stepped_at(stepped, sides[1][: len(self.places)], times[0])[0][row - len(self.places)]
             way = float((here - before).mean())
         if not max(np.ptp(before), np.ptp(after)) < _STEADY * abs(way):
@@ -324,7 +324,7 @@ def _between(motion: _Motion, left: Array, right: Array) -> _Sides:
 _MOST_SWITCHES = 500  # switches that are looked for: of a model that rattles, not all
 _BISECTIONS = 40
 _NARROWINGS = 12
-_APEX = 0.1  # of an argument beside it: an extremum nearer to zero is looked into
+_APEX = 0.1  # of an argument beside it: an extremum nearer to zero is examined
 
 
 def with_switching_instants(t: Array, arguments: Callable[[Array], Array]) -> Array:
@@ -352,7 +352,7 @@ def with_switching_instants(t: Array, arguments: Callable[[Array], Array]) -> Ar
 
 
 def _levels(arguments: Array) -> Array:
-    """Return what switches: the steps that arguments are on. What is not known is on none."""
+    """Return the steps that the arguments are on; NaN is on none."""
     levels: Array = np.nan_to_num(np.floor(arguments), nan=-np.inf)
     return levels
 

@@ -1,4 +1,4 @@
-"""Whether internal dynamics remain, and whether they are stable: what kind of problem it is."""
+"""Whether internal dynamics remain, and whether they are stable: the class of a problem."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ADVICE = {
     NON_MINIMUM_PHASE: "StableInversion: forward in time the unstable internal dynamics let errors grow exponentially",
     SINGULAR: "another path, other parameters or another model",
 }
-"""What helps, by the kind of internal dynamics."""
+"""The recommended method, by the kind of internal dynamics."""
 
 
 @dataclass(frozen=True)

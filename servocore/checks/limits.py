@@ -17,7 +17,7 @@ from servocore.references.base import survey
 from servocore.stepping.observation import compile_margins, limits_order
 from servocore.stepping.path_function import PathFunction
 
-_VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
+_VALLEYS = 4  # lowest local minima of a limit that are refined
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 _REFINED_POINTS = 21
 _REFINEMENTS = 4
@@ -109,7 +109,7 @@ def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], nativ
 
 
 _ROUND_OFF = 1e-9  # of the bounds: beyond them by less is on them
-_BEND = 0.05  # of its range: a quantity that changes by more between two instants is looked at in between
+_BEND = 0.05  # of its range: a quantity that changes by more between two instants is evaluated in between
 _SLIGHT = 1e-4  # of the bounds: a range that says nothing
 _MOST_INSTANTS = 20_000
 _HALVINGS = 50
@@ -214,7 +214,7 @@ class LimitSurvey:
 
 
 def margin_within(limit: Limit, values: Array, size: float) -> Array:
-    """Return how far values are within a limit, negative beyond it; what is on it but for round-off is within."""
+    """Return how far values are within a limit, negative beyond it; a value on it up to round-off is within."""
     margins: Array = np.minimum(values - limit.bound, limit.upper - values) + _ROUND_OFF * size
     if limit.rate:  # of the length of a vector, where that is zero
         margins = np.where(np.isnan(margins), np.inf, margins)

@@ -1,7 +1,7 @@
-"""Limits on what moves: coordinates, velocities, multipliers, inputs, and the rates of all these.
+"""Limits of a motion: coordinates, velocities, multipliers, inputs, and the rates of all these.
 
-Where a problem is flat, its exact inversion tells every quantity at every instant, so that the limits are kept between
-the instants of a grid as well. Elsewhere a run is judged by what it reports.
+Where a problem is flat, its exact inversion gives every quantity at every instant, so that the limits are kept between
+the instants of a grid as well. Elsewhere a run is judged by its reported values.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ States = Callable[[Array], Array]
 """Times (N,) -> unknowns of the derivative array, shape (size, N)."""
 
 HIDDEN = "limit "
-"""What the names of observables begin with that only limits need."""
+"""Prefix of the names of observables that only limits need."""
 
 
 def motion_limits(problem: Problem) -> tuple[Limit, ...]:
-    """Return the limits of a problem that the path alone does not tell."""
+    """Return the limits of a problem that do not follow from the path alone."""
     return tuple(limit for limit in problem.limits if not limit.of_path)
 
 
 def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
-    """Whether what a limit compares is an angle that is known up to full turns only."""
+    """Whether the quantity of a limit is an angle that is known up to full turns only."""
     return isinstance(expression, Named) and not rate and reported_quantities(system)[expression.name].wraps
 
 
@@ -68,7 +68,7 @@ def require_limits(problem: Problem, states: States) -> None:
 
 
 def limited_values(problem: Problem, states: States, t: Array) -> Array:
-    """Return what the `motion_limits` of a flat problem compare, (limits, N), at instants (N,); angles without jumps.
+    """Return the quantities of the `motion_limits` of a flat problem, (limits, N), at instants (N,); angles continuous.
 
     `states` is its exact inversion at any instants of the path.
     """
@@ -80,7 +80,7 @@ def limited_values(problem: Problem, states: States, t: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What limits compare, as one function of an exact inversion.
+    """The quantities of limits, as one function of an exact inversion.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Watched:
 
 
 def watched_limits(problem: Problem) -> Watched:
-    """Return what the `motion_limits` of a flat problem compare."""
+    """Return the function of the quantities of the `motion_limits` of a flat problem."""
     wanted = tuple((limit.expression, limit.rate) for limit in motion_limits(problem))
     return compile_watched(problem.resolved, wanted)
 
@@ -115,7 +115,7 @@ def watched_limits(problem: Problem) -> Watched:
 def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], ...]) -> Watched:
     """Compile expressions, and rates of those marked, for an exact inversion.
 
-    The rate of what stands last in the derivative array follows from the array differentiated once more, which is
+    The rate of the highest derivative in the array follows from the array differentiated once more, which is
     linear in it.
     """
     array, system = resolved.array, resolved.system
@@ -142,7 +142,7 @@ def limited_expressions(
 ) -> tuple[list[ca.SX], ca.SX]:
     """Return expressions of a system, and rates of those marked, by the symbols y of its derivative array, and these.
 
-    y has one column more than the array: what is differentiated once more may stand there.
+    y has one column more than the array: the derivatives of one order more are there.
     """
     array, system = resolved.array, resolved.system
     y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
@@ -155,7 +155,7 @@ def limited_expressions(
 
 @dataclass(frozen=True, eq=False)
 class NextDerivatives:
-    """A derivative array differentiated once more: what is new in it.
+    """A derivative array differentiated once more: the new rows and unknowns.
 
     Attributes
     ----------
@@ -224,7 +224,7 @@ def _require_derivatives(problem: Problem, limits: Sequence[Limit], watched: Wat
 
 
 def with_watched(problem: Problem) -> Problem:
-    """Return the problem with what its limits compare among the observables, for runs that report it."""
+    """Return the problem with the quantities of its limits among the observables, for runs that report them."""
     limits = motion_limits(problem)
     if not limits:
         return problem
@@ -248,7 +248,7 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
 
 
 def with_limits_required(problem: Problem, solution: Solution) -> Solution:
-    """Return a solution of a problem `with_watched` as its user wants it; raise `LimitBroken` if it breaks limits.
+    """Return a solution of a problem `with_watched` without what was added; raise `LimitBroken` if it breaks limits.
 
     Rates of forces and inputs are those of their differences from instant to instant.
     """
@@ -270,7 +270,7 @@ def with_limits_required(problem: Problem, solution: Solution) -> Solution:
 
 
 def require_reported(problem: Problem, solution: Solution) -> None:
-    """Raise `LimitBroken` if what a solution of a flat problem reports under a name breaks its limit.
+    """Raise `LimitBroken` if a quantity of a solution of a flat problem breaks its limit.
 
     The exact motion keeps it by then; a step that errs may not.
     """

@@ -2,7 +2,7 @@
 
 Forms of index two and more err by the step, and near a singular configuration a step may land on a root that satisfies
 every equation and is wrong all the same: a bridge that turns the long way round, a winch whose direction cosines cannot
-follow it. What the equations do not show is seen beside exact inputs, or inputs that are much better.
+follow it. A comparison with exact inputs, or with much more accurate ones, shows it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LARGEST_UNWARNED = 0.05
 """Of an input's peak: an input further from the exact one is warned of."""
 
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
-_BEYOND = 1e4  # times the peak: what is further off has no size worth telling
+_BEYOND = 1e4  # times the peak: the size of a larger error is not reported
 _SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
 _NOTICED = 0.02  # of the range of a coordinate
@@ -46,11 +46,11 @@ class Comparison:
     t : ndarray, shape (N,)
         Instants in s.
     values, better : ndarray, shape (N, number of channels)
-        What is judged and what it is judged by, the inputs first.
+        The values in question and the better ones, the inputs first.
     known : ndarray of bool, shape (inputs,) or longer
-        Whether the difference is the error of the run, rather than that of what it is judged by.
+        Whether the difference is the error of the run, rather than that of the better values.
     basis : str
-        What the better values come from.
+        Source of the better values.
     """
 
     inputs: tuple[Quantity, ...]
@@ -129,7 +129,7 @@ def _share_in_words(share: float) -> str:
 
 
 def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
-    """Say what helps: the default route, unless this is it, and smaller steps only where the inputs converge."""
+    """Return the advice: the default route, unless this is it, and smaller steps only where the inputs converge."""
     if method is None:
         return "leave its horizon to StableInversion, with a smaller tolerance"
     index = problem.dae(formulation).index
@@ -148,7 +148,7 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     """Name the angle that turns most within the step to instant `k`, and the turn it may make.
 
     Bodies given by their directors exert a torque of J turn^3/h^2 too much on a turn a step, so that the error of the
-    inputs is proportional to the turn at a given speed; `factor` takes it to what is allowed.
+    inputs is proportional to the turn at a given speed; `factor` scales it to the limit.
     """
     values = solution.values
     turns = {

@@ -144,7 +144,8 @@ class GivenPath:
         outputs = scene.model(model).outputs
         names, units = [each.name for each in outputs], [each.unit for each in outputs]
         if self.waypoints is not None:
-            return waypoints_from_csv(self.waypoints, names, rest_order=rest_order, units=units)
+            through = waypoints_from_csv(self.waypoints, names, rest_order=rest_order, units=units)
+            return scene.with_reference(through).reference  # which refuses units that are implausible for the scene
         if self.reference is None:
             missing = [each for each in ("--from", "--to", "--duration") if each not in given]
             if missing:
@@ -159,7 +160,7 @@ class GivenPath:
                 ServocoreWarning,
                 stacklevel=2,
             )
-        return path
+        return scene.with_reference(path).reference
 
     def points(
         self, scene: Scene, model: str | None = None, via: Sequence[tuple[float, ...]] = ()

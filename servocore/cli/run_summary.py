@@ -52,7 +52,7 @@ def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
 
 
 def summary(solution: Solution) -> list[str]:
-    """Return the lines printed after a run: peaks, swing, rest at the ends, fit, error of the inputs."""
+    """Return the summary of a run, a line each: peaks, swing, rest at the ends, fit, numerical error of the inputs."""
     problem: Problem = solution.origin
     system, path = problem.system, problem.reference
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
@@ -69,15 +69,19 @@ def summary(solution: Solution) -> list[str]:
     lines.append(
         f"  ends: {_rest(path, problem.array.reference_order, [quantity.unit for quantity in system.outputs])}"
     )
-    numerical = "numerical error"
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
-        numerical = "numerical error (without that of the fit)"
     if len(solution.t) > _MANY:
         return [*lines, f"  inputs: their error is not estimated for more than {_MANY} rows"]
     error = solution.error
     if error.largest is not None:
-        lines.append(f"  inputs: {numerical} at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
+        lines.append(
+            f"  inputs: numerical error at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')} (data,"
+            " path fitting and unmodelled effects not included)"
+        )
+    fitting = solution.fit_effect
+    if fitting is not None and fitting.largest is not None:
+        lines.append(f"  inputs: from path fitting about {fitting.largest:.1e} of their peaks, by {fitting.basis}")
     return lines
 
 

@@ -38,7 +38,7 @@ class Loop:
         (state, signal, p, gains, zero) -> Jacobians of the rate by the state and by the inputs, of the output by the
         state.
     seen : casadi.Function
-        (state, p) -> output, and what hangs if anything does.
+        (state, p) -> output, and the hanging body if there is one.
     """
 
     step: ca.Function
@@ -56,13 +56,13 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     resolved : ResolvedSystem
         The plant.
     measured : tuple of str
-        What its drives measure.
+        Names of the quantities that its drives measure.
     hanging : tuple of str
         Observables of q that together say how far the load hangs to the side; empty for none.
     """
     system = resolved.system
     if system.time.numel():
-        raise InvalidModel(f"{system.name}: its equations hold the time, which no loop of drives knows")
+        raise InvalidModel(f"{system.name}: its equations depend on time; position loops need equations that do not")
     quantities, y = measured_in(system, measured)
     m, state = len(system.inputs), ca.vertcat(system.q, system.v)
     read = ca.Function("sc_drives", [state], [ca.densify(y), ca.densify(ca.jtimes(y, system.q, system.v))])
@@ -102,7 +102,7 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """What drives a plant: inputs, shape (N, m), at the instants of a motion, and loops that hold its positions."""
+    """The drive of a plant: inputs, shape (N, m), at the instants of a motion, and loops that hold its positions."""
 
     motion: Inverted
     inputs: Array
@@ -111,7 +111,7 @@ class Driven:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What came of a run.
+    """The results of a run.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Run:
     deviation : ndarray, shape (N, outputs)
         Output less path.
     hanging : ndarray, shape (N, any)
-        How far the load hangs to the side, less what it does at rest at the end.
+        Lateral displacement of the load, less its value at rest at the end.
     """
 
     moving: int
@@ -135,7 +135,7 @@ class Run:
 
     @property
     def swing(self) -> float | None:
-        """Largest swing after the end, of what hangs or of the output about its mean; None where not simulated."""
+        """Peak swing after the end, of the hanging body or of the output about its mean; None where not simulated."""
         after = self.deviation[self.moving :]
         if len(after) < 2 or not np.isfinite(after).all():
             return None
@@ -160,11 +160,11 @@ def run_loop(
     problem : Problem
         The plant, with the path.
     driven : Driven
-        What drives it.
+        Inputs and loops.
     inversion : Inverted
         Where this plant would start and end under its own inputs: it starts there, and at its end it hangs at rest.
     measured : tuple of str
-        What the drives measure in this plant.
+        Quantities that the drives measure in this plant.
     hanging : tuple of str
         See `compile_loop`.
     tail : float
@@ -175,7 +175,7 @@ def run_loop(
     Raises
     ------
     InvalidModel
-        If the plant is too stiff to be run, or its equations hold the time.
+        If the plant is too stiff to be run, or its equations depend on time.
     """
     loop, gains, motion = compile_loop(problem.resolved, measured, hanging), driven.gains, driven.motion
     start, both = inversion.start, np.concatenate([gains.position, gains.rate])
@@ -186,7 +186,7 @@ def run_loop(
     step = min(coarsest, _STABLE / max(fastest, 1e-12))
     if not step > _SMALLEST:
         raise InvalidModel(
-            f"{problem.system.name} is too stiff for a forward simulation: it asks for steps of {step:.1g} s"
+            f"{problem.system.name} is too stiff for a forward simulation: it needs steps of {step:.1g} s"
         )
     duration = problem.reference.duration
     moving, after = (int(np.ceil(time / step)) for time in (duration, tail))
@@ -216,7 +216,7 @@ def linear_answers(
     measured, hanging : tuple of str
         See `compile_loop`.
     change : ndarray, shape (N, m)
-        What is added to the inputs, at the instants of the motion.
+        Disturbance of the inputs, at the instants of the motion.
 
     Returns
     -------
@@ -239,7 +239,7 @@ def linear_answers(
 
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:
-    """Return output and what hangs, shape (N, outputs + hanging)."""
+    """Return outputs and hanging bodies, shape (N, outputs + hanging)."""
     observed = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
     return observed.reshape(-1, len(states), order="F").T
 

@@ -57,7 +57,7 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
     problem : Problem
         The model, with the path.
     measured : tuple of str
-        What the drives measure, by name.
+        Quantities that the drives measure, by name.
     count : int
         Instants.
 
@@ -84,7 +84,7 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
 
 
 def _positive(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
-    """Return what must be positive, of all that configurations alone tell."""
+    """Return the quantities that must be positive, of those that depend on the configuration alone."""
     known = [*zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True), *system.observables.items()]
     others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
     return [(each, expression) for each, expression in known if each.positive and not ca.depends_on(expression, others)]

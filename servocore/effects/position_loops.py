@@ -41,7 +41,7 @@ class PositionLoops:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What the loops of all drives multiply deviations with, shapes (m,): per unit of the position and of its rate."""
+    """Gains of the loops of all drives, shapes (m,): per unit of the position and of its rate."""
 
     position: Array
     rate: Array
@@ -53,7 +53,7 @@ class Gains:
 
 
 def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple[Quantity, ...], ca.SX]:
-    """Return what drives measure, and its expression of q, by the names of what a system reports.
+    """Return the measured quantities and their expressions of q, by the names of reported quantities.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
     system : MechanicalSystem
         Where the drives feel their inertia.
     names : tuple of str
-        What they measure, one an input.
+        Measured quantities, one an input.
     q, p : ndarray
         Configuration and parameter values.
     loops : PositionLoops

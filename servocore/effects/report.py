@@ -21,7 +21,7 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class EffectRow:
-    """One effect: what the model with it is like, and what leaving it out costs.
+    """One effect: properties of the model with it, and the error without it.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class EffectRow:
     needed : bool
         Whether the effect belongs to the smallest model.
     left_out : bool
-        Whether the scene has the effect, so that leaving it out is what was compared.
+        Whether the scene has the effect, so that the scene without it was compared.
     reason : str
         Why the row is refused, or why it is simulated.
     estimate : float or None
-        What was estimated of the error, also where that was simulated then; None where nothing can be.
+        The estimate of the error, also where a simulation replaced it; None where there is none.
     """
 
     name: str
@@ -83,7 +83,7 @@ class EffectsReport:
     tolerance : float
         How far the load may be off its path, in the unit of the path.
     loops : str
-        What drives the plant, in words.
+        Inputs and loops of the plant, in words.
     unit : str
         Of errors and swings.
     """
@@ -107,7 +107,7 @@ class EffectsReport:
 
     @property
     def arguments(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What `Scene.with_effects` is given for the smallest model: effects to add, and effects to leave out."""
+        """Arguments of `Scene.with_effects` for the smallest model: effects to add, and effects to leave out."""
         declared = {effect.name: effect for effect in self.scene.effects.declared}
         added = [row.name for row in self.rows if row.needed and not row.left_out and row.name in declared]
         covered = {included for name in added for included in declared[name].includes}

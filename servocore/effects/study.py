@@ -1,6 +1,6 @@
 """`effects`: which physical effects a scene may leave out, estimated first and simulated where that is weak.
 
-What a plant with an effect lacks, driven by the inputs of a model without it, is to first order
+The input deficit of a plant with an effect, driven by the inputs of a model without it, is to first order
 
     delta = u_L - u_S + K (y_L - y_S) + D (y_L' - y_S')
 
@@ -8,8 +8,8 @@ with the exact inputs u and positions y of the drives of both models along the s
 model shows the error: the plant that follows the path under u_L does so for every strength of the effect, so that the
 derivative of its motion under u_S is minus that of the small model by its inputs, times u_L.
 
-That is weak where the plant answers what it lacks otherwise than the small model: with a second swing of a body below
-its hook, with a shorter rope, with drives that stick. Both answers are known beforehand for small changes about rest,
+The estimate is unreliable where the response of the plant to it differs from that of the small model: with a second
+swing of a body below its hook, with a shorter rope, with drives that stick. Both follow for small changes about rest,
 where the path starts and ends: where they differ by more than a tenth the plant is simulated.
 """
 
@@ -43,7 +43,7 @@ from servocore.references.base import Reference
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
 
-_WEAK = 2.0  # an estimate within this factor of the tolerance is looked into by simulation
+_WEAK = 2.0  # an estimate within this factor of the tolerance is checked by simulation
 _OTHERWISE = 0.1  # largest relative difference of the linear answers of plant and small model at which estimates hold
 _LARGE = 0.15  # relative change of an input from which on open loop estimates fail
 _TAIL = 6.0  # s after the end of a path in which the residual swing is looked for: two swings of some two metres
@@ -62,7 +62,7 @@ def effects(
     parameters: Mapping[str, float] | None = None,
     simulate: bool = False,
 ) -> EffectsReport:
-    """Say which effects a scene needs for a tolerance, and what it costs to leave each of them out.
+    """Determine the effects that a scene needs for a tolerance, and the error without each of them.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def effects(
     plant : mapping of str to callable, optional
         Effects of one's own: factories of models of the plant by name. Such a model has the scene's inputs and outputs.
     measured : tuple of str, optional
-        What the drives measure, one name an input, in a scene that declares no effects.
+        Quantities that the drives measure, one name an input, in a scene that declares no effects.
     parameters : mapping of str to float, optional
         Values of parameters of the effects, or of plants of one's own.
     simulate : bool
@@ -117,7 +117,7 @@ def _in_words(loops: PositionLoops | None) -> str:
 
 
 def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
-    """Return the rows worst first, with what is needed: the errors of all that is left out add up to less."""
+    """Return the rows worst first, with the effects needed: the errors of all others add up to less."""
     judged, total = [], 0.0
     for line in sorted(rows, key=lambda row: row.error):
         refused = line.how == REFUSED
@@ -128,7 +128,7 @@ def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """An effect: the model with it, the model without it, and what the drives measure in the first."""
+    """An effect: the model with it, the model without it, and the measured quantities of the first."""
 
     name: str
     large: Scene
@@ -139,7 +139,7 @@ class _Case:
 
 @dataclass(frozen=True, eq=False)
 class _Study:
-    """What all rows of a report have in common."""
+    """The settings that all rows of a report share."""
 
     scene: Scene
     loops: PositionLoops | None
@@ -157,7 +157,7 @@ class _Study:
             )
         if not self.measured:
             raise InvalidSetting(
-                f"{self.scene.name} does not say what its drives measure: measured=('s', 'l'), one an input"
+                f"{self.scene.name} declares no quantities that its drives measure: give measured=('s', 'l')"
             )
         known = dict(declared.parameters)
         for name, factory in plant.items():
@@ -174,7 +174,7 @@ class _Study:
         if name in {effect.name for effect in self.scene.effects.declared}:
             raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
         system, model = factory(), self.scene.model()
-        require_kind(system, MechanicalSystem, f"what the plant {name} returns", "a MechanicalSystem", InvalidModel)
+        require_kind(system, MechanicalSystem, f"the result of the plant {name}", "a MechanicalSystem", InvalidModel)
         for what, present, expected in (
             ("inputs", system.inputs, model.inputs),
             ("outputs", system.outputs, model.outputs),
@@ -273,7 +273,7 @@ class _Study:
         small, large : tuple of (Problem, Inverted)
             The models without and with the effect, and their motions along the path.
         measured : tuple of str
-            What the drives measure in the large one.
+            Measured quantities of the large one.
         gains : Gains
             Of the drives.
         tail : float
@@ -307,7 +307,7 @@ class _Study:
     def _weak(self, row: EffectRow) -> str:
         """Return why a row is to be simulated; empty where its estimate is good enough."""
         if self.simulate:
-            return "asked for"
+            return "requested"
         if self.tolerance / _WEAK < row.error < self.tolerance * _WEAK:
             return "simulated because its estimate is near the tolerance"
         if self.loops is None and (row.input_change or 0.0) > _LARGE:
@@ -328,7 +328,7 @@ def smooth_enough(reference: Reference, order: int) -> Reference:
     if not isinstance(reference, RestToRest):
         raise InvalidReference(
             f"the path is continuous up to its derivative of order {reference.smoothness}, this effect needs order"
-            f" {order}: only a straight line from rest to rest is given another law by itself, points take"
+            f" {order}: the law is changed automatically for a straight line from rest to rest only; points take"
             " a higher rest_order"
         )
     return replace(reference, profile=polynomial(2 * order + 1), smoothness=order)

@@ -92,6 +92,8 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     baked = options.path if options.path is not None or line is not None else scene.reference
     if baked is not None and baked.dimension != len(servo):
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
+    if options.path is not None:
+        scene.with_reference(options.path)  # which refuses units that are implausible for the scene
     require_feasible(replace(problem, reference=baked or scene.reference))
     identifier = options.identifier or identifier_of(f"{scene.name}_trajectory")
     profile = options.profile or (FROM_FILE if line is None or baked is not None else line.law)

@@ -150,7 +150,10 @@ class Scene:
         return system
 
     def with_reference(self, reference: Reference) -> Scene:
-        """Return the scene with another path; raises `InvalidReference` if its dimension does not fit.
+        """Return the scene with another path; raises `InvalidReference` if it does not fit.
+
+        A path needs the scene's dimension. One from a file whose header declares no units is also refused where its
+        times or positions are out of proportion to the scene, as milliseconds and millimetres would be.
 
         Parameters
         ----------
@@ -162,8 +165,12 @@ class Scene:
         Scene
             A new scene; this one is unchanged.
         """
+        from servocore.references.likely_units import require_likely_units  # noqa: PLC0415 - a scene has a path already
+
         changed = replace(self, reference=reference)
-        changed.require_path(changed.model())
+        system = changed.model()
+        changed.require_path(system)
+        require_likely_units(reference, self.reference, system.home, [output.unit for output in system.outputs])
         return changed
 
     def require_path(self, system: MechanicalSystem) -> None:

@@ -46,14 +46,14 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     InvalidReference
         If a limit is broken at rest somewhere on the path: then no duration helps.
     InvalidModel
-        If a limit is on the rate of something that is differentiated already, or the equations hold the time.
+        If a limit is on the rate of something that is differentiated already, or the equations depend on time.
     PlanningFailed
         If no duration was found.
     """
     require_scene(scene, "shortest_duration")
     problem, path = Problem.of(scene, model), scene.reference
     if problem.system.time.numel():
-        raise InvalidModel(f"{scene.name}: its equations hold the time, and no duration can be found for it")
+        raise InvalidModel(f"{scene.name}: its equations depend on time, and no duration can be found")
     t = survey(path)
     places = path.jet(t, 0)[:, 0]
     rows = limit_rows(problem, places[0])
@@ -76,7 +76,7 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
 
 @contextmanager
 def shortest_duration_told(scene: Scene, model: str | None = None) -> Iterator[None]:
-    """Let a refusal for a broken limit say how long the law of the scene's path must take to keep all of them."""
+    """Add to a refusal for a broken limit the shortest duration at which the law keeps all limits."""
     try:
         yield
     except LimitBroken as error:

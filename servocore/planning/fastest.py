@@ -62,7 +62,7 @@ def fastest(
     limits : mapping of str to bounds, optional
         More limits, as `Scene.with_limits` takes them.
     free : Space, optional
-        Whether the way between two points is free as well, and what it keeps clear of. Every input needs a limit then.
+        Whether the way between two points is free as well, with its obstacles. Every input needs a limit then.
     smooth : int
         How many derivatives of the inputs shall be continuous, besides the inputs themselves.
     robust : mapping of str to pair, optional
@@ -74,14 +74,14 @@ def fastest(
     intervals : int
         Of the grid, even. The duration is above the shortest by about one part in `intervals`.
     progress : callable, optional
-        Told in a few words what is under way.
+        Called with a text on the progress.
 
     Returns
     -------
     Reference
         The path with its times, at rest before and after.
     PlanReport
-        Its duration, what holds it back, and how it is known that the limits are kept.
+        Duration, active constraints, and the certificate that the limits are kept.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def fastest(
     InvalidModel
         If the model has internal dynamics, or a limit is on the rate of something that is differentiated already.
     InvalidSetting
-        If there are no limits, or something asked for makes no sense.
+        If there are no limits, or a setting is invalid.
     PlanningFailed
         If the solver found no law from any start.
 
@@ -116,6 +116,8 @@ def fastest(
     if progress is not None:
         require_callable(progress, "progress", "a function of a text")
     bounded = within_limits(scene, limits)
+    if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
+        scene.with_reference(path)  # which refuses units that are implausible for the scene
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth
@@ -144,14 +146,14 @@ def _free(
     intervals: int,
     progress: Callable[[str], None] | None,
 ) -> tuple[Reference, PlanReport]:
-    """Plan with the way free between the ends of a line; `both` are what is planned for and what is certified."""
+    """Plan with the way free between the ends of a line; `both` are the problems of planner and certificate."""
     corners, certified = both
     if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
-        raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
+        raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
     limited = {limit.quantity for limit in scene.limits}
     for quantity in corners[0].system.inputs:
         if quantity.name not in limited:
-            raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {quantity.name} has none")
+            raise InvalidSetting(f"a plan with a free path needs a limit of every input; {quantity.name} has none")
     start, end = curve.ends
     space.require(corners[0].system, hangs=scene.tracked == "load" and rope_is_depth(corners[0], curve.ends))
     thick = space.thickened(_THIN * float(np.linalg.norm(end - start)) / intervals)
@@ -194,7 +196,7 @@ def _reported(
     if certificate.violation > EXCESS:
         raise PlanningFailed(
             f"{corners[0].name}: the law that was found breaks the limit of {certificate.worst} by"
-            f" {certificate.violation:.2g} of half its range between the points that the solver looked at"
+            f" {certificate.violation:.2g} of half its range between the points of the solver's grid"
         )
     return PlanReport(
         duration=reference.duration,

@@ -1,6 +1,6 @@
 """A scene as a `FlatSystem` of python-control, for its planners and its design methods.
 
-python-control asks for two maps between state and inputs, (x, u), and the flat flag, the outputs with their
+python-control needs two maps between state and inputs, (x, u), and the flat flag, the outputs with their
 derivatives. The reverse map is the exact inversion. The forward map differentiates the outputs along the plant,
 y' = L_f y, with inputs that stay, as at the ends of a manoeuvre.
 """
@@ -50,7 +50,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     Raises
     ------
     InvalidModel
-        If the scene has internal dynamics or holds the time, or holonomic constraints are redundant.
+        If the scene has internal dynamics or depends on time, or holonomic constraints are redundant.
     InvalidSetting
         If python-control is not installed.
 
@@ -71,7 +71,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     if not problem.flat:
         raise InvalidModel(f"{scene.name} has internal dynamics: its state does not follow from the outputs")
     if problem.system.time.numel():
-        raise InvalidModel(f"{scene.name} holds the time: python-control's flat systems do not")
+        raise InvalidModel(f"{scene.name} depends on time: python-control's flat systems do not")
     problem.system.require_independent_constraints()
     maps = _Maps.of(problem)
     quantities, system = problem.system.coordinates.quantities, problem.system
@@ -90,7 +90,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """What python-control calls; states are (q, v).
+    """The maps of python-control's `FlatSystem`; states are (q, v).
 
     Attributes
     ----------

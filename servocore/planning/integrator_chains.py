@@ -40,7 +40,7 @@ def advanced(states: list[Any], u: Any, change: Any, part: Any, h: Any) -> list[
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What chains do between two states of rest.
+    """Motions of chains between two states of rest.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What limits compare, as expressions of the path's derivatives at an instant, divided by their ranges.
+"""Quantities of limits, as expressions of the path's derivatives at an instant, divided by their ranges.
 
 Lengths in them are smoothed: their square roots are differentiable at zero.
 """
@@ -64,15 +64,15 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """What limits compare, with unknowns of an instant beside the path and what holds them: none by a formula.
+    """Quantities of limits, with unknowns of an instant beside the path and their equations: none by a formula.
 
     Attributes
     ----------
     unknowns, equations : casadi.SX
         Symbols, and as many expressions of them, gamma and p that are zero: the derivative array, and where a limit is
-        on the rate of what stands last in it, that array differentiated once more.
+        on the rate of its highest derivative, that array differentiated once more.
     values : tuple of casadi.SX
-        What limits compare.
+        Quantities of limits.
     start : casadi.Function
         (gamma (m, order + 1), p) -> unknowns, by Newton's method.
     order : int
@@ -112,11 +112,11 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
     rows : Rows
         The limits.
     problem : Problem
-        Whose they are.
+        Problems that the rows belong to.
     places : ndarray, shape (n, m)
         Of the way.
     room : float
-        What must be left, as a part of half the range.
+        Least margin, as a part of half the range.
     """
     still = np.zeros((len(places), rows.order + 1, places.shape[1]))
     still[:, 0] = places
@@ -148,7 +148,7 @@ def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
 
 
 def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequence[ca.SX]) -> _Motion:
-    """Return the motion of a system as unknowns, with what limits compare, of which `expressions` are without rates.
+    """Return the motion of a system as unknowns, with quantities of limits, of which `expressions` are without rates.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
 
 
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:
-    """Return what limits compare as expressions of gamma and p, of which `smooth` are without rates."""
+    """Return quantities of limits as expressions of gamma and p, of which `smooth` are without rates."""
     array, gamma = resolved.array, resolved.system.gamma
     values, y = limited_expressions(
         resolved, [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
@@ -257,7 +257,7 @@ def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, flo
 
 
 def _has_tip(resolved: ResolvedSystem, limit: Limit) -> bool:
-    """Whether a limit compares what is never negative and has no derivative where it is zero, as a length has."""
+    """Whether a limit is on a quantity that is never negative and has no derivative at zero, such as a length."""
     system = resolved.system
     if not isinstance(limit.expression, Named) or not reported_quantities(system)[limit.expression.name].never_negative:
         return False

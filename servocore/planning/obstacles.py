@@ -231,8 +231,8 @@ def least_distance(ends: Ends, distance: Distance, begin: float, end: float) -> 
     Returns
     -------
     float
-        Negative where it enters the body, and where it cannot be told from doing so: where, between the closest
-        instants looked at, it might move as far as the body is away.
+        Negative where it enters the body, and where that cannot be excluded: where, between the closest instants
+        evaluated, it might move as far as the body is away.
     """
     t = np.linspace(begin, end, _INSTANTS)
     spans, least = np.column_stack([t[:-1], t[1:]]), np.inf

@@ -1,6 +1,6 @@
 """`PlanReport`: duration, certificate and solution process of a plan.
 
-The certificate is a look at the limits by exact inversion at twenty thousand instants.
+The certificate evaluates the limits by exact inversion at twenty thousand instants.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Active:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a look at many instants of a plan found.
+    """Limits of a plan at many instants.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class Certificate:
     worst : str
         The limit that is nearest to its bound, or broken most.
     instants : int
-        How many were looked at.
+        Number of instants.
     active : tuple of Active
-        What holds the plan back, and when.
+        Active constraints, and when they are.
     """
 
     violation: float
@@ -64,13 +64,13 @@ class PlanReport:
     degree9, three_phase : float
         Shortest durations of the polynomial law that is as smooth as the plan (degree 9 for most) and of the best
         three-phase law along the same way within the same limits, in s; infinite where a law cannot keep them, NaN
-        where it is not smooth enough or was not asked for.
+        where it is not smooth enough or was not requested.
     degree : int
         Of that polynomial law.
     certificate : Certificate
-        A look at twenty thousand instants by the exact inversion.
+        Limits at twenty thousand instants by exact inversion.
     grid_error : float
-        By how much the duration fell when the grid was made twice as fine, in s; what another doubling would gain is
+        By how much the duration fell when the grid was made twice as fine, in s; the gain of another doubling is
         about half of that. NaN where half as many intervals were too few.
     status : str
         The solver's own word.
@@ -82,7 +82,7 @@ class PlanReport:
     deviation : float
         How far the path is from the curve of the reference that was given, in m.
     clearance : float
-        Of a plan that chose its way: least distance from what it keeps out of, in m; infinite where there is nothing.
+        Of a plan with a free path: least distance from its obstacles, in m; infinite where there are none.
     """
 
     duration: float
@@ -100,7 +100,7 @@ class PlanReport:
 
     @property
     def active(self) -> tuple[Active, ...]:
-        """What holds the plan back, and when."""
+        """Active constraints, and when they are."""
         return self.certificate.active
 
     @property
@@ -138,12 +138,12 @@ _WORDS = {
 
 
 def in_words(status: str) -> str:
-    """Return what a status of the solver means."""
+    """Return the meaning of a status of the solver."""
     return _WORDS.get(status, "not settled" if "_" in status else status)
 
 
 def _taken(duration: float) -> str:
-    """Return what a law to compare with takes, in words where it is no number."""
+    """Return the duration of a law for comparison, in words where it is no number."""
     if math.isnan(duration):
         return "not as smooth as the plan"
     return f"{duration:.4g} s" if math.isfinite(duration) else "does not keep the limits"
@@ -160,7 +160,7 @@ _ACTIVE = 0.01  # of the range: so near to its bound a quantity holds the plan b
 
 
 def certify(problems: tuple[Problem, ...]) -> Certificate:
-    """Look at the path of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
+    """Evaluate limits of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
     certificates = [_certify(problem) for problem in problems]
     worst = max(certificates, key=lambda each: each.violation)
     active = tuple(dict.fromkeys(limit for one in certificates for limit in one.active))
@@ -196,7 +196,7 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
 
 
 def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:
-    """Return from when to when a limit is touched; what is left for a moment only counts as one spell."""
+    """Return from when to when a constraint is active; short gaps are closed."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], touched.astype(int), [0]])))
     short = np.flatnonzero(edges[2::2] - edges[1:-1:2] < _MOMENT * len(t))
     edges = np.delete(edges, [*(2 * short + 1), *(2 * short + 2)])

@@ -46,7 +46,7 @@ def planned(
     Parameters
     ----------
     task : Task
-        What it must do.
+        Boundary conditions and limits of the law.
     begun : sequence of (str, Law)
         Laws on half as many intervals to start from, the best first.
     scale : float
@@ -54,12 +54,12 @@ def planned(
     intervals : int
         Of the grid, even.
     progress : callable, optional
-        Told what is under way.
+        Called with a text on the progress.
 
     Raises
     ------
     PlanningFailed
-        If no start leads to one, with what the solver met from each.
+        If no start leads to one, with the status of the solver from each.
     """
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
     free = np.zeros((len(task.upper), half.intervals * _CHECKS))

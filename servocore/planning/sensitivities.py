@@ -26,7 +26,7 @@ _STEPS = 2000
 """Least number of steps in which the linearized plant is integrated, by the classical method of order four."""
 
 DRIFT = " drift"
-"""How the name of an output's deviation ends."""
+"""Suffix of the name of an output's deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Sensitivities:
     t : ndarray, shape (N,)
         Times in s.
     quantities : tuple of Quantity
-        The inputs that the path asks for, and each output with `DRIFT` behind its name: where the load goes instead
+        The inputs of the path, and each output with `DRIFT` behind its name: where the load goes instead
         if the inputs stay as they were, by the linearized plant.
     parameters : tuple of str
         Names.
@@ -62,7 +62,7 @@ class Sensitivities:
 
     def __getitem__(self, names: tuple[str, str]) -> Array:
         if not isinstance(names, tuple) or len(names) != 2:
-            raise KeyError(f"{names!r} is not what changes and by which parameter, such as found['F', 'load_mass']")
+            raise KeyError(f"{names!r} is no pair of a quantity and a parameter, such as found['F', 'load_mass']")
         quantity, parameter = names
         known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:
@@ -89,7 +89,7 @@ def sensitivities(
 
     The inputs follow from the equations and their derivatives at an instant, so that the implicit function theorem
     gives their derivatives; the motion under the inputs of the present parameters follows the linearized plant, from
-    the state in which the path asks the plant to start.
+    the state in which the path starts.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def sensitivities(
     Raises
     ------
     InvalidModel
-        If the model has internal dynamics, or its equations hold the time.
+        If the model has internal dynamics, or its equations depend on time.
     InvalidReference
         If the path is out of reach.
     InvalidSetting
@@ -126,7 +126,7 @@ def sensitivities(
     require_scene(scene, "sensitivities")
     problem = Problem.of(scene, model)
     if not problem.flat or problem.system.time.numel():
-        why = "has internal dynamics" if not problem.flat else "holds the time"
+        why = "has internal dynamics" if not problem.flat else "depends on time"
         raise InvalidModel(f"{scene.name} {why}: its inputs do not follow from the path at the same instant")
     declared = {parameter.name: parameter for parameter in problem.system.parameters.declared}
     names = tuple(declared) if wrt is None else tuple([wrt] if isinstance(wrt, str) else wrt)

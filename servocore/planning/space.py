@@ -17,20 +17,20 @@ from servocore.numerics.compiled_calls import Array
 from servocore.planning.obstacles import Box, Obstacle, Sphere, least_distance
 from servocore.references.base import Reference
 
-_NEAR = 2e-4  # of a body's size: so near at an end leaves a plan no room
+_NEAR = 2e-4  # of a body's size: so near at an end there is no feasible plan
 _PARTS = ("load", "rope", "bridge")
 
 
 @dataclass(frozen=True)
 class Space:
-    """What a plan that chooses its own way keeps clear of; bounds of the space are limits of the outputs.
+    """Obstacles of a plan with a free path; bounds of the space are limits of the outputs.
 
     Parameters
     ----------
     keep_out : tuple of Sphere or Box
         Bodies.
     clearance_of : tuple of str
-        What keeps clear of them: ``load``, ``rope`` (from the load to the trolley), ``bridge`` (from the origin to the
+        Parts kept clear of them: ``load``, ``rope`` (from the load to the trolley), ``bridge`` (from the origin to the
         trolley). Rope and bridge are those of a load that hangs from a trolley at height zero.
     """
 
@@ -39,7 +39,7 @@ class Space:
 
     def __post_init__(self) -> None:
         if not all(isinstance(body, Sphere | Box) for body in self.keep_out):
-            raise InvalidSetting("what a plan keeps out of must be a tuple of Sphere and Box")
+            raise InvalidSetting("the obstacles of a plan must be a tuple of Sphere and Box")
         for part in self.clearance_of:
             if part not in _PARTS:
                 raise InvalidSetting(f"{part!r} is no part that can keep clear; there are {', '.join(_PARTS)}")
@@ -55,7 +55,7 @@ class Space:
         dimension : int
             How many coordinates a centre has.
         clearance_of : str, optional
-            What keeps clear, with commas between: ``load,rope,bridge``.
+            Parts that keep clear, with commas between: ``load,rope,bridge``.
 
         Returns
         -------
@@ -80,9 +80,9 @@ class Space:
         Parameters
         ----------
         system : MechanicalSystem
-            Whose parts are to stay clear.
+            The scene with these parts.
         hangs : bool
-            Whether what follows the path hangs from a trolley at height zero.
+            Whether the load hangs from a trolley at height zero.
         """
         dimension = len(system.outputs)
         for body in self.keep_out:
@@ -117,7 +117,7 @@ class Space:
         name : str
             Of the scene.
         place : ndarray, shape (m,)
-            Of what follows the path, m.
+            Of the load, m.
         """
         load, at_rest = ca.SX(ca.DM(place)), ca.SX.zeros(len(place))
         for body in self.keep_out:
@@ -164,14 +164,14 @@ class Space:
         Parameters
         ----------
         path : Reference
-            Of what follows it.
+            Of the load.
         gravity : float
             In m/s2.
 
         Returns
         -------
         float
-            In m; negative within a body, and where no instant could tell that there is a way past it.
+            In m; negative within a body, and where no instant shows that there is a way past it.
         """
 
         def ends(t: Array) -> list[tuple[Array, Array]]:

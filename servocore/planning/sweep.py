@@ -1,7 +1,7 @@
 """Sweeps: peaks, margins and swing of many cases of a scene, as an xarray Dataset.
 
 The cases go in blocks through one compiled function, in threads of this process or in the processes of an executor.
-What comes back are a few numbers a case; this process alone writes them: a block is there as a whole or not at all.
+Workers return a few numbers a case; this process alone writes them: a block is there as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -71,16 +71,16 @@ def sweep(
     executor : concurrent.futures.Executor, optional
         Where the cases are computed; threads of this process when not given.
     instants : int
-        At how many instants, evenly from start to end, a case is looked at.
+        Number of instants, evenly from start to end, of a case.
     inputs : bool
         Whether the inputs are kept too, dimension ``instant``.
     store : str or Path, optional
-        A Zarr store that is filled block by block, whose content is returned without being read; or, where the name
+        A Zarr store that is filled block by block, and returned without reading its content; or, where the name
         ends so, a folder of Parquet files (``.parquet``), a row a case.
     resume : bool
         Whether a store of the same settings is completed.
     chunk : int, optional
-        Most cases of a block; what is in memory at once grows with it. When not given, a 32nd of all, but 2048 to 32768
+        Most cases of a block; the memory in use grows with it. When not given, a 32nd of all, but 2048 to 32768
         of them, with inputs at most 4096; 16 where they are solved one by one.
     model : str, optional
         Model of the scene; its smallest when not given.
@@ -95,14 +95,14 @@ def sweep(
     -------
     xarray.Dataset
         ``peak_NAME`` of every input, ``margin_NAME`` of every limit (negative where it is broken), ``swing`` where the
-        model has it, and ``failure``: the sentence of a case that is not solved, whose numbers are NaN. Units are
+        model has it, and ``failure``: the message of a case that is not solved, with NaN as its numbers. Units are
         attributes of the variables, settings those of the dataset.
 
     Raises
     ------
     InvalidSetting, ServocoreError
         If something that varies is no parameter or outside its bounds, a limit is not known, a store is there already
-        or is of other settings, what computes is lost, or xarray or zarr is not installed.
+        or has other settings, the workers are lost, or xarray or zarr is not installed.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def sweep(
             try:
                 sink.put(number, block, answers)
             except OSError as error:  # such as a full disk
-                why = f"{error.strerror or error}; a resumed sweep goes on after what is there"
+                why = f"{error.strerror or error}; a resumed sweep continues after the stored blocks"
                 raise InvalidSetting(f"cannot write {store}: {why}") from error
             done += _count(block)
             if progress is not None:
@@ -163,7 +163,7 @@ def _count(block: Slices) -> int:
 
 
 def _work(swept: SweepSettings, native: bool | None) -> Work | None:
-    """Compile what is computed of every case; None where cases have to be solved one by one."""
+    """Compile the evaluation of every case; None where cases have to be solved one by one."""
     problem = swept.problem
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()):
         try:
@@ -230,7 +230,7 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
     return Cases(jets, which, numbers)
 
 
-# Cases that fail, and cases by themselves ----------------------------------------------------------------------------
+# Cases that fail, and cases one by one -------------------------------------------------------------------------------
 
 
 def _with_sentences(swept: SweepSettings, block: Slices, answers: dict[str, Array]) -> dict[str, Any]:
@@ -275,7 +275,7 @@ def _one_by_one(swept: SweepSettings, blank: Any, block: Slices) -> dict[str, An
 
 
 def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
-    """Return what a solution says of a case, by variable."""
+    """Return the results of a case from its solution, by variable."""
     peaks = {name: np.abs(solution[name]).max() for name in solution.names}
     limits = [limit for limit in swept.limits if limit.quantity in solution]
     margins = {

@@ -28,14 +28,14 @@ from servocore.stepping.observation import observed
 _Expression = TypeVar("_Expression", ca.SX, ca.MX)
 
 SWING = "swing"
-"""The observable whose peak is told beside those of the inputs, where a model has it."""
+"""The observable whose peak is reported beside those of the inputs, where a model has it."""
 
-_AT_ONCE = 64  # cases: what one call computes stays in the cache of a processor
+_AT_ONCE = 64  # cases: the results of one call stay in the cache of a processor
 
 
 @dataclass(frozen=True)
 class Work:
-    """What is computed of every case.
+    """The evaluation of every case.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class Work:
     swing : bool
         the next is the swing where there is one,
     bounds : tuple of (str, float, float)
-        the next ones have limits of these names between these bounds; what follows must be positive.
+        the next ones have limits of these names between these bounds; the rows after them must be positive.
     turns : tuple of int
-        Rows with angles that are known up to full turns: what is limited has none of their jumps.
+        Rows with angles that are known up to full turns: in limited rows their jumps are removed.
     kept : bool
         Whether the inputs are kept at every instant.
     native : bool or None
@@ -71,7 +71,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Cases:
-    """Some cases: the jets of their paths, and what each has of its own.
+    """Some cases: the jets of their paths, and their parameters.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class Cases:
 
 
 def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: bool | None) -> Work:
-    """Compile what is to be computed of the cases of a flat problem.
+    """Compile the evaluation of the cases of a flat problem.
 
     Raises
     ------
     InvalidSetting
-        If a limit is on the rate of what is no function of positions: its exact rate takes one derivative more.
+        If a limit is on the rate of a quantity that is no function of positions: it takes one derivative more.
     """
     system = problem.system
     known = {quantity.name: (quantity, expression) for quantity, expression in observed(system)}

@@ -1,4 +1,4 @@
-"""What a sweep does, checked before it begins: its cases and its settings.
+"""Cases and settings of a sweep, checked before it begins.
 
 Cases are values along dimensions, their products in blocks, or rows of a table.
 """
@@ -30,7 +30,7 @@ PATH = "path"
 """The dimension of paths."""
 
 DURATION = "duration"
-"""What varies where the law of a path takes more or less time."""
+"""Name of the dimension along which the duration of a path varies."""
 
 Slices = tuple[slice, ...]
 
@@ -44,7 +44,7 @@ class Grid:
     dimensions : mapping of str to int
         Lengths by name.
     columns : mapping of str to (str, ndarray)
-        What varies: the dimension along which it does, and its values.
+        Varied quantities: the dimension of each, and its values.
     """
 
     dimensions: Mapping[str, int]
@@ -94,7 +94,7 @@ class Grid:
             yield k, tuple(slice(a, min(a + part, n)) for a, part, n in zip(start, shape, self.shape, strict=True))
 
     def values(self, name: str, block: Slices) -> Array:
-        """Return the values of what varies for all cases of a block, in C order."""
+        """Return the varied values for all cases of a block, in C order."""
         dimension, values = self.columns[name]
         spread: Array = self._spread(values, list(self.dimensions).index(dimension), block)
         return spread
@@ -107,7 +107,7 @@ class Grid:
         return spread
 
     def case(self, block: Slices, k: int) -> dict[str, float]:
-        """Return what varies, by name, for case k of a block."""
+        """Return the varied values, by name, for case k of a block."""
         return {name: float(self.values(name, block)[k]) for name in self.columns}
 
     def _spread(self, values: Any, axis: int, block: Slices) -> Any:
@@ -128,7 +128,7 @@ def drawn(ranges: Mapping[str, tuple[float, float]], count: int, seed: int) -> l
 
 
 def _table(varied: Any) -> dict[str, Any] | None:
-    """Return the columns of a table, or None for what is none."""
+    """Return the columns of a table; None if it is none."""
     if hasattr(varied, "columns") and hasattr(varied, "to_dict"):  # a data frame, without importing pandas
         return {str(name): varied[name].to_numpy() for name in varied.columns}
     if isinstance(varied, Mapping) or varied is None:
@@ -145,7 +145,7 @@ def _numbers(name: str, values: Any) -> Array:
     except (TypeError, ValueError):
         numbers = np.array([np.nan])
     if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
-        raise InvalidSetting(f"what is swept, {name}, must be a row of finite numbers")
+        raise InvalidSetting(f"the values of {name} in a sweep must be a row of finite numbers")
     return numbers
 
 
@@ -155,12 +155,12 @@ def _some(dimensions: Mapping[str, int]) -> dict[str, int]:
     return dict(dimensions)
 
 
-_LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
+_LOOKED_AT = 7  # instants, to decide whether a law is the same in another time
 
 
 @dataclass(frozen=True, eq=False)
 class SweepSettings:
-    """What a sweep does, settled before it begins.
+    """The settings of a sweep.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class SweepSettings:
     problem : Problem
         The scene's.
     limits : tuple of Limit
-        Limits whose margins are reported.
+        Limits with their margins reported.
     grid : Grid
         The cases.
     references : tuple of Reference
@@ -195,7 +195,7 @@ class SweepSettings:
 def checked_settings(
     scene: Scene, parameters: Any, references: Any, limits: Any, instants: int, inputs: bool, model: str | None
 ) -> SweepSettings:
-    """Return what is swept; raises what `sweep` says."""
+    """Return the cases of a sweep; raises as `sweep`."""
     require_scene(scene, "sweep")
     require_count(instants, 2, "instants", InvalidSetting)
     if isinstance(references, Reference) or not isinstance(references, Iterable | None):
@@ -217,13 +217,13 @@ def checked_settings(
             declared[name].check(float(values.min()))
             declared[name].check(float(values.max()))
     for path in paths:
-        bounded.with_reference(path)  # refuses what is no path of this scene
+        bounded.with_reference(path)  # refuses a path that does not fit the scene
     paths = paths or (bounded.reference,)  # that of the problem has the time beside it where equations hold it
     return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, int(instants), bool(inputs))
 
 
 def settings_of(swept: SweepSettings) -> dict[str, Any]:
-    """Return what makes two sweeps the same, as JSON can hold it."""
+    """Return the identity of a sweep in terms of JSON: equal settings, equal identity."""
     problem, grid = swept.problem, swept.grid
     sampled = [
         reference.jet(np.linspace(reference.start_time, reference.end_time, 17), 2).ravel().tolist()
@@ -250,4 +250,4 @@ def in_time(path: Reference, duration: float) -> Reference:
         return stretched
     same: Reference = replace(path, end_time=stretched.end_time)
     t = np.linspace(same.start_time, same.end_time, _LOOKED_AT)
-    return same if np.allclose(same.jet(t, 1), stretched.jet(t, 1)) else stretched  # a ramp of its own time
+    return same if np.allclose(same.jet(t, 1), stretched.jet(t, 1)) else stretched  # a ramp with a separate time

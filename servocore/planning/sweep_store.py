@@ -109,7 +109,7 @@ class Store(ABC):
     path : Path
         Of the folder.
     swept : SweepSettings
-        What is swept.
+        The varied quantities.
     blank : xarray.Dataset
         Its dataset, with the settings of this sweep.
     shape : sequence of int
@@ -139,7 +139,7 @@ class Store(ABC):
             raise not_written(path, error) from error
 
     def _require_settings(self, settings: Mapping[str, Any], resume: bool) -> None:
-        """Raise `InvalidSetting` unless what is there already is a store of these settings, and to be resumed."""
+        """Raise `InvalidSetting` unless an existing store has these settings, and is to be resumed."""
         path = self._path
         try:
             stored = json.loads(self._stored_settings())
@@ -149,7 +149,7 @@ class Store(ABC):
             raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
         other = sorted(name for name in {*settings, *stored} if settings.get(name) != stored.get(name))
         if other:
-            raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
+            raise InvalidSetting(f"{path} is of another sweep: {', '.join(other)} differ; nothing was resumed")
 
     @abstractmethod
     def _make(self, shape: Sequence[int]) -> None:
@@ -157,7 +157,7 @@ class Store(ABC):
 
     @abstractmethod
     def _stored_settings(self) -> str:
-        """Return the settings of what is there; raises `KeyError`, `ValueError` or `OSError` if it is no store."""
+        """Return the settings of an existing store; raises `KeyError`, `ValueError` or `OSError` if it is none."""
 
     @abstractmethod
     def known(self) -> set[int]:
@@ -192,9 +192,9 @@ class Zarr(Store):
                 group.create_array(name, data=each.to_numpy(), dimension_names=each.dims, attributes=each.attrs)
             blocks = len(self._blocks)
             group.create_array(_DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
-            # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is told otherwise.
+            # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is a coordinate.
             group.attrs.update({**self._blank.attrs, "coordinates": " ".join(self._blank.coords)})
-            # What describes the store is complete here and stays: xarray opens it by its name alone, without a warning.
+            # The metadata of the store are complete here: xarray opens it by its name alone, without a warning.
             zarr.consolidate_metadata(group.store)
 
     def _stored_settings(self) -> str:
@@ -215,7 +215,7 @@ class Zarr(Store):
         """Write a block, and then that it is there."""
         with _quiet():
             for name, values in _placed(self._blank, block, answers):
-                if name != FAILURE or values.any():  # a store has empty sentences by itself
+                if name != FAILURE or values.any():  # empty messages are the store's default
                     self._arrays[name][block] = values
         self._arrays[_DONE][number] = 1
 
@@ -228,7 +228,7 @@ class Zarr(Store):
 class Parquet(Store):
     """A folder of Parquet files: a file a block, a row a case, inputs over time as lists.
 
-    Columns are what varies, then the variables; a file holds the settings and, of every column, the unit.
+    Columns are the varied quantities, then the variables; a file holds the settings and, of every column, the unit.
     """
 
     package = "pyarrow"

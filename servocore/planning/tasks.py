@@ -30,7 +30,7 @@ from servocore.references.timed_path import chained
 Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
 """A reference, of which the curve counts and not the times, or waypoints (n, m)."""
 
-_ROOM = 2e-4  # of the half range, kept free: what is planned then keeps its limits with no excess at all
+_ROOM = 2e-4  # of the half range, kept free: plans then keep their limits exactly
 _REST_POINTS = 401
 _COMPARED, _ALIKE = 21, 1e-5  # instants at which rows of two models are compared, and how well they agree
 _HOPS = ((0.15, 0.3), (0.5, 0.7))  # of the way's length: how far aside free plans start; the second if all are blocked
@@ -74,9 +74,9 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
     first = problems[0]
     if not first.flat or first.follow_branch:
         why = "follows a branch" if first.flat else "has internal dynamics"
-        raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and no plan can be made for it")
+        raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; it has no plan")
     if first.system.time.numel():
-        raise InvalidModel(f"{scene.name}: its equations hold the time, and no plan can be made for it")
+        raise InvalidModel(f"{scene.name}: its equations depend on time, and it has no plan")
     if not any(not limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return problems
@@ -85,7 +85,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
 def with_a_formula(
     scene: Scene, corners: Sequence[Problem], robust: Mapping[str, tuple[float, float]], curve: PiecewisePolynomial
 ) -> Sequence[Problem]:
-    """Return the corners by that model of the scene whose limits are expressions of the path; as they are without one.
+    """Return the corners by the model that has its limits as expressions of the path; as they are without one.
 
     Where the motion itself is unknown at every point of the grid, a plan takes many times as long. Another model
     does only if it has the same limits, to round-off, along a smooth law on the curve.
@@ -119,7 +119,7 @@ def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePol
 
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
-    """Return what a law along a curve must do; raises `InvalidReference` if a limit cannot be kept at rest."""
+    """Return the task of a law along a curve; raises `InvalidReference` if a limit cannot be kept at rest."""
     begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
     every = [limit_rows(corner, begin) for corner in corners]
     for rows, corner in zip(every, corners, strict=True):
@@ -133,7 +133,7 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
 
 
 def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
-    """Return what a law between two places must do; raises `InvalidReference` if a limit cannot be kept at one."""
+    """Return the task of a law between two places; raises `InvalidReference` if a limit cannot be kept at one."""
     every = [limit_rows(corner, start) for corner in corners]
     for rows, corner in zip(every, corners, strict=True):
         require_at_rest(rows, corner, np.array([start, end]), _ROOM)

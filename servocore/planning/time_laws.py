@@ -1,4 +1,4 @@
-"""Laws that are known beforehand, as fast as limits allow them: what a plan starts from and is compared with."""
+"""Given laws, as fast as limits allow: starts of a plan, and laws for comparison."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _jets(task: Task, shape: Shape, count: int) -> Array:
 
 
 def _kept(task: Task, jets: Array, duration: float) -> bool:
-    """Whether a law keeps the limits themselves, without the room that a plan leaves to them."""
+    """Whether a law keeps the limits, without the margin of a plan."""
     stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
     bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
     values = task.values(stretched)

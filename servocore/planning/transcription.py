@@ -1,7 +1,7 @@
 """The fastest law as a nonlinear program: lifted chains in physical time, the duration free.
 
 Unknowns are the states of the chains at the knots and the snaps, each divided by its peak in a polynomial law, and
-theta = T/T0. The duration enters the steps from knot to knot only; what limits compare is local. Limits are kept at a
+theta = T/T0. The duration enters the steps from knot to knot only; limits are local. Limits are kept at a
 few points of every interval; `fastest` looks between them.
 """
 
@@ -31,7 +31,7 @@ SOLVED = "Solve_Succeeded"
 
 @dataclass(frozen=True, eq=False)
 class Inner:
-    """The motion at every point where rows are kept: unknowns of the program, none where a formula tells it.
+    """The motion at every point where rows are kept: unknowns of the program, none where a formula gives it.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Inner:
         return mapped(self.start, count)(columns.reshape(len(columns), -1))[0].reshape(-1, count, order="F")
 
     def scales(self, jets: Array) -> tuple[Array, Array]:
-        """Return what unknowns and equations are divided by: their sizes along jets (C, orders, n)."""
+        """Return the scales of unknowns and equations: their sizes along jets (C, orders, n)."""
         rows = self.at(jets)
         sizes = np.nanmax(np.abs(rows), axis=1, initial=0.0)
         sizes = np.where(sizes > _NOTHING, sizes, 1.0)
@@ -86,7 +86,7 @@ class Task:
     forward : bool
         Whether no chain turns back.
     inner : Inner
-        What tells the motion.
+        Source of the motion.
     """
 
     rows: ca.Function
@@ -119,7 +119,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the solver returned: a law, its own word, and the iterations it took."""
+    """The results of the solver: a law, its status, and its iterations."""
 
     law: Law
     status: str
@@ -138,7 +138,7 @@ class Transcription:
     Attributes
     ----------
     task : Task
-        What a law must do.
+        Boundary conditions and limits of the law.
     intervals, checks : int
         N, and how many points of each interval the rows are kept at.
     scale : float
@@ -175,7 +175,7 @@ class Transcription:
         tightened : ndarray, shape (rows, N * checks)
             By how much bounds are narrowed.
         progress : callable, optional
-            Told what is under way.
+            Called with a text on the progress.
         """
         if progress is not None:
             progress(f"solving on {self.intervals} intervals")
@@ -196,7 +196,7 @@ class Transcription:
         return Outcome(law, str(statistics["return_status"]), int(statistics["iter_count"]))
 
     def _scales(self) -> Array:
-        """Return what the states and snaps are divided by, shape (K + 1, C)."""
+        """Return the scales of states and snaps, shape (K + 1, C)."""
         orders = np.arange(self.task.length + 1)[:, None]
         return self.task.peaks / self.scale**orders
 

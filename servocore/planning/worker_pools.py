@@ -1,4 +1,4 @@
-"""What computes blocks of a sweep: an executor of this machine, or the workers of a Dask cluster."""
+"""Workers for blocks of a sweep: an executor of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any
 PATIENCE = 60.0
 """How long a cluster may be without any worker, in s; workers that die are started again within seconds."""
 
-_LOOKS = 12  # in that time, and no more: a scheduler has other things to do
-_FEWEST = 16  # workers that an executor is thought to have, which tells nobody how many there are
+_LOOKS = 12  # polls in that time, few enough for the scheduler
+_FEWEST = 16  # workers assumed of an executor, whose number cannot be read
 
 
 class PoolLost(Exception):
-    """What computed does so no more; the message says why."""
+    """The worker process or the cluster has ended; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Pool:
         Raises
         ------
         PoolLost
-            If the executor does not work any more.
+            If the executor has ended.
         """
         try:
             return self.executor.submit(call, *arguments)
@@ -56,12 +56,12 @@ class Pool:
         return wait(waiting, return_when=FIRST_COMPLETED).done
 
     def forget(self, waiting: Collection[Any]) -> None:
-        """Cancel calls whose results nobody wants any more."""
+        """Cancel calls whose results are not needed any more."""
         for future in waiting:
             future.cancel()
 
     def result(self, future: Any) -> Any:
-        """Return what was computed.
+        """Return the result of a call.
 
         Raises
         ------
@@ -76,10 +76,10 @@ class Pool:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Workers of Dask, asked for one result after the other; see `Pool`.
+    """Workers of Dask, whose results are fetched one after the other; see `Pool`.
 
-    Dask's own executor asks for all at once. Where a worker died with results that nobody had fetched yet, every one of
-    these questions has all of them computed again.
+    Dask's own executor fetches all at once. Where a worker died with results that were not fetched yet, every one of
+    these requests has all of them computed again.
 
     Attributes
     ----------
@@ -112,12 +112,12 @@ class Cluster:
             return done
 
     def forget(self, waiting: Collection[Any]) -> None:
-        """Cancel calls whose results nobody wants any more."""
-        if self.client.status == "running":  # else there is nobody to tell
+        """Cancel calls whose results are not needed any more."""
+        if self.client.status == "running":  # else the cluster has ended
             self.client.cancel(list(waiting))
 
     def result(self, future: Any) -> Any:
-        """Return what was computed; `PoolLost` if the cluster has lost the call."""
+        """Return the result of a call; `PoolLost` if the cluster has lost the call."""
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
@@ -128,7 +128,7 @@ class Cluster:
 
     @contextmanager
     def _connected(self) -> Iterator[None]:
-        """Say in one sentence that the scheduler is gone: Dask closes the client then, and fails where it is used."""
+        """Raise `PoolLost` where the scheduler has ended: Dask closes the client then, and fails where it is used."""
         try:
             yield
         except PoolLost:
@@ -136,10 +136,10 @@ class Cluster:
         except (Exception, CancelledError) as error:
             if self.client.status == "running":
                 raise
-            raise PoolLost("the cluster's scheduler answers no more") from error
+            raise PoolLost("the cluster's scheduler does not answer") from error
 
-    def _patiently(self, asked: Callable[[float], Any]) -> Any:
-        """Ask with a time to wait, again and again; a result whose worker died before it was fetched is asked for too.
+    def _patiently(self, fetch: Callable[[float], Any]) -> Any:
+        """Wait in intervals; a result of a worker that died before it was fetched is computed again.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class Cluster:
         seen = time.monotonic()
         while True:
             try:
-                return asked(PATIENCE / _LOOKS)
+                return fetch(PATIENCE / _LOOKS)
             except TimeoutError:
                 if self.client.ncores():
                     seen = time.monotonic()

@@ -1,7 +1,6 @@
-"""What every reference path gamma(t) can do: answer with its exact derivatives at any times.
+"""The interface of reference paths gamma(t): exact derivatives at any times.
 
-A reference is a value: nothing about it changes after it was made, and asking twice gives the same answer.
-Whether its derivatives are those of its positions is asked of paths that users wrote themselves.
+A reference is an immutable value. Paths of users are checked: their derivatives must be those of their positions.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -18,13 +17,16 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
 
+if TYPE_CHECKING:
+    from servocore.references.likely_units import UndeclaredUnits
+
 FloatArray = npt.NDArray[np.float64]
 
 ANALYTIC_ORDER = 99
 """`Reference.max_order` of paths whose pieces are known in closed form: every order a solver could want."""
 
 
-_INSTANTS = 9  # that tell how far a path goes
+_INSTANTS = 9  # to estimate the extent of a path
 
 LONGEST_TIME = 1e9
 """No path begins or ends farther from zero, in s: powers of a longer duration overflow."""
@@ -37,7 +39,7 @@ class Reference(ABC):
     Attributes
     ----------
     start_time, end_time : float
-        The path moves between these times (s). What it does outside, each class says.
+        The path moves between these times (s). Outside, see each class.
     dimension : int
         Number of components of gamma.
     max_order : int
@@ -49,6 +51,8 @@ class Reference(ABC):
     fit_error : float or None
         None for paths that are exact by definition; for fits, their own estimate of the largest deviation
         in position (m).
+    undeclared : UndeclaredUnits or None
+        Of a path from a file: units that its header does not declare, which a scene judges by its own size.
     """
 
     start_time: float
@@ -57,6 +61,7 @@ class Reference(ABC):
     max_order: int
     smoothness: int
     fit_error: float | None = None
+    undeclared: UndeclaredUnits | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start_time) and np.isfinite(self.end_time)):
@@ -78,7 +83,7 @@ class Reference(ABC):
 
     @property
     def common(self) -> dict[str, Any]:
-        """What every path has, by name: for paths that are made of this one."""
+        """The common attributes by name, for paths that are made of this one."""
         return {each.name: getattr(self, each.name) for each in fields(Reference)}
 
     @property
@@ -91,9 +96,9 @@ class Reference(ABC):
         """The path as an expression of time; None if it is none, but a table."""
         return None
 
-    @cached_property  # every run asks
+    @cached_property  # every run reads it
     def extent(self) -> FloatArray:
-        """How far each component goes, in m for a path in m, as far as some instants tell."""
+        """Range of each component over some instants, in m for a path in m."""
         t = np.linspace(self.start_time, self.end_time, _INSTANTS)
         return np.asarray(np.ptp(self.jet(t, 0)[:, 0], axis=0))
 
@@ -123,7 +128,7 @@ class Reference(ABC):
         require_kind(order, (int, np.integer), "the order of a derivative", "a whole number", InvalidReference)
         if not 0 <= order <= self.max_order:
             raise InvalidReference(
-                f"derivatives of order {order} were asked for, but this path has orders 0 to {self.max_order}"
+                f"derivatives of order {order} are not available: this path has orders 0 to {self.max_order}"
             )
         bad = np.flatnonzero(~np.isfinite(times))
         if bad.size:
@@ -240,14 +245,14 @@ Values = Any
 
 @dataclass(frozen=True)
 class Formula:
-    """What a path is as an expression of time; formulas of one kind are equal.
+    """A path as an expression of time; formulas of one kind are equal.
 
     Attributes
     ----------
     kind : hashable
         Paths of one kind have the same expression.
     numbers : callable
-        order -> what of the path stands in its place in the expression, up to some derivative.
+        order -> the numbers of the path that the expression takes, up to some derivative.
     jet : callable
         (time, numbers, order) -> gamma, gamma', ..., one column of expressions each.
     """
@@ -287,13 +292,13 @@ def powers(x: Values, highest: int) -> list[Values]:
 
 _WINDOWS, _PART = 9, 1 / 64  # so many, each such a part of the duration
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_HIGHEST = 8  # order that is looked at
-_WRONG = 0.05  # of a change: what a junction in a window leaves is less in most windows
+_HIGHEST = 8  # order that is checked
+_WRONG = 0.05  # of a change: a junction within a window leaves less in most windows
 _ROUND_OFF = 1e-8  # of the values
 
 
 def require_consistent(path: Reference) -> None:
-    """Raise `InvalidReference` if derivatives of a path are not what its positions and lower derivatives change by.
+    """Raise `InvalidReference` if derivatives of a path are not the rates of its positions and lower derivatives.
 
     The exact inversion takes them as they are, and every equation would hold with inputs that belong to no motion.
 

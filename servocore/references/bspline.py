@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 REST_ORDER = 4
-"""So many derivatives vanish at an end that rests where nothing else is asked for, as those of `DEGREE9` do."""
+"""Default number of derivatives that vanish at an end at rest, as those of `DEGREE9` do."""
 
 
 _MANY = 20_000  # samples from which on factors of the augmented form take too much memory

@@ -1,8 +1,9 @@
-"""Paths from CSV files, SI units throughout; every complaint names file, line and column."""
+"""Paths from CSV files, SI units throughout; every error names file, line and column."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -11,8 +12,9 @@ from servocore.errors import InvalidReference, require_kind
 from servocore.files import csv_text
 from servocore.references.base import FloatArray, Reference
 from servocore.references.bspline import REST_ORDER, require_order
-from servocore.references.csv_table import PREFIXES, Table, doubtful_units, read_table
+from servocore.references.csv_table import PREFIXES, Table, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
+from servocore.references.likely_units import doubtful_units
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import fewest_samples, joined_legs, sampled
 
@@ -31,7 +33,7 @@ RETURNS = 1e-6
 
 _FEWEST_EACH, _MOST_EACH = 2, 64
 _NO_STRETCH, _APART = 1e-12, 1e3  # of the duration, and in units of the last digit of a time
-_BETWEEN = (0.06, 0.2, 0.5, 0.8, 0.94)  # of the way from row to row: where a path is compared with what comes back
+_BETWEEN = (0.06, 0.2, 0.5, 0.8, 0.94)  # of the way from row to row: where a path is compared with the path read back
 
 
 def from_csv(
@@ -45,8 +47,8 @@ def from_csv(
     """Path from a file with times, positions and, if known, their derivatives.
 
     Commas, semicolons or tabs divide the cells; the encoding is UTF-8 or UTF-16. Units are those of SI unless the
-    header names others, as `time [ms],x [mm]`; times may also be dates, as 2026-01-01T12:00:00.100Z. What is converted
-    is told by a warning.
+    header names others, as `time [ms],x [mm]`; times may also be dates, as 2026-01-01T12:00:00.100Z. Conversions
+    are reported by a warning.
 
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, then `ax,ay,az`, then `jx,jy,jz`, then
     `sx,sy,sz` (velocity, acceleration, jerk, snap); with other columns, their names in place of x, y and z. With
@@ -120,7 +122,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
     """Return a path as the text of a file that `from_csv` reads: positions and four derivatives.
 
     Of a path with fewer continuous derivatives it has those alone, for no row holds two values at a jump; `from_csv`
-    then reads it with as many as its `rest_order`. What was read is the path between its start and its end.
+    then reads it with as many as its `rest_order`. The path that is read has these values between start and end.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
         If there are more or fewer names than components, two are the same, or `each` is not a whole number of one or
         more.
     """
-    require_kind(path, Reference, "what path_to_csv is given", "a Reference", InvalidReference)
+    require_kind(path, Reference, "the argument of path_to_csv", "a Reference", InvalidReference)
     if len(columns) != path.dimension:
         raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
     if len({"time", *columns}) <= len(columns):
@@ -152,7 +154,7 @@ def path_to_csv(path: Reference, columns: Sequence[str] = COLUMNS, each: int | N
     if each is not None and not (isinstance(each, int) and each >= 1):
         raise InvalidReference(f"every stretch of a path has one or more whole rows, not {each}")
     t, jets = _rows_enough(path) if each is None else _rows_of(path, each)
-    slow, far = doubtful_units(t, jets[:, 0])  # what a reader would ask about, the header says
+    slow, far = doubtful_units(t, jets[:, 0])  # then the header declares the unit, for the reader would refuse it
     names = [f"{prefix}{name}" for prefix in PREFIXES[: jets.shape[1]] for name in columns]
     if far and tuple(columns) == COLUMNS:
         names[: len(columns)] = [f"{name} [m]" for name in columns]
@@ -242,11 +244,12 @@ def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     speeds = table.derivatives[:, 1] if table.derivatives.shape[1] > 1 else None
     positions = table.derivatives[:, 0]
     try:
-        return joined_legs(
+        path = joined_legs(
             positions, table.t, None, rest_order, speeds, table.stops, lambda k: f"line {table.lines[k]}"
         )
     except InvalidReference as error:
         raise InvalidReference(f"{table.path}: {error}") from None
+    return replace(path, undeclared=table.undeclared)
 
 
 def _path_of(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
@@ -256,7 +259,7 @@ def _path_of(table: Table, tolerance: float | None, rest_order: int) -> Piecewis
     found, worst = hermite(table.t, table.derivatives)
     if worst is not None:
         _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
-    return found
+    return replace(found, undeclared=table.undeclared)
 
 
 def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
@@ -273,7 +276,7 @@ def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> Pie
     found[:, 0] = given[:, 0]  # positions were judged by `sampled`
     worst = disagreement(given, found, path.duration)
     _refuse_contradiction(table, worst, SPLINE_AGREEMENT, "the spline through the positions")
-    return path
+    return replace(path, undeclared=table.undeclared)
 
 
 def _refuse_contradiction(table: Table, worst: Disagreement, limit: float, judge: str) -> None:

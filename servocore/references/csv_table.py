@@ -1,8 +1,8 @@
-"""Tables of numbers from CSV files, whatever program wrote them; every complaint names file, line and column.
+"""Tables of numbers from CSV files of spreadsheets and other programs; every error names file, line and column.
 
-What is unambiguous is read, with a note of what was converted: UTF-16, semicolons or tabs between cells, decimal
-commas, units and capitals in the header, times since 1970, dates with times. What only looks odd, such as times that
-seem to be milliseconds, is refused with the remedy.
+Unambiguous variants are read, with a note of the conversion: UTF-16, semicolons or tabs between cells, decimal
+commas, units and capitals in the header, times since 1970, dates with times. Doubtful values, such as times that
+look like milliseconds, are refused with the remedy.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
+from servocore.references.likely_units import UndeclaredUnits, doubtful_units
 from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
 PREFIXES = ("", "v", "a", "j", "s")
-"""What stands before the name of a position column: nothing, or the order of its derivative by time."""
+"""Prefix of a column of positions, velocities, accelerations, jerks and snaps."""
 
 STOP = "stop"
 """The column of waypoints that says where the path comes to rest."""
@@ -39,10 +40,7 @@ _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _CLOCK = re.compile(r"\d[:/.-]\d+[:/.-]\d|\d:\d\d")
 _RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
 _POWERS = {"²": 2, "³": 3, "⁴": 4}
-_SLOW, _FAST = 1e-3, 20.0  # m/s: mean speeds beside which one asks whether units are what they seem
-_LONG, _FAR = 1000.0, 300.0  # s and m
-_RARE = 0.999  # s: rows that lie so far apart or farther may be milliseconds apart
-_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # what spreadsheets write above a header
+_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # spreadsheets write it above a header
 _SHOWN = 80  # letters of a header that is none
 _YES, _NO = ("1", "1.0", "yes", "true", "x", "stop"), ("", "0", "0.0", "no", "false")
 
@@ -64,6 +62,8 @@ class Table(NamedTuple):
         Positions and their derivatives in SI units; NaN where a cell of waypoints is empty.
     stops : ndarray of bool, shape (n,), or None
         Where the path comes to rest; None without that column.
+    undeclared : UndeclaredUnits, optional
+        Units that the header does not declare.
     """
 
     path: Path
@@ -72,6 +72,7 @@ class Table(NamedTuple):
     t: FloatArray
     derivatives: FloatArray
     stops: np.ndarray | None
+    undeclared: UndeclaredUnits | None = None
 
 
 def read_table(
@@ -131,14 +132,14 @@ def read_table(
             " zero: let times begin near it, or write their unit into the header, as time [ns]"
         )
     table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
-    _require_likely_units(table, layout)
+    table = table._replace(undeclared=_undeclared_units(table, layout))
     if notes:
         warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
     return table
 
 
 def _digits(value: float) -> str:
-    """Return as many digits of a number as tell it from all others."""
+    """Return the fewest digits of a number that are read back as the same number."""
     return repr(float(value)).removesuffix(".0")
 
 
@@ -147,21 +148,21 @@ def _grouped(numbers: FloatArray, components: Sequence[str]) -> FloatArray:
 
 
 class _Layout(NamedTuple):
-    """How a file is made: names of its columns, what divides cells, factors to SI units, where rows begin."""
+    """The format of a file: names of its columns, delimiter, factors to SI units, start of the rows."""
 
     names: list[str]
     delimiter: str
-    factors: FloatArray  # one for time and each number: what a second, metre, ... is in the file
+    factors: FloatArray  # for time and each number: file units per s, m, ...
     units: dict[str, str]  # those that the header names
     first: int  # byte at which the line after the header begins
     line: int  # its number
     stops: bool
     free: int  # the first column whose cells may be empty
-    clock: Callable[[str], float] | None = None  # what turns dates into seconds, where times are dates
+    clock: Callable[[str], float] | None = None  # from dates to seconds, where times are dates
 
 
 def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
-    """Return a file as UTF-8 with LF at ends of lines, and notes of what was converted."""
+    """Return a file as UTF-8 with LF at ends of lines, and notes of conversions."""
     try:
         data = file.read_bytes()
         notes = []
@@ -181,7 +182,7 @@ def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
 def _layout(
     file: Path, data: bytes, components: Mapping[str, str], groups: int, waypoints: bool
 ) -> tuple[_Layout, list[str]]:
-    """Read the header; return how the file is made and notes of what was converted."""
+    """Read the header; return the format of the file and notes of conversions."""
     blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
     wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
     shortest = ",".join(wanted[0])
@@ -219,7 +220,7 @@ def _layout(
 
 
 def _without_capitals(names: list[str], wanted: Sequence[str]) -> list[str]:
-    """Return names of columns as they are wanted, whatever letters are capitals, where that leaves no doubt."""
+    """Return names of columns in the case of the expected ones, where that is unambiguous."""
     meant = {name.casefold(): name for name in wanted}
     return names if len(meant) < len(wanted) else [meant.get(name.casefold(), name) for name in names]
 
@@ -244,7 +245,7 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
 
 
 def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
-    """Return the rows, what is known of them, and notes of what is converted."""
+    """Return the rows, their format, and notes of conversions."""
     body = data[layout.first :].rstrip(b" \n")  # tabs at the end divide cells that are empty
     if not body.strip():
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
@@ -261,7 +262,7 @@ def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, lis
 def _numbers_of(
     file: Path, body: bytes, layout: _Layout
 ) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
-    """Return lines, numbers (n, columns), stops, and notes of what was converted."""
+    """Return lines, numbers (n, columns), stops, and notes of conversions."""
     notes = []
     cells = body if layout.clock is None else without_stamps(body.decode(errors="replace")).encode()
     if layout.delimiter != "," and b"," in cells and b"." not in cells:
@@ -316,7 +317,7 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
                 raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is {why}") from None
             continue
         try:
-            value = float(cell) if "_" not in cell else float("nan")  # what Python reads is no number elsewhere
+            value = float(cell) if "_" not in cell else float("nan")  # only Python reads underscores
         except ValueError:
             value = float("nan")
         if cell == "" and k >= layout.free:
@@ -349,41 +350,15 @@ def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
     return []
 
 
-def doubtful_units(t: FloatArray, positions: FloatArray) -> tuple[bool, bool]:
-    """Say whether times look like milliseconds, and positions (n, columns) like millimetres, where no header names one.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Times in s.
-    positions : ndarray, shape (n, columns)
-        In m.
-    """
-    speed = _mean_speed(t, positions)
-    if not speed > 0.0:
-        return False, False
-    slow = bool(t[-1] - t[0] >= _LONG and speed < _SLOW and np.diff(t).min() >= _RARE)
-    return slow, bool(np.abs(positions).max() >= _FAR and speed > _FAST)
-
-
-def _mean_speed(t: FloatArray, positions: FloatArray) -> float:
-    way = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    return way / float(t[-1] - t[0]) if t[-1] > t[0] else 0.0
-
-
-def _require_likely_units(table: Table, layout: _Layout) -> None:
-    """Refuse times that look like milliseconds and lengths that look like millimetres where no header says so."""
+def _undeclared_units(table: Table, layout: _Layout) -> UndeclaredUnits:
+    """Return which units the header leaves open; refuse those that look like milliseconds or millimetres."""
     t, positions = table.t, table.derivatives[:, 0]
     unnamed = [k for k, name in enumerate(table.columns) if name not in layout.units]
-    if "time" not in layout.units and doubtful_units(t, positions)[0]:
-        raise InvalidReference(
-            f"{table.path}: its times look like milliseconds, for {t[-1] - t[0]:g} s would make a mean speed of"
-            f" {_mean_speed(t, positions):.2g} m/s: write time [ms] into the header, or time [s] if they are right"
-        )
-    if doubtful_units(t, positions[:, unnamed])[1]:
-        first, own = table.columns[unnamed[0]], positions[:, unnamed]
-        raise InvalidReference(
-            f"{table.path}: its positions look like millimetres, for up to {np.abs(own).max():g} m at a mean speed of"
-            f" {_mean_speed(t, own):.3g} m/s are out of reach: write {first} [mm] and so on into the header, or"
-            f" {first} [m] if they are right"
-        )
+    timed = "time" in layout.units
+    spacing = 0.0 if timed or len(t) < 2 else float(np.diff(t).min())
+    column = table.columns[unnamed[0]] if unnamed else ""
+    found = UndeclaredUnits(str(table.path), column, tuple(unnamed), spacing)
+    slow = doubtful_units(t, positions)[0] and not timed
+    far = doubtful_units(t, positions[:, unnamed])[1] if unnamed else False
+    found.require_likely(t, positions[:, unnamed] if far else positions, slow, far, "")
+    return found

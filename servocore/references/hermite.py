@@ -148,7 +148,7 @@ def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], tay
     order = rows.shape[1] - 1
     powers = np.diff(t)[:, None, None] ** np.arange(order + 1)[:, None]  # h^k d/dt^k = d/du^k
     data = np.concatenate([rows[:-1] * powers, rows[1:] * powers], axis=1)
-    origin = rows[:-1, 0]  # of a piece: digits of where it is would be lost in what is left of its derivatives
+    origin = rows[:-1, 0]  # of a piece: digits of its position would be lost in those of its derivatives
     data[:, 0], data[:, order + 1] = 0.0, rows[1:, 0] - origin
     coefficients = np.einsum("ij,njd->nid", taylor, data)
     coefficients[:, 0] += origin

@@ -13,7 +13,7 @@ from servocore.numerics.compiled_calls import lock_arrays
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 
 MOST_STRETCHES = 1000
-"""Of longer runs a stretch holds several turns; they repeat what was looked at before."""
+"""In longer runs a stretch holds several turns, which repeat those that were checked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,8 @@
-"""Paths made of polynomial pieces: what splines and Hermite data become, evaluated with NumPy alone."""
+"""Paths made of polynomial pieces, from splines and Hermite data, evaluated with NumPy alone."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import perm
 
@@ -34,6 +35,8 @@ class PiecewisePolynomial(Reference):
         First and last point in m.
     rests_before, rests_after : bool
         Whether the path starts from rest and ends at rest: derivatives 1 to `smoothness` are exactly zero there.
+    refitted : callable or None
+        Of a path fitted to samples: returns two paths, each fitted to every second sample in the same way.
     """
 
     knots: FloatArray
@@ -41,6 +44,7 @@ class PiecewisePolynomial(Reference):
     ends: FloatArray
     rests_before: bool
     rests_after: bool
+    refitted: Callable[[], tuple[PiecewisePolynomial, PiecewisePolynomial]] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -28,7 +28,7 @@ class Profile(ABC):
     Attributes
     ----------
     name : str
-        What a command line or a chart calls it.
+        Its name on command lines and in charts.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Profile(ABC):
 
     @abstractmethod
     def numbers(self, duration: Values, order: int) -> list[Values]:
-        """Return what `law` takes of the duration: the same number of numbers for any.
+        """Return the coefficients that `law` takes, of the duration: the same number for any.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class ThreePhaseProfile(Profile):
         Returns
         -------
         list
-            What `law` takes.
+            Coefficients of `law`.
         """
         return [duration - ramp, *powers(ramp, max(order, 1))]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,7 +45,7 @@ def through(
     The spline of degree 2 k + 1, k = `rest_order`, with knots at the waypoints: C^(2 k) between start and end,
     where derivatives 1 to k vanish; of all such curves, it has the least integral of ``|gamma^(k + 1)|^2``. Between
     two waypoints alone it is `rest_to_rest` with a polynomial of that degree, `DEGREE9` for k = 4. Before the
-    start and after the end it rests. It does not stop at inner waypoints unless asked to, and may swing out where
+    start and after the end it rests. It does not stop at inner waypoints unless in `stops`, and may swing out where
     neighbouring legs differ much in speed: choose times, or velocities, accordingly.
 
     Parameters
@@ -154,9 +155,10 @@ def sampled(
     (derivatives 1 to k zero) if the samples agree with that as well as without; the path then rests outside,
     otherwise the end polynomial goes on.
 
-    What the samples say is checked against itself: the path is fitted twice more, each time to every second sample.
+    The samples are checked for consistency: the path is fitted twice more, each time to every second sample.
     Derivative k must be the same within a fraction `doubt` of its peak; corners, jumps and noise fail, since there it
-    grows with the density of the samples. The distance of the samples left out is the `fit_error`, an upper estimate.
+    grows with the density of the samples. The distance of the samples left out is the `fit_error`, an upper estimate;
+    `refitted` returns both paths again, and `Solution.fit_effect` what they change in the inputs.
 
     Parameters
     ----------
@@ -325,7 +327,16 @@ def _checked(t: FloatArray, positions: FloatArray, fitted: _Fit, share: float) -
             f"{error:.3g} m in position; there is a corner or a jump, the samples are too far apart, or they are "
             "rounded or noisy and need a tolerance"
         )
-    return to_path(fitted.spline, fitted.ends, float(error))
+    path = to_path(fitted.spline, fitted.ends, float(error))
+    return replace(path, refitted=partial(_refitted, t, positions, fitted.ends, fitted.inner_knots))
+
+
+def _refitted(
+    t: FloatArray, positions: FloatArray, ends: Ends, inner_knots: FloatArray | None
+) -> tuple[PiecewisePolynomial, PiecewisePolynomial]:
+    """Return the paths of `_half_fits`: each from half of the data, so that they differ as its errors do."""
+    one, other = (to_path(spline, ends, None) for spline in _half_fits(t, positions, ends, inner_knots))
+    return one, other
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ def without_stamps(rows: str) -> str:
 
 
 def clock_from(first: str) -> Callable[[str], float] | None:
-    """Return what turns cells into seconds since the first cell, itself included; None if that is no date and time.
+    """Return the function from cells to seconds since the first cell, itself included; None if it is no date and time.
 
     Raises
     ------

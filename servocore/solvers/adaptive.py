@@ -1,6 +1,6 @@
 """Error control: local where the index allows it, by whole runs where it does not.
 
-On forms of index one and less the local error of a step is what it is elsewhere, and the usual test works: each step
+On forms of index one and less the usual test of the local error works: each step
 is repeated as two halves, and a PI controller chooses the next. On projected forms (index 3) the local error of the
 inputs scales like tolerance / h^2 and a local test rejects steps without end; steps that vary add an error that does
 not fall with the step. There whole runs at constant step are repeated with half the step until the inputs agree.
@@ -50,7 +50,7 @@ class ToTolerance(Stepped):
         Raises
         ------
         IntegrationFailed
-            If the tolerance cannot be met, with what was reached and why.
+            If the tolerance cannot be met, with the accuracy that was reached and the reason.
         """
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         order = self.method.orders(program.index).forces
@@ -106,7 +106,7 @@ def _stagnation(problem: Problem, program: Program, control: Adaptive, relative:
     worst = int(relative.argmax())
     return (
         f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
-        f" after {count} steps, {control.rtol:g} was asked for; likely causes: round-off, which grows like 1/h^2 on"
+        f" after {count} steps, but rtol is {control.rtol:g}; likely causes: round-off, which grows like 1/h^2 on"
         f" this form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
     )
 
@@ -118,7 +118,7 @@ class Reached:
     Attributes
     ----------
     run : Run
-        The state of the program at `time`, and what the accepted steps took.
+        The state of the program at `time`, and the counts of the accepted steps.
     time : float
         In s.
     spacing : float
@@ -153,7 +153,7 @@ class Reached:
 
 @dataclass(frozen=True, eq=False)
 class StepControl:
-    """Local error control of a program: what a trial step was worth, and which step comes next."""
+    """Local error control of a program: the error of a trial step, and the size of the next one."""
 
     control: Adaptive
     program: Program
@@ -165,7 +165,7 @@ class StepControl:
         jet, inputs = self.problem.reference.jet(time, self.program.start_order), len(self.problem.system.inputs)
         fine, coarse = (self.program.values(state, jet, self.problem.p)[:inputs] for state in (fine, coarse))
         peaks = np.maximum(now.peaks, np.abs(fine))
-        # Error per unit of time: so that what all steps leave behind together meets the tolerance.
+        # Error per unit of time: the sum over all steps then meets the tolerance.
         weight = self.control.allowed(np.maximum(peaks, 1e-3)) * (time - now.time) / self.problem.reference.duration
         return float((np.abs(fine - coarse) / (2.0**self.order - 1.0) / weight).max()), peaks
 
@@ -183,8 +183,8 @@ class StepControl:
         """Raise `IntegrationFailed` if too many steps were needed, or one too small to change the time."""
         if now.steps + now.rejected > self.control.max_steps or h < 1e-12 * max(1.0, abs(now.time)):
             raise IntegrationFailed(
-                f"{self.program.name}: the tolerance rtol = {self.control.rtol:g}, atol = {self.control.atol:g} asked"
-                f" for steps of {h:.2g} s at t = {now.time:.6g} s, {now.steps} steps after the start; a method of"
+                f"{self.program.name}: the tolerance rtol = {self.control.rtol:g}, atol = {self.control.atol:g} needs"
+                f" steps of {h:.2g} s at t = {now.time:.6g} s, {now.steps} steps after the start; a method of"
                 f" higher order or a larger tolerance is needed"
             )
 
@@ -209,9 +209,9 @@ def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progre
 
 
 def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
-    """Try one step towards `end`; return what it reached, or the same place with a smaller step to try."""
+    """Try one step towards `end`; return its result, or the same place with a smaller step to try."""
     left = end - now.time
-    # Share what is left evenly rather than leave a sliver for last.
+    # Divide the rest evenly rather than end with a very short step.
     h = left / max(1, np.ceil(left / now.h * (1 - 1e-9)))
     control.require_possible(now, h)
     # Two halves against the whole: needs no embedded method, and the halves are the result.

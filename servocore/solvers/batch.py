@@ -23,11 +23,11 @@ from servocore.stepping.prescribed_initial_values import require_start
 
 
 class Batch:
-    """What exact inversions give, for many cases of one scene at the same instants.
+    """Exact inversion of many cases of one scene at the same instants.
 
-    A case has parameter values of its own, a path of its own, or both. Machine code goes through all instants of all
-    cases at the price of an instant of a single one, in as many threads as there are processors. A call does not look
-    at limits: ask for the quantities that are limited and compare. With internal dynamics it steps every case as
+    A case has parameter values of its own, a path of its own, or both. Machine code evaluates all instants of all
+    cases at the cost per instant of a single case, in as many threads as there are processors. A call does not check
+    limits: request the limited quantities and compare. With internal dynamics it steps every case as
     `DynamicInversion` does, from its start, and compares with smaller steps. `solve` solves and checks every case as
     `servocore.solve` does, and takes as long.
 
@@ -36,7 +36,7 @@ class Batch:
     scene : Scene
         Without internal dynamics, or with stable ones.
     quantities : sequence of str, optional
-        Names of what is wanted, of those that `solve` reports; the inputs when not given.
+        Names of quantities that `solve` reports; the inputs when not given.
     model : str, optional
         Model of the scene; its smallest when not given.
     tolerance : float
@@ -49,14 +49,14 @@ class Batch:
     Attributes
     ----------
     names : tuple of str
-        What the last axis of a result holds.
+        Quantities along the last axis of a result.
 
     Raises
     ------
     InvalidModel
         If the scene follows a branch, or has no quantity of a name.
     ServocoreError
-        Whatever `DynamicInversion` refuses a scene with internal dynamics for.
+        As `DynamicInversion` for a scene with internal dynamics.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class Batch:
         t : array_like, shape (N,)
             Times in s, the same for all cases.
         parameters : mapping of str to array_like, shape (cases,) or ()
-            Values in SI units; what is left out has the scene's value.
+            Values in SI units; the scene's value for a parameter that is not given.
         paths : sequence of Reference, optional
             One a case; the scene's own path for all when not given.
 
@@ -167,7 +167,7 @@ class Batch:
         Returns
         -------
         ndarray, shape (cases, steps + 1, quantities)
-            What `servocore.solve` of each case reports.
+            The results of `servocore.solve` for each case.
 
         Raises
         ------

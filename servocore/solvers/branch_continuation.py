@@ -40,8 +40,8 @@ CLOSED_FORM = "one: the closed form of the model at every instant, which turns t
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
 _MANY = 500  # instants from which on machine code compares neighbours
-_MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
-_MOST_CONNECTED = 4  # intervals that are looked into where the model gives its motion in closed form
+_MOST_TRIALS = 3000  # between two instants: steps shrink without end near a singularity
+_MOST_CONNECTED = 4  # intervals that are bisected where the model gives its motion in closed form
 _SINGULAR_CONDITION = 1e12
 _MUCH_WORSE = 1e6  # than beside it: Newton's method comes no nearer to a singular answer
 _WORSE = 1e3  # than on both sides, at an instant that the branch does not go through
@@ -52,7 +52,7 @@ _LOOKED_AT = 17  # instants, for the sign of a determinant
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """What follows a branch of a flat problem along its path.
+    """Continuation of one branch of a flat problem along its path.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Branch:
         Raises
         ------
         IntegrationFailed
-            If the branch ends on the way, or cannot be told from another.
+            If the branch ends on the way, or cannot be distinguished from another.
         """
         waiting, trials = [end], 0
         while waiting:
@@ -321,7 +321,7 @@ def require_followed(problem: Problem, t: Array, states: Array) -> None:
 
 
 def _passages(t: Array, passed: Iterable[int]) -> str:
-    """Return what `statistics.branch` says of the singular intervals that a motion passes."""
+    """Return the text of `statistics.branch` on the singular intervals that a motion passes."""
     return "".join(
         f"; between t = {t[k]:.6g} s and {t[k + 1]:.6g} s the equations are singular, this one goes on smoothly"
         for k in passed
@@ -335,7 +335,7 @@ class BranchTable:
     Attributes
     ----------
     branch : Branch
-        What follows it.
+        The continuation of their branch.
     t : ndarray, shape (N,)
         Instants in rising order.
     states : ndarray, shape (size, N)

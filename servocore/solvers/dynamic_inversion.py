@@ -48,10 +48,10 @@ Cases = npt.NDArray[np.intp]
 class DynamicInversion:
     """The inputs of a scene with internal dynamics, prepared once and integrated by every call.
 
-    Where `ExactInversion` has every instant by itself, internal dynamics have to be integrated from their start. What
-    can be done once is done once: the equations are compiled, `solve` looks at the scene with all its checks, and
-    the number of steps is found that keeps a tolerance of the inputs. A call is then one of machine code: it takes
-    some hundredths of a millisecond, also at instants that were never asked for.
+    `ExactInversion` solves every instant independently; internal dynamics have to be integrated from their start. Once,
+    the equations are compiled, `solve` runs the scene with all its checks, and the number of steps that keeps a
+    tolerance of the inputs is determined. A call then runs machine code: it takes some hundredths of a millisecond,
+    also at new instants.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class DynamicInversion:
     Attributes
     ----------
     inputs : tuple of str
-        Names of the columns of what a call returns.
+        Names of the columns that a call returns.
     steps : int
         Of order eight, from the start of the path to its end.
 
@@ -80,7 +80,7 @@ class DynamicInversion:
     IntegrationFailed
         If explicit steps do not keep the tolerance, as with stiff dynamics.
     ServocoreError
-        Whatever `solve` refuses the scene for.
+        As `solve`.
 
     Examples
     --------
@@ -164,9 +164,9 @@ class DynamicInversion:
         key = times.tobytes()
         known = self._known.get(key)
         if known is None:
-            t = np.frombuffer(key)  # and not the array, whose owner may change it
+            t = np.frombuffer(key)  # and not the array, which the caller may change
             if self._steps.formula is None and len(t):
-                self._require_inside(t)  # before the table is asked
+                self._require_inside(t)  # before the table is read
             known = self._steps.instants([self._problem.reference], t)
             self._known = {key: known}
         return known
@@ -198,7 +198,7 @@ class DynamicInversion:
 
 @dataclass(frozen=True, eq=False)
 class DynamicCases:
-    """What `Batch` asks for where there are internal dynamics.
+    """Inversion of many cases with internal dynamics, for `Batch`.
 
     Every case is compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
 
@@ -207,11 +207,11 @@ class DynamicCases:
     problem : Problem
         The scene's own.
     names : tuple of str
-        What is wanted.
+        Names of the quantities to compute.
     tolerance : float
         Largest error of any input, relative to its peak.
     steps : int
-        What the scene itself takes, as `DynamicInversion` finds.
+        Number that the scene itself needs, found by `DynamicInversion`.
     native : bool or None
         See `JustInTime`.
     """
@@ -246,7 +246,7 @@ class DynamicCases:
         return inputs
 
     def _solve(self, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
-        """Write into `inputs` what cases with paths of one kind give; steps are doubled for those that need it."""
+        """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
         start, count = self._starts(paths, p), self.steps
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
@@ -271,7 +271,7 @@ class DynamicCases:
         return kept
 
     def _read(self, paths: list[Reference], t: Array, count: int, p: Array, start: Array) -> Array:
-        """Return inputs, what must be positive and what is wanted, (cases, columns, N), by so many steps."""
+        """Return inputs, positive quantities and requested ones, (cases, columns, N), by so many steps."""
         steps = compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
         return steps.runs(steps.run(paths, count, p, start), steps.instants(paths, t))[0]
 

@@ -37,7 +37,7 @@ _IN_MACHINE_CODE = ("step",)
 class EnergyMomentum:
     """The energy-momentum scheme of Gonzalez (1996) for `simulate`: second order, no numerical damping.
 
-    What it conserves it conserves to round-off at every step size: energy (changed by the work of inputs and forces
+    It conserves to round-off at every step size: energy (changed by the work of inputs and forces
     only), angular momentum about every axis of symmetry, holonomic constraints. That says nothing of its accuracy:
     velocities keep the constraints' rate at zero in the mean of a step only, and how far they are from it at the
     instants, `statistics.constraint_rate_violation`, is the measure of the error.
@@ -48,8 +48,8 @@ class EnergyMomentum:
     Parameters
     ----------
     update : RotationUpdate, optional
-        What has six unknowns a body and no multipliers in the equations of a step; positions and multipliers when not
-        given.
+        The update with six unknowns a body and no multipliers in the equations of a step; the step has positions and
+        multipliers as unknowns when not given.
     native : bool, optional
         Whether a C compiler shall turn a step into machine code, which takes some seconds; with None it does so in the
         background, for long motions and for systems that are simulated again. No digit depends on it.
@@ -104,7 +104,7 @@ def conserved_motion(
     start : ndarray, shape (2 n,)
         (q, v) at t[0], which satisfy the constraints and their rates.
     inputs : callable
-        Inputs as a function of time; the scheme asks at the middle of every step.
+        Inputs as a function of time, evaluated at the middle of every step.
     t : ndarray, shape (N,)
         Instants in rising order, whole numbers of steps after the first.
     step : float

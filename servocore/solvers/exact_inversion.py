@@ -1,4 +1,4 @@
-"""Exact inversion: every instant by itself, as a route of `solve` and, for inputs alone, prepared once."""
+"""Exact inversion: every instant by itself, as a route of `solve`, and prepared once for inputs alone."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Pointwise(JudgedRoute):
         return BetterSolver(perturbed_inversion, True, "the exact inversion, solved again,")
 
     def _evaluation(self, problem: Problem) -> ExactEvaluation | None:
-        """Return the inversion with what is observed; None if the form has none, or a branch is followed."""
+        """Return the inversion with the observed quantities; None if the form has none, or a branch is followed."""
         exact = self.formulation == Reduced() and not problem.follow_branch
         if not exact or inversion(problem.array).expression is None:
             return None
@@ -112,7 +112,7 @@ class Pointwise(JudgedRoute):
 def _at_every_instant(
     problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
 ) -> tuple[Run, tuple[Array, Array] | None]:
-    """Solve every instant from the guess of the model, NaN where that fails; with what is observed if that is known."""
+    """Solve every instant from the guess of the model, NaN where that fails; with observed values if known."""
     require_derivatives(problem, program)
     results = _all_results(problem, program, times, evaluation, progress)
     states, counts, residuals, *observed = results
@@ -127,7 +127,7 @@ def _at_every_instant(
 def _all_results(
     problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
 ) -> list[Array]:
-    """Return states, counts and residuals, and what is observed if that is known, shape (rows, N) each."""
+    """Return states, counts and residuals, and observed values if they are known, shape (rows, N) each."""
     count, p = len(times), problem.p
     if evaluation is not None and evaluation.by_expression.ready(problem, count):
         results = evaluation(problem, times)
@@ -146,7 +146,7 @@ def _all_results(
                 np.zeros((program.state_size, size)), jets, np.zeros(size), np.tile(p, size)
             )
             columns = [array.reshape(-1, size, order="F") for array in stepped]
-        # Each row lies in one piece, for what follows goes through results row by row.
+        # Each row is contiguous, for the results are processed row by row.
         results = results or [np.empty((len(column), count)) for column in columns]
         for result, part in zip(results, columns, strict=True):
             result[:, k : k + len(t)] = part
@@ -158,9 +158,9 @@ def _all_results(
 class ExactInversion:
     """The inputs of a scene at any instants, in any order, by exact inversion.
 
-    What can be done once is done once: the equations are differentiated and compiled, and the path is checked. An
+    The equations are differentiated and compiled, and the path is checked, once. An
     instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimizations, and
-    tables that are read as they are needed; `solve` gives the motion as well, and looks closer at the result.
+    tables that are read as they are needed; `solve` gives the motion as well, and checks the result more closely.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class ExactInversion:
     Attributes
     ----------
     inputs : tuple of str
-        Names of the columns of what a call returns.
+        Names of the columns that a call returns.
 
     Raises
     ------
@@ -205,7 +205,7 @@ class ExactInversion:
         array = problem.array
         if not problem.flat or scene.follow_branch:
             why = "follows a branch" if problem.flat else "has internal dynamics"
-            raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and solve computes them")
+            raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; use solve")
         if scene.reference.max_order < array.reference_order:
             raise InvalidReference(
                 f"the path has derivatives up to order {scene.reference.max_order}, the inputs of {scene.name} need"
@@ -225,7 +225,7 @@ class ExactInversion:
             cause = explained(problem, error)
             if cause is not error:
                 raise cause from None
-            self._table = error  # raised by a call, which may find a better reason
+            self._table = error  # raised by a call, which may give a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(channel.name for channel in problem.system.inputs)
 
@@ -291,14 +291,14 @@ def require_signs(name: str, t: Array, quantities: Sequence[Quantity], values: A
 
 
 def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:
-    """Return what exact inversions give of the inputs and, behind them, of the observables that must be positive."""
+    """Return the exact evaluation of the inputs and, behind them, of the observables that must be positive."""
     system = problem.system
     names = *(channel.name for channel in system.inputs), *(each.name for each in system.observables if each.positive)
     return exact_quantities(problem.resolved, names, native)
 
 
 def exact_values(problem: Problem) -> BetterSolver:
-    """Return the exact inversion as what other solutions of a problem without internal dynamics are compared with."""
+    """Return the exact inversion as the reference for other solutions of a problem without internal dynamics."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
     from servocore.solvers.warm_start import inversion_near  # noqa: PLC0415 - which solves by this route
 

@@ -55,7 +55,7 @@ class Stepped(JudgedRoute):
     Parameters
     ----------
     formulation, method : Formulation, Method
-        What is stepped, and how.
+        The form and the method that steps it.
     native : bool, optional
         Whether as machine code; in the background where there is much to do when not given.
     """
@@ -69,7 +69,7 @@ class Stepped(JudgedRoute):
         if problem.flat:
             return exact_values(problem)
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-            return BetterSolver(StableInversion().run, True, "the bounded inversion")
+            return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
         run = StateSelection(form, _BETTER_METHOD).run
         return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
@@ -126,7 +126,7 @@ class StateSelection(Stepped):
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
             if better is None and not complete:
                 better = _best_states(problem, array, times[at + good], values[:, good])
-                # Without this a run would restart at the same instant for ever.
+                # Without this a run would restart at the same instant without end.
                 if better == array.states or restarted_at == at:
                     raise step_failure(problem, program, part.states[:, good], times[at + good], step)
             reached = replace(part, states=part.states[:, : good + 1])

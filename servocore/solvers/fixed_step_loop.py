@@ -99,7 +99,7 @@ def advance_chunk(
     """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
 
     Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
-    not full is padded with the final instant; what it gives there is dropped.
+    not full is padded with the final instant; its results there are dropped.
     """
     used = len(t) - 1
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
@@ -135,8 +135,8 @@ def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state
 
 
 _STICKS = (
-    ", or a force that jumps, as dry friction does: where what it acts on sticks, no step has a solution, and a smooth"
-    " form of it has, such as tanh(v/e) for sign(v)"
+    ", or a force that jumps, as dry friction does: where the body sticks, no step has a solution; use a smooth"
+    " form such as tanh(v/e) for sign(v)"
 )
 
 

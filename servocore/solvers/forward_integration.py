@@ -19,12 +19,12 @@ Rate = Callable[[float, Array], Array]
 """(time in s, state (q, v)) -> its derivative."""
 
 _WATCHED = 60  # steps whose progress is judged together
-_SLOW = 1e-3  # of the whole time: so little progress in so many steps is looked into
-_NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is looked at
+_SLOW = 1e-3  # of the whole time: less progress in so many steps is examined
+_NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is evaluated
 _MANY = 50_000  # steps ahead: worth the change to an implicit method, if stability alone keeps steps small
-_UNSTABLE = 3.0  # step times rate of decay; accuracy asks for less where something oscillates
+_UNSTABLE = 3.0  # step times rate of decay; accuracy needs less where something oscillates
 _POWERS = 4  # of the Jacobian, to find its fastest rate
-_RESOLVED = 1e-12  # of a state: what changes over less jumps for any integrator
+_RESOLVED = 1e-12  # of a state: a change over less is a jump for any integrator
 _SAME = 2.0  # a force that is a hundred times as far away no larger than this does not grow: it jumps
 
 
@@ -55,7 +55,7 @@ def integrated(
     name : str
         Of the system, for messages.
     coordinates : sequence of str, length n
-        What messages call the entries of q.
+        Names of the entries of q in messages.
     rate : callable
         The equation.
     start : ndarray, shape (2 n,)
@@ -70,7 +70,7 @@ def integrated(
     states : ndarray, shape (2 n, N)
         At the instants.
     steps, evaluations : int
-        What it took.
+        Totals.
 
     Raises
     ------

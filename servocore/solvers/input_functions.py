@@ -21,7 +21,7 @@ _ROUND_OFF = 1e-9  # of the duration
 
 
 def rising_times(t: Any, what: str = "the times at which to report") -> Array:
-    """Return times (N,) as an array; `what` they are is for messages.
+    """Return times (N,) as an array; `what` names them in messages.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
     solution : Solution
         With the inputs of the system by name.
     system : MechanicalSystem
-        What they drive.
+        The system that they drive.
     t : ndarray, shape (N,)
         Times that they are to cover, in rising order.
 
@@ -78,7 +78,7 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
     if t[0] < first - slack or t[-1] > last + slack:
         raise InvalidSetting(
             f"the inputs are known from t = {first:g} s to {last:g} s, the simulation is to go from {t[0]:g} s to"
-            f" {t[-1]:g} s: nothing says what they are outside their time"
+            f" {t[-1]:g} s: outside their time they are unknown"
         )
     table = np.column_stack([np.empty((len(solution.t), 0)), *(solution[name] for name in names)])
     bad = np.argwhere(~np.isfinite(table))

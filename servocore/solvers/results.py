@@ -22,7 +22,7 @@ _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """States at all instants and what they took.
+    """States at all instants, and the totals of the run.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ def joined_runs(parts: list[Run]) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Part of a run by one program: the instants, its states there and what they took.
+    """Part of a run by one program: the instants, its states there and the totals.
 
     `observed` holds values (channels, N) and violations (4, N) where they are known already; `native` says whether
     checks may use machine code, see `Vectorized`.
@@ -73,22 +73,21 @@ def solution_of(
     Parameters
     ----------
     problem : Problem
-        What was solved.
+        The problem that was solved.
     segments : list of Segment
         Parts that follow one another; the instant that two have in common is taken from the later one.
     route : str
         How it was solved, if the name of the last program does not say it.
     refuse_turns : bool
-        Whether an angle that turns by half a turn within a step is refused: it cannot be told from the turn the other
-        way round.
+        Whether an angle that turns by half a turn within a step is refused, since its direction is ambiguous.
     **statistics
         Entries of `Statistics` that do not follow from the states.
 
     Raises
     ------
     IntegrationFailed
-        If the states have left the branch of the equations that is wanted, or an angle turns too far between two
-        instants to tell which way.
+        If the states have left the branch of the equations that is wanted, or an angle turns so far between two
+        instants that its direction is ambiguous.
     """
     tables, violations = [], []
     for segment in segments:
@@ -96,7 +95,7 @@ def solution_of(
         tables.append(table if segment is segments[-1] else table[:-1])
         violations.append(violation)
     program = segments[-1].program
-    if len(segments) == 1:  # as it is: of many instants copies take as long as many a check
+    if len(segments) == 1:  # without copies, which take as long as a check where there are many instants
         t, values, violation = segments[0].t, tables[0], violations[0]
     else:
         t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), segments[-1].t])
@@ -180,6 +179,6 @@ def _median_difference(row: Array) -> float:
         here, there = there, here
     differences = np.abs(here[:size])
     middle = size // 2
-    differences.partition(middle)  # one place at a time: that goes side by side
+    differences.partition(middle)  # one place at a time, which runs side by side
     upper = differences[middle]
     return float(upper if size % 2 else 0.5 * (upper + differences[:middle].max()))

@@ -1,4 +1,4 @@
-"""`Route`: a way from a problem to its solution. `solve` chooses one, heeding the accuracy wanted, and runs it."""
+"""`Route`: a way from a problem to its solution. `solve` chooses one by the accuracy required, and runs it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Route(Protocol):
     """A way to solve; implementations are frozen dataclasses that hold their settings.
 
-    `solve` takes one of its user's in the place of the method.
+    `solve` takes a user's own in the place of the method.
     """
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
@@ -30,7 +30,7 @@ class Route(Protocol):
         Parameters
         ----------
         problem : Problem
-            What to solve.
+            The problem.
         times : ndarray, shape (N,)
             In s, from the start of the path to its end, evenly apart.
         progress : callable, optional
@@ -45,10 +45,10 @@ class Route(Protocol):
 
 @dataclass(frozen=True)
 class Adaptive:
-    """The accuracy wanted of every input; the only knob.
+    """The accuracy required of every input; the only setting of error control.
 
     An error e of an input with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
-    round-off, so it needs no tolerance of its own.
+    round-off, so it has no separate tolerance.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Adaptive:
 
 
 class JudgedRoute(ABC):
-    """A route of the library: `solve` checks what it gives, and it says itself how good that is.
+    """A route of the library: `solve` checks its results, and it estimates their accuracy itself.
 
     Attributes
     ----------
@@ -106,10 +106,10 @@ class JudgedRoute(ABC):
 
     @abstractmethod
     def better(self, problem: Problem) -> BetterSolver:
-        """Return what its solutions are compared with, to estimate the errors of inputs."""
+        """Return the reference for its solutions, to estimate the errors of inputs."""
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:  # noqa: ARG002 - others judge
-        """Judge the inputs of a solution as closely as it needs, and say in which sense its motion is one."""
+        """Check the inputs of a solution as closely as needed, and return on which branch its motion is."""
         return solution.statistics.branch
 
     def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:  # noqa: B027 - most do

@@ -1,4 +1,4 @@
-"""`simulate`: forward dynamics of a scene under given inputs, to see whether the load goes where it should."""
+"""`simulate`: forward dynamics of a scene under given inputs, to verify that the load follows its path."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def simulate(
         Model to integrate; the scene's smallest when not given.
     start : mapping of str to float, optional
         Initial values of coordinates and rates by name, ``theta`` and ``theta_dot``. Where the holonomic constraints
-        ask for it the others are moved, as little as possible.
+        require it the others are moved, as little as possible.
     rtol, atol : float
         Tolerances of the integrator on positions and velocities.
     time_limit : float, optional
         Seconds after which the integration is given up.
     method : EnergyMomentum, optional
-        What integrates with a constant step, instead of DOP853 with error control.
+        The scheme with a constant step, instead of DOP853 with error control.
     step : float, optional
         Its step in s; the times at which to report are whole steps after the first.
 
@@ -120,10 +120,10 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     """Return the motion by the energy-momentum scheme, with its balance of energy."""
     if not isinstance(method, EnergyMomentum):
         raise InvalidSetting(
-            f"a forward simulation with a step of its own goes by EnergyMomentum(), not by {described(method)}"
+            f"a forward simulation at constant step needs method=EnergyMomentum(), not {described(method)}"
         )
     require_real(step, "the step of the energy-momentum scheme", "a time in s", InvalidSetting)
-    scheme_of(problem, method)  # first of all: what cannot be conserved needs no start
+    scheme_of(problem, method)  # first: a system without a conserved energy needs no start
     start = _initial_state(problem, float(t[0]))
     motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
     _require_no_steps(problem, t, motion.states)
@@ -167,7 +167,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
 
 @made_once
 def _free_motion(resolved: ResolvedSystem) -> Call:
-    """Compile (state, u, d, p) -> (state_dot, lam, u): what moves under given inputs."""
+    """Compile (state, u, d, p) -> (state_dot, lam, u): forward dynamics under given inputs."""
     return Call(forward_rate(resolved.system, held=False))
 
 
@@ -257,7 +257,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
 def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
     """Compile (state, lam, u, gamma, p) -> observed values, violations, distances from position and rate of the path.
 
-    What needs higher derivatives of the path is not observed: the motion need not follow it.
+    Quantities of higher derivatives of the path are not observed: the motion need not follow it.
     """
     system, gamma, path = resolved.system, resolved.system.gamma[:, :2], resolved.system.path
     known = [

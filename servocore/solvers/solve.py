@@ -15,7 +15,14 @@ from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidSetting, require_callable, require_formulation, require_method, require_real
+from servocore.errors import (
+    InvalidSetting,
+    ServocoreError,
+    require_callable,
+    require_formulation,
+    require_method,
+    require_real,
+)
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -41,7 +48,7 @@ if TYPE_CHECKING:
     from servocore.checks.better_solutions import BetterSolver
 
 _SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
-_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide what happens in between
+_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide peaks in between
 
 
 def solve(
@@ -64,7 +71,7 @@ def solve(
     scene : Scene
         With its reference and parameters.
     formulation, method : Formulation, Method or Route, optional
-        What the analysis recommends when neither is given; else `Reduced` and `BackwardEuler`.
+        The recommendation of the analysis when neither is given; else `Reduced` and `BackwardEuler`.
     step : float or Adaptive, optional
         Step in s, which must divide the duration of the path (a 200th of it when not given), or the accuracy wanted.
     output_step : float, optional
@@ -105,7 +112,7 @@ def solve(
     if problem.start:
         require_start(problem)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
-    is_route = route is method  # such a route brings no checks of its own, and chooses its instants
+    is_route = route is method  # a user's route has no checks, and chooses its instants
     checked = checks or is_route
     if checked:
         require_feasible(problem, None if is_route else times, _native_checks(route, times))
@@ -118,7 +125,8 @@ def solve(
     if checked:
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
-    return replace(solution, advice=advice, estimator=estimator, origin=problem)
+    fit = partial(_fit_effect, problem, route)
+    return replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
 
 
 def _native_checks(route: Route, t: Array) -> bool | None:
@@ -136,7 +144,7 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     warned = check_between_instants(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
         check_between_instants(problem, _on_survey_grid(problem), unknowns_near)
-    stated = solution.statistics.branch  # what a route of the user's says is its own business
+    stated = solution.statistics.branch  # a user's route states its branch itself
     if isinstance(route, JudgedRoute):
         stated = route.branch_statement(problem, solution)
     return replace(solution, statistics=replace(solution.statistics, branch=stated + passed))
@@ -168,7 +176,7 @@ def _require_arguments(
     if output_step is not None:
         require_real(output_step, "the output step", "a time in s", InvalidSetting)
         if not isinstance(step, Adaptive):
-            raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
+            raise InvalidSetting("output_step needs step=Adaptive(...); at constant step every step is reported")
     if progress is not None:
         require_callable(progress, "progress", "a function of (steps done, steps in all)")
 
@@ -186,7 +194,7 @@ def chosen_route(
     Raises
     ------
     InvalidSetting
-        If a bounded inversion is asked for with another form than `Reduced`, with a tolerance for its steps, or with
+        If a stable inversion has another form than `Reduced`, a tolerance for its steps, or
         a start.
     """
     if isinstance(method, JudgedRoute):
@@ -207,22 +215,48 @@ def chosen_route(
 
 
 def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
-    """Return the better solution that the solutions of a route are compared with, to estimate the errors of inputs."""
+    """Return the solver that the solutions of a route are compared with, to estimate the errors of inputs."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
 
     if isinstance(route, JudgedRoute):
         return route.better(problem)
     if problem.flat:
         return exact_values(problem)
-    return BetterSolver(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
+    return BetterSolver(None, False, f"no more accurate solver of {problem.system.name} is known for this route")
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     return better_solver_of(problem, route).estimate(problem, solution)
 
 
+def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:
+    """Return how much inputs depend on the samples that a path is fitted to; None if no samples were fitted.
+
+    Paths fitted to half of the samples each are independent: their difference has twice the deviation of the path's own
+    error, which makes the largest of all differences a moderate upper estimate.
+    """
+    from servocore.references.piecewise import PiecewisePolynomial  # noqa: PLC0415 - for paths of samples only
+    from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415
+
+    path = problem.reference.path if isinstance(problem.reference, TimeAugmented) else problem.reference
+    if not isinstance(path, PiecewisePolynomial) or path.refitted is None or not isinstance(route, JudgedRoute):
+        return None
+    names = [quantity.name for quantity in problem.system.inputs]
+    inputs = [solution.values[:, : len(names)]]
+    peaks = dict(zip(names, np.abs(inputs[0]).max(axis=0).tolist(), strict=True))
+    try:
+        for half in path.refitted():
+            reference = half if path is problem.reference else TimeAugmented.of(half)
+            found = route.run(replace(problem, reference=reference), solution.t)
+            inputs.append(found.values[:, : len(names)])
+    except ServocoreError as error:
+        return ErrorEstimate(dict.fromkeys(names), peaks, f"unknown: {error}")
+    apart = np.ptp(inputs, axis=0).max(axis=0).tolist()
+    return ErrorEstimate(dict(zip(names, apart, strict=True)), peaks, "fits to every second sample")
+
+
 def recommended(problem: Problem) -> tuple[Method | Route, str]:
-    """Return the method that the analysis recommends for the reduced form, and what it says."""
+    """Return the method that the analysis recommends for the reduced form, and its advice."""
     kind, method = internal_dynamics(problem).kind, RadauIIA(3)
     advice = f"{kind}: {ADVICE[kind]}"
     if kind != NON_MINIMUM_PHASE:

@@ -1,4 +1,4 @@
-"""Bounded inversion where the internal dynamics are unstable: a boundary value problem over the whole horizon.
+"""Stable inversion where the internal dynamics are unstable: a boundary value problem over the whole horizon.
 
 Forward in time unstable internal dynamics grow without bound, backward the stable ones do. The solution that stays
 bounded (stable inversion, Devasia, Chen & Paden 1996; as boundary value problem Taylor & Li 2002) starts to act before
@@ -44,16 +44,16 @@ _AT_REST = 1e-9
 
 @dataclass(frozen=True)
 class StableInversion(JudgedRoute):
-    """Bounded inversion by Gauss collocation over a horizon longer than the path, or over one period of it.
+    """Stable inversion by Gauss collocation over a horizon longer than the path, or over one period of it.
 
     A path that comes back to where it began, with all derivatives that enter, counts as one period (or several) of a
-    motion that goes on for ever; the horizon is then the path itself. Any other must be at rest at its ends.
+    periodic motion; the horizon is then the path itself. Any other must be at rest at its ends.
 
     Parameters
     ----------
     tolerance : float
-        The mesh is halved until no input changes by more, relative to its peak. What is cut off before and after
-        the horizon is of that size as well.
+        The mesh is halved until no input changes by more, relative to its peak. The truncation before and after
+        the horizon has that size as well.
     stages : int
         Gauss nodes in every mesh interval; mesh values converge with twice that order.
     pre, post : float, optional
@@ -68,7 +68,7 @@ class StableInversion(JudgedRoute):
 
     def __post_init__(self) -> None:
         for name in ("tolerance", "stages", "pre", "post"):
-            require_real(getattr(self, name) or 0, f"{name} of a bounded inversion", "a number", InvalidSetting)
+            require_real(getattr(self, name) or 0, f"{name} of a stable inversion", "a number", InvalidSetting)
         Gauss(self.stages)
         if not 0.0 < self.tolerance < 1.0:
             raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {self.tolerance}")
@@ -84,15 +84,15 @@ class StableInversion(JudgedRoute):
     def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:
         """Raise `InvalidSetting` for another form than `Reduced`, for a start, or for a tolerance of steps."""
         if formulation != Reduced():
-            raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+            raise InvalidSetting(f"a stable inversion works on the reduced form, not on {formulation}")
         if problem.start:
-            raise InvalidSetting("a bounded inversion finds its own initial values; the start is given in vain")
+            raise InvalidSetting("a stable inversion determines the initial values itself; leave out `start`")
         if adaptive:
-            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to StableInversion")
+            raise InvalidSetting("a stable inversion controls its mesh itself; give its tolerance to StableInversion")
 
     def better(self, _: Problem) -> BetterSolver:
         """Return one with more stages, to a smaller tolerance, over the longer horizon that it needs."""
-        return BetterSolver(self._again, True, "a bounded inversion of higher order")
+        return BetterSolver(self._again, True, "a stable inversion of higher order")
 
     def _again(self, problem: Problem, times: Array) -> Solution:
         start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
@@ -102,7 +102,7 @@ class StableInversion(JudgedRoute):
         return again.run(problem, inside)
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
-        """Judge a solution whose tolerance is loose, or whose horizon its user chose; see `JudgedRoute`."""
+        """Judge a solution whose tolerance is loose, or whose horizon was given; see `JudgedRoute`."""
         doubtful = self.tolerance > LOOSE_TOLERANCE or self.pre is not None or self.post is not None
         return warn_and_state_branch(problem, self.better(problem), solution, doubtful, (Reduced(), None))
 
@@ -114,7 +114,7 @@ class StableInversion(JudgedRoute):
         InvalidReference
             If the reference neither starts and ends at rest nor repeats itself, or lacks derivatives.
         InvalidModel
-            If the equations hold the time, so that nothing rests.
+            If the equations depend on time, so that nothing rests.
         IntegrationFailed
             If Newton's method fails or the mesh cannot be refined to the tolerance.
         """
@@ -138,13 +138,13 @@ class StableInversion(JudgedRoute):
             last = now
         raise IntegrationFailed(
             f"{problem.system.name}: the inputs still change by {relative:.2g} of their peak when the mesh is halved to"
-            f" {len(mesh) - 1} intervals, {self.tolerance:g} was asked for"
+            f" {len(mesh) - 1} intervals, but the tolerance is {self.tolerance:g}"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class _Bounded:
-    """Everything that does not change while the mesh is refined."""
+    """The data that do not change while the mesh is refined."""
 
     problem: Problem
     dae: Dae
@@ -166,7 +166,7 @@ class _Bounded:
         left, right, size = self.left.stable, self.right.unstable, self.dae.x.numel()
         if self.periodic:
             return np.eye(size), -np.eye(size), np.zeros(size)
-        # On the unstable manifold at the left end, on the stable one at the right: what does both is bounded.
+        # On the unstable manifold at the left end, on the stable one at the right: both together are bounded.
         L, R = np.zeros((size, size)), np.zeros((size, size))
         L[: len(left)], R[len(left) :] = left, right
         return L, R, np.concatenate([left @ self.left.states, right @ self.right.states])
@@ -184,14 +184,14 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
     periodic = _repeats(ends, reference.duration)
     if problem.system.time.numel() and not periodic:
         raise InvalidModel(
-            f"a bounded inversion begins and ends at rest, but the equations of {name} hold the time; Reduced() with a"
+            f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
             " method computes the motion that starts at rest"
         )
     size = float(np.abs(ends[:, 0]).max()) + 1.0
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
         if not periodic and np.abs(jet[1]).max() > _AT_REST * size / reference.duration:
             raise InvalidReference(
-                f"a bounded inversion needs a path that is at rest at its ends or repeats itself, but this one moves"
+                f"a stable inversion needs a path that is at rest at its ends or periodic, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
             )
     linear = linearization(problem.array)
@@ -205,7 +205,7 @@ def _require_as_many_conditions_as_states(bounded: _Bounded) -> None:
     """Raise `IntegrationFailed` if stability changes along the path so that no or many motions stay bounded."""
     size, stable, unstable = bounded.dae.x.numel(), len(bounded.left.stable), len(bounded.right.unstable)
     if not bounded.periodic and stable + unstable != size:
-        count = "no motion stays" if stable + unstable > size else "a whole family of motions stays"
+        count = "no motion stays" if stable + unstable > size else "a family of motions stays"
         raise IntegrationFailed(
             f"{bounded.problem.system.name}: of {size} internal states {size - stable} grow at the start of the path"
             f" and {unstable} at its end, so that {count} bounded; Reduced() with a method computes the one that starts"

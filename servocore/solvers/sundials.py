@@ -60,7 +60,7 @@ class Sundials:
         Raises
         ------
         InvalidModel
-            If there are no internal dynamics, or the equations hold the time.
+            If there are no internal dynamics, or the equations depend on time.
         InvalidReference
             If the path is no formula.
         IntegrationFailed
@@ -70,7 +70,7 @@ class Sundials:
         if problem.flat:
             raise InvalidModel(f"{problem.name} has no internal dynamics: there is nothing to integrate")
         if problem.system.time.numel():
-            raise InvalidModel(f"{problem.name}: its equations hold the time, which SUNDIALS is not given; RadauIIA is")
+            raise InvalidModel(f"{problem.name}: its equations depend on time, which Sundials excludes; use RadauIIA")
         if formula is None:
             raise InvalidReference("SUNDIALS needs a path that is a formula, such as rest_to_rest; RadauIIA takes any")
         program, count = program_of(problem, *how), len(times) - 1

@@ -1,7 +1,7 @@
 """Exact inversions from an answer that is known: another exact one, or that of a run of steps.
 
-From a guess beside an exact answer: what changes is what Newton's method left. From a run: the exact answer on its
-branch, without following one, if what is found goes on from instant to instant.
+From a guess beside an exact answer: the change is the residual that Newton's method left. From a run: the exact
+answer on its branch, without continuation, if the answers are continuous from instant to instant.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> S
 
 
 def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Margin]:
-    """Return what limits leave of their quantities, known at instants `t`, by name."""
+    """Return the margins of limits by name, of quantities known at instants `t`."""
     margins = {}
     for limit, values in limited:
         left = np.minimum(values - limit.bound, limit.upper - values)
@@ -64,7 +64,7 @@ def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Marg
 def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> None:
     """Raise `IntegrationFailed` if the motion of a solution jumps between its instants, so that inputs hold impulses.
 
-    Without internal dynamics the exact motion is looked at; with them all that follows from internal states and path.
+    Without internal dynamics the exact motion is checked; with them all that follows from internal states and path.
     """
     if not (isinstance(problem.resolved.outcome, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
         return
@@ -106,14 +106,14 @@ def check_between_instants(
     beside: Callable[[Problem, Solution], Array],
     native: bool | None = False,
 ) -> bool:
-    """Look between the instants of a solution where something seems to grow beyond what it reports, and warn of it.
+    """Check between the instants of a solution where a quantity seems to exceed the reported values, and warn.
 
     Returns whether it warned.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
-        What was solved, and how.
+        The problem and its solution.
     beside : callable
         (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
     native : bool or None

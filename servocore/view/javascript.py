@@ -37,7 +37,7 @@ def javascript(function: ca.Function) -> str:
     """Return a function as an expression of JavaScript: ``(a0, a1, ..., r0, r1, ...) => {...}``.
 
     Arguments and results are arrays of numbers, matrices column by column. Operations are those of the function in
-    their order, on the same doubles: only what the mathematical library makes of a sine may differ, in the last digit.
+    their order, on the same doubles: only functions such as a sine may differ, in the last digit.
 
     Parameters
     ----------
@@ -86,5 +86,5 @@ def number(value: float) -> str:
 
 
 def written(name: str, symbols: Sequence[ca.SX], results: Sequence[ca.SX]) -> str:
-    """Return expressions of symbols as JavaScript; what is common to subexpressions is computed once."""
+    """Return expressions of symbols as JavaScript; common subexpressions are computed once."""
     return javascript(ca.Function(name, list(symbols), [ca.densify(result) for result in results], {"cse": True}))

@@ -1,4 +1,4 @@
-"""`LiveModel`: what a page computes by itself, as JavaScript: the exact inversion, and the scheme of the paper."""
+"""`LiveModel`: the functions of a page as JavaScript: the exact inversion, and the scheme of the paper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from servocore.structure.inversion import inversion
 from servocore.view.javascript import written
 
 METHOD = BackwardEuler()
-"""What steps the projected form: the scheme of the paper."""
+"""The method on the projected form: the scheme of the paper."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class LiveModel:
     exact : casadi.Function
         (path, p) -> values of `outputs`, NaN where the guess of the model is not exact.
     outputs : tuple of Quantity
-        What is computed: that which a solution reports.
+        The quantities that a solution reports.
     orders : int
         How many derivatives of the path are taken, the path itself included.
     source : dict of str to str
@@ -50,13 +50,13 @@ class LiveModel:
     steps: Mapping[str, Any]
 
     def values(self, problem: Problem, t: Array) -> Array:
-        """Return what `exact` gives on the path of a problem, shape (N, outputs)."""
+        """Return the values of `exact` on the path of a problem, shape (N, outputs)."""
         jets = problem.reference.jet(t, self.orders - 1)
         return at_instants(self.exact, jets=jets, p=problem.p)[0].T
 
 
 def live_model(problem: Problem) -> LiveModel:
-    """Compile what a page computes by itself.
+    """Compile the functions of a page.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def live_model(problem: Problem) -> LiveModel:
     Raises
     ------
     InvalidModel
-        With the reason, if every instant by itself does not do: internal dynamics, a branch that is followed, or a
+        With the reason, if instants cannot be solved independently: internal dynamics, a branch that is followed, or a
         first guess that is not exact.
     """
     expression = _expression(problem)

@@ -48,9 +48,9 @@ class LivePart:
     body : str
         The elements, and the scripts that fill them.
     title : str
-        What the system is called.
+        Name of the system.
     live : bool
-        Whether the page computes; else it shows what was solved.
+        Whether the page computes; else it shows the solution as it is.
     why : str
         Why it does not compute, as part of a sentence; empty where it does.
     """
@@ -75,7 +75,7 @@ def view(
         The file, whose name ends with ``.html``; it needs no other and no network. The scene's name, such as
         ``rotary_crane.html`` in the current folder, when not given.
     scene : Scene, optional
-        What was solved, for solutions that do not know: from files, or from routes of one's own.
+        The scene, for solutions without an origin: from files, or from a user's routes.
     model : str, optional
         Model of that scene; its smallest when not given.
 
@@ -87,7 +87,7 @@ def view(
     Raises
     ------
     InvalidSetting
-        If the file cannot be written or has another ending, the solution does not know what was solved and no scene
+        If the file cannot be written or has another ending, the solution has no origin and no scene
         is given, or the package Jinja2 is not installed.
     InvalidModel
         If the drawing of the scene cannot be drawn, or something that it reports is no finite number.
@@ -126,7 +126,7 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
     solution : Solution
         From `solve`.
     scene : Scene, optional
-        What was solved, for solutions that do not know.
+        The scene, for solutions without an origin.
     model : str, optional
         Model of that scene; its smallest when not given.
 
@@ -160,7 +160,7 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
 
 
 def _live(problem: Problem, solution: Solution) -> tuple[LiveModel | None, str]:
-    """Return what a page computes by itself, or why it does not."""
+    """Return the live model of a page, or the reason why there is none."""
     try:
         live = live_model(problem)
     except InvalidModel as error:
@@ -171,17 +171,17 @@ def _live(problem: Problem, solution: Solution) -> tuple[LiveModel | None, str]:
 
 
 def _undefined(t: Array, rows: Mapping[str, Array]) -> str:
-    """Say what is first no finite number, and when; empty if all are."""
+    """Return which quantity is first not finite, and when; empty if all are finite."""
     gaps = [(int(np.argmin(finite)), name) for name, row in rows.items() if not (finite := np.isfinite(row)).all()]
     return f"no {min(gaps)[1]} at t = {t[min(gaps)[0]]:.6g} s" if gaps else ""
 
 
 def _problem(solution: Solution, scene: Scene | None, model: str | None) -> Problem:
-    require_kind(solution, Solution, "what is to be viewed", "a Solution, as solve returns it", InvalidSetting)
+    require_kind(solution, Solution, "the view", "a Solution, as solve returns it", InvalidSetting)
     if scene is not None:
         return Problem.of(scene, model)
     if not isinstance(solution.origin, Problem):
-        raise InvalidSetting("this solution does not know what was solved: view(solution, path, scene=scene) says it")
+        raise InvalidSetting("a solution from a file has no origin: give its scene, view(solution, path, scene=scene)")
     return solution.origin
 
 
@@ -193,7 +193,7 @@ def _template(name: str) -> Any:
     return environment.from_string(WEB.joinpath(name).read_text(encoding="utf-8"))
 
 
-# What Python writes ---------------------------------------------------------------------------------------------------
+# Data of the page ----------------------------------------------------------------------------------------------------
 
 
 def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tuple[dict[str, Any], dict[str, str]]:
@@ -263,7 +263,7 @@ def _refined(t: Array) -> Array:
 
 
 def _is_exact(problem: Problem, solution: Solution, live: LiveModel) -> bool:
-    """Whether a solution is an exact inversion, so that its own numbers are what the page compares its own with."""
+    """Whether a solution is an exact inversion, so that the page compares its numbers with it."""
     return solution.route == problem.dae(Reduced()).name and all(quantity.name in solution for quantity in live.outputs)
 
 
@@ -280,13 +280,13 @@ def _quantity(each: Quantity) -> dict[str, Any]:
 
 
 def _shown(system: MechanicalSystem, names: list[str]) -> list[int]:
-    """Return which quantities are plotted at first, beside the inputs: what a crane is asked for, or the first few."""
+    """Return which quantities are plotted at first, beside the inputs: swing and tension, or the first few."""
     others = [k for k in range(len(names)) if k >= len(system.inputs)]
     return [k for k in others if names[k] in _SHOWN] or others[:_FIRST]
 
 
 def _is_inner(system: MechanicalSystem, each: Quantity) -> bool:
-    """Whether something is a redundant coordinate, which says little to those who look at the motion."""
+    """Whether a quantity is a redundant coordinate, which is listed apart."""
     reported = [*system.inputs, *system.outputs, *system.observables]
     return bool(system.lam.numel() and system.observables) and each.unit in ("1", "m") and each not in reported
 
@@ -310,7 +310,7 @@ def _parameters(problem: Problem) -> list[dict[str, Any]]:
 
 
 def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return limits of what is reported, and those of the path alone."""
+    """Return the limits of reported quantities, and those of the path alone."""
     of_motion = [
         {
             "output": names.index(limit.expression.name),

@@ -23,7 +23,7 @@ def packed(values: Array) -> str:
 
 
 def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """Return what a page needs to know of a path, and its functions as JavaScript by name.
+    """Return the data of a path for a page, and its functions as JavaScript by name.
 
     Parameters
     ----------
@@ -49,6 +49,6 @@ def _law(profile: Profile, order: int) -> str:
     """Return ([elapsed, remaining, duration]) -> s and its derivatives."""
     given = ca.SX.sym("given", 3)
     elapsed, remaining, duration = ca.vertsplit(given)
-    whole: Any = duration  # what is a power of a number is one of a symbol too
+    whole: Any = duration  # powers of a number are written as those of a symbol
     law = profile.law(elapsed, remaining, profile.numbers(whole, order), order)
     return written("law", [given], [ca.vertcat(ca.SX(0, 1), *law)])

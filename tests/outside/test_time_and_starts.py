@@ -106,7 +106,7 @@ def test_what_has_no_internal_dynamics_takes_no_start() -> None:
 
 
 def test_a_bounded_inversion_takes_no_start() -> None:
-    with pytest.raises(sc.InvalidSetting, match="finds its own initial values"):
+    with pytest.raises(sc.InvalidSetting, match="determines the initial values itself"):
         sc.solve(moving.cart_pole().scene, start=SWINGING)
 
 
@@ -174,11 +174,11 @@ def test_cases_of_a_sweep_are_the_solutions_where_the_time_counts() -> None:
 
 def test_what_knows_no_time_says_so() -> None:
     crane = timed.load_below_a_ship().scene.with_limits(F=10.0)
-    with pytest.raises(sc.InvalidModel, match="its equations hold the time, and no duration can be found for it"):
+    with pytest.raises(sc.InvalidModel, match="its equations depend on time, and no duration can be found"):
         sc.shortest_duration(crane)
-    with pytest.raises(sc.InvalidModel, match="hold the time, which SUNDIALS is not given; RadauIIA is"):
+    with pytest.raises(sc.InvalidModel, match="depend on time, which Sundials excludes; use RadauIIA"):
         sc.solve(timed.pendulum_in_the_wind().scene, None, sc.Sundials())
-    with pytest.raises(sc.InvalidModel, match="begins and ends at rest, but the equations of cart in the wind hold"):
+    with pytest.raises(sc.InvalidModel, match="begins and ends at rest, but the equations of cart in the wind depend"):
         sc.solve(timed.pendulum_in_the_wind().scene, None, sc.StableInversion())
 
 

@@ -1,5 +1,6 @@
-// The live page: what is set, what follows from it, and everything that shows it.
+// The live page: its settings, the computed run, and the elements that show it.
 
+const KEPT = "All limits are kept.";
 const INSTANTS = 2001, MOST_STEPS = 20000;
 
 class LivePage {
@@ -44,16 +45,18 @@ class LivePage {
     return { t, row, largest: Math.abs(peakOf(row).value) };
   }
 
-  // Limits: those of the scene; for inputs without one, a quarter more than what the first run takes.
+  // The limits of an output that the scene has; null where it has none, until the reader sets some.
   firstBounds(i) {
-    const told = about.limits.find(({ output, rate }) => output === i && !rate);
-    if (told) return { low: told.low ?? -Infinity, high: told.high ?? Infinity, own: false };
-    if (!about.outputs[i].input) return null;
-    const peak = Number((1.25 * scaleOf(about.solved.rows, i)).toPrecision(2));
-    return { low: -peak, high: peak, own: true };
+    const limit = about.limits.find(({ output, rate }) => output === i && !rate);
+    return limit ? { low: limit.low ?? -Infinity, high: limit.high ?? Infinity } : null;
   }
 
-  // What is beyond its limit, as sentences.
+  // Whether the scene or the reader has set a limit; the range of validity of a model (`path_limits`) is none.
+  limited() {
+    return this.bounds.some(Boolean) || about.limits.some(({ rate }) => rate);
+  }
+
+  // Violated limits, as sentences.
   broken() {
     const found = [], { t, rows, margins } = this.run;
     this.bounds.forEach((bounds, i) => {
@@ -70,9 +73,14 @@ class LivePage {
       const k = margins[i]?.findIndex((value) => !(value > 0)) ?? -1;
       if (k >= 0) found.push({ output: null, text: `${reason} at ${written(t[k], 3)} s` });
     });
-    const unsolved = rows.some((row) => row.some(Number.isNaN));
-    if (unsolved && !found.some(({ output }) => output === null)) found.push({ output: null, text: "some instants are not solved" });
     return found;
+  }
+
+  // The verdict above the plots; empty where no limit was set, for there is nothing to judge.
+  verdict(broken) {
+    if (broken.length) return `Limit exceeded: ${broken.map((each) => each.text).join("; ")}.`;
+    if (this.run.rows.some((row) => row.some(Number.isNaN))) return "Some instants are not solved.";
+    return this.limited() ? KEPT : "";
   }
 
   rateBroken(i, low, high, found) {
@@ -97,15 +105,15 @@ class LivePage {
   }
 
   buildPlots() {
-    const tell = {
+    const on = {
       go: (time) => this.go(time), hover: (time) => this.plots.forEach(({ plot }) => plot.point(time ?? this.now)),
       zoom: (from, to) => this.zoom(from, to), whole: () => this.zoom(), closer: (factor, about) => this.closer(factor, about),
     };
     this.plots = about.outputs.map(({ name, unit, description }, i) => ({
-      plot: new Plot({ title: name, unit: shownUnit(unit), factor: factorOf(unit), describe: `${name} over time: ${description}` }, this.view, tell), output: i,
+      plot: new Plot({ title: name, unit: shownUnit(unit), factor: factorOf(unit), describe: `${name} over time: ${description}` }, this.view, on), output: i,
     }));
     if (about.live && about.steps) this.plots.push({ plot: new Plot({ title: "error of the paper's scheme", unit: "% of peak", factor: 100, logarithmic: true,
-      describe: "inputs by the scheme of the paper less the exact ones, in percent of the largest" }, this.view, tell), output: null });
+      describe: "inputs by the scheme of the paper less the exact ones, in percent of the largest" }, this.view, on), output: null });
     const order = [...this.inputs(), null, ...about.shown, ...about.outputs.keys()], more = made("details", {}, made("summary", {}, "more"));
     this.plots.sort((a, b) => order.indexOf(a.output) - order.indexOf(b.output));
     const chosen = new Set([...this.inputs(), null, ...about.shown]), choices = this.part("choices"), place = this.part("plots");
@@ -129,11 +137,10 @@ class LivePage {
     const text = one ? (nonnegative ? "limit" : "limit ±") : "limits";
     const shown = one ? [[`limit of the magnitude of ${name}`, high]] : [[`lower limit of ${name}`, low], [`upper limit of ${name}`, high]];
     const fields = shown.map(([describe, value]) => this.numberOfBound(i, describe, value));
-    if (bounds?.own) fields[0].title = "a quarter more than the first run takes, until you set your own";
     const given = (field, none) => (field.value === "" ? none : Number(field.value) / factorOf(about.outputs[i].unit));
     const set = () => {
       const least = one ? -given(fields[0], Infinity) : given(fields[0], -Infinity), most = given(fields.at(-1), Infinity);
-      this.bounds[i] = least < most && !(least === -Infinity && most === Infinity) ? { low: least, high: most, own: true } : null;
+      this.bounds[i] = least < most && !(least === -Infinity && most === Infinity) ? { low: least, high: most } : null;
       this.show();
     };
     fields.forEach((field) => field.addEventListener("input", () => { fit(field); set(); }));
@@ -301,9 +308,10 @@ class LivePage {
 
   showStatus() {
     const broken = this.broken(), status = this.part("status");
-    const text = broken.length ? `Limit exceeded: ${broken.map((each) => each.text).join("; ")}.` : "All limits are kept.";
+    const text = this.verdict(broken);
     if (status.textContent !== text) status.textContent = text;
-    status.classList.toggle("exceeded", broken.length > 0);
+    status.hidden = text === "";
+    status.classList.toggle("exceeded", text !== "" && text !== KEPT);
     for (const { plot, output } of this.plots) plot.element.classList.toggle("exceeded", output !== null && broken.some((each) => each.output === output));
     if (!about.live) return;
     // The first time says how long the browser takes to get ready rather than to compute.

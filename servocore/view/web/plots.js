@@ -40,10 +40,10 @@ function written(value, digits = 4) {
   return `${Number(mantissa) === 1 ? "" : `${mantissa.replace("-", "−")}·`}10${[...String(Number(exponent))].map((each) => RAISED[each]).join("")}`;
 }
 
-// One panel. `view` is the shared stretch of time {from, to}; `tell` passes on what the user does.
+// One panel. `view` is the shared stretch of time {from, to}; `on` has the handlers of user actions.
 class Plot {
-  constructor({ title, unit, factor = 1, logarithmic = false, describe }, view, tell) {
-    Object.assign(this, { title, unit, factor, logarithmic, view, tell, curves: [], bounds: null });
+  constructor({ title, unit, factor = 1, logarithmic = false, describe }, view, on) {
+    Object.assign(this, { title, unit, factor, logarithmic, view, on, curves: [], bounds: null });
     this.reading = made("span", { className: "reading" });
     this.heading = made("div", { className: "plot-heading" }, made("span", { className: "plot-title" }, symbol(title), ` (${unit})`), this.reading);
     this.svg = drawn("svg", { role: "img", tabindex: 0, "aria-label": `${describe}; arrow keys move the time, plus and minus zoom` });
@@ -169,38 +169,38 @@ class Plot {
       if (!this.inner || event.button) return;
       from = { x: event.clientX, time: this.timeAt(event), touch: event.pointerType === "touch" };
       this.svg.setPointerCapture(event.pointerId);
-      if (from.touch) this.tell.go(from.time);
+      if (from.touch) this.on.go(from.time);
     });
     this.svg.addEventListener("pointermove", (event) => {
       if (!this.inner) return;
       const time = this.timeAt(event);
-      if (from?.touch) return this.tell.go(time);
+      if (from?.touch) return this.on.go(time);
       if (from && Math.abs(event.clientX - from.x) > 4) this.select(from.time, time);
-      this.tell.hover(time);
+      this.on.hover(time);
     });
     this.svg.addEventListener("pointerup", (event) => {
       if (!from) return;
       const time = this.timeAt(event), dragged = Math.abs(event.clientX - from.x) > 4;
-      if (!from.touch && dragged) this.tell.zoom(Math.min(from.time, time), Math.max(from.time, time));
-      else if (!dragged) this.tell.go(time);
+      if (!from.touch && dragged) this.on.zoom(Math.min(from.time, time), Math.max(from.time, time));
+      else if (!dragged) this.on.go(time);
       from = null;
     });
-    this.svg.addEventListener("pointerleave", () => this.tell.hover(null));
-    this.svg.addEventListener("dblclick", () => this.tell.whole());
+    this.svg.addEventListener("pointerleave", () => this.on.hover(null));
+    this.svg.addEventListener("dblclick", () => this.on.whole());
     this.svg.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && !event.metaKey) return;
       event.preventDefault();
-      this.tell.closer(Math.exp(-0.002 * event.deltaY), this.timeAt(event));
+      this.on.closer(Math.exp(-0.002 * event.deltaY), this.timeAt(event));
     }, { passive: false });
     this.svg.addEventListener("keydown", (event) => this.press(event));
   }
 
   press(event) {
     const step = (this.view.to - this.view.from) / 100, moves = { ArrowLeft: -step, ArrowRight: step, PageUp: 10 * step, PageDown: -10 * step };
-    if (event.key in moves) this.tell.go(this.now + moves[event.key]);
-    else if (event.key === "+" || event.key === "=") this.tell.closer(1.5, this.now);
-    else if (event.key === "-") this.tell.closer(1 / 1.5, this.now);
-    else if (event.key === "Escape" || event.key === "0") this.tell.whole();
+    if (event.key in moves) this.on.go(this.now + moves[event.key]);
+    else if (event.key === "+" || event.key === "=") this.on.closer(1.5, this.now);
+    else if (event.key === "-") this.on.closer(1 / 1.5, this.now);
+    else if (event.key === "Escape" || event.key === "0") this.on.whole();
     else return;
     event.preventDefault();
   }

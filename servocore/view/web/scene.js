@@ -216,7 +216,7 @@ class Stage {
     for (let y = span[1][0]; y <= span[1][1] + 1e-9; y += step) this.line([[span[0][0], y, z], [span[0][1], y, z]], this.ink.rule, 0.7);
   }
 
-  // The way of what is prescribed: what lies behind it drawn out, what lies ahead dashed.
+  // The prescribed path: solid up to now, dashed ahead.
   drawPath(time) {
     if (about.tracked === null) return;
     const { t } = this.run, stride = Math.max(1, Math.floor(t.length / 240)), behind = [], ahead = [];
@@ -322,7 +322,7 @@ function rangeOf(row) {
   return { low, high };
 }
 
-// Blue to orange through a pale middle: told apart with any eyes, and the line gets thicker as well.
+// Blue to orange through a pale middle: distinguishable with any colour vision, and the line gets thicker as well.
 function tensionColour(share) {
   const stops = [[0, 114, 178], [120, 160, 185], [230, 159, 0], [213, 94, 0]], place = Math.min(Math.max(share, 0), 1) * (stops.length - 1);
   const k = Math.min(Math.floor(place), stops.length - 2);
