@@ -35,6 +35,7 @@ from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import c_compiler
 
+FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 NATIVE = Path(__file__).parent / "native"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 OK, WARNING, DISCARD, ERROR = range(4)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 
 import fmpy
 import numpy as np
 import pytest
-from native_fmu import END, OK, START, Native, began, exported, jets_of
+from native_fmu import END, FULL, OK, START, Native, began, exported, jets_of
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-
-FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 
 pytestmark = pytest.mark.usefixtures("compiler")
 

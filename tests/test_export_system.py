@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from functools import partial
 from itertools import pairwise
@@ -14,7 +13,7 @@ import pytest
 from command_lines import CommandLine, write
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
-from native_fmu import DISCARD, END, OK, Native, began, exported, native_file, path_of
+from native_fmu import DISCARD, END, FULL, OK, Native, began, exported, native_file, path_of
 from present import of_kind, present
 
 import servocore as sc
@@ -27,7 +26,6 @@ from servocore.references.csv_file import path_to_csv
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
 
-FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 CRANE = sc.scenes.rotary_crane()
 DRIVES = ("M_b", "F", "M_w")
 NAMES = ["rotary_crane plant", "rotary_crane trajectory", "rotary_crane loop"]

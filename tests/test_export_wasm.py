@@ -6,7 +6,6 @@ import gc
 import http.server
 import importlib.util
 import json
-import os
 import shutil
 import subprocess
 import threading
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_lines import CommandLine
-from native_fmu import scene_called
+from native_fmu import FULL, scene_called
 from wasm_module import Module, Verdicts, module_file, sections
 
 import servocore as sc
@@ -27,7 +26,6 @@ from servocore.numerics.compiled_calls import Array
 
 run = CommandLine(app, "servocore")
 INSTANTS, STEPS = 1000, 200
-FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 SCENES = sorted(sc.scenes.REGISTRY) if FULL else ["elastic_bar", "mass_on_car", "rotary_crane"]
 
 needs_zig = pytest.mark.skipif(targets.zig() is None, reason="needs ziglang")
