@@ -168,7 +168,7 @@ class Machine:
         for _ in range(self.random.randrange(4)):
             reference, value = self.random.choice(self.fmu.reals).reference, self.random.choice(VALUES)
             self.done(live, ("set_reals", [reference], [value]), valid=self.fmu.settable(reference, late=late))
-        self.done(live, ("set_reals", [4_294_967_290, 999_999], [1.0, 2.0]), valid=False)
+        self.done(live, ("set_reals", [self.fmu.beyond, 4_294_967_290], [1.0, 2.0]), valid=False)
         if self.fmu.is_deferred or live.account.phase != "terminated":
             assert live.instance.set_reals([], []) == OK
 
@@ -195,15 +195,16 @@ class Machine:
 
     def get(self, live: Live) -> None:
         references = [each.reference for each in self.fmu.reals]
-        status, values = live.instance.get_reals([*references, 999_999, 2**32 - 1])
+        status, values = live.instance.get_reals([*references, self.fmu.beyond, 2**32 - 1])
         assert status == (OK if self.fmu.is_deferred else ERROR)
         assert all(math.isnan(each) for each in values[-2:])
-        live.instance.get_integers("Integer", [each.reference for each in self.fmu.choices] + [999_999])
+        choices = [each.reference for each in self.fmu.choices]
+        live.instance.get_integers("Integer", [*choices, max(choices, default=self.fmu.beyond) + 1, 999_999])
 
     def differentiate(self, live: Live) -> None:
         """Ask for derivatives, which only native FMUs have, by variables and along directions of any kind."""
         if not self.fmu.is_deferred:
-            before, known = self.seen(live), [each.reference for each in self.fmu.reals] + [999_999]
+            before, known = self.seen(live), [each.reference for each in self.fmu.reals] + [self.fmu.beyond]
             of, by = (self.random.choices(known, k=self.random.randrange(4)) for _ in range(2))
             status = live.instance.differentiate(of, by, self.random.choices(VALUES, k=len(by)))
             assert status in (OK, DISCARD, ERROR)

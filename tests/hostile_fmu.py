@@ -66,6 +66,7 @@ class Fmu:
         variables = self.description.modelVariables
         self.reals = [Variable(each.name, each.valueReference) for each in variables if each.type == "Real"]
         self.choices = [Variable(each.name, each.valueReference) for each in variables if each.type == "Enumeration"]
+        self.beyond = 1 + max(each.reference for each in self.reals)  # the first reference that is none of a number
         self.items = {each.name: len(each.declaredType.items) for each in variables if each.type == "Enumeration"}
         # The path; what can be measured comes later in the table.
         first = list(takewhile(lambda each: each.causality == "input", variables))
