@@ -73,7 +73,7 @@ def test_a_branch_that_is_followed_is_followed_in_an_fmu_too() -> None:
     expected = np.column_stack([solution[each] for each in inputs])
     with Native("crossing", 3) as host:
         outputs = along_path(host, steps)
-        found, trolley = outputs[:, : len(inputs)], outputs[:, host.outputs.index("s")]
+        found, trolley = outputs[:, : len(inputs)], outputs[:, host.results.index("s")]
     assert trolley.min() < -1.0
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
@@ -110,7 +110,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path
     with Native(name, 3) as instance:
         expected = along_path(instance, steps)
     found = numbers_of(done.stdout)
-    drives = [instance.outputs.index(each.name) for each in scene_called(name).model().inputs]
+    drives = [instance.results.index(each.name) for each in scene_called(name).model().inputs]
     assert (found[:, drives] == expected[:, drives]).all()
     # Angles pass through atan2, which the C libraries of Linux and Windows round differently.
     assert (np.abs(found - expected) <= np.spacing(np.abs(expected)) * windows).all()
