@@ -164,14 +164,14 @@ def drive_errors(times: Array, jets: Array | None = None) -> tuple[Array, list[s
 
 
 @pytest.mark.parametrize(
-    "times",
-    [0.02 * np.arange(1001.0), uneven(0.02, 0.2), uneven(0.01, 0.2),
-     np.sort(np.append(np.arange(0.0, 20.0, 0.01), [3.001, 8.001, 12.3456]))],
+    ("times", "within"),
+    [(0.02 * np.arange(1001.0), 0.03), (uneven(0.02, 0.2), 0.05), (uneven(0.01, 0.2), 0.05),
+     (np.sort(np.append(np.arange(0.0, 20.0, 0.01), [3.001, 8.001, 12.3456])), 0.05)],
     ids=["20 ms", "20 ms +-20 %", "10 ms +-20 %", "steps split"],
 )  # fmt: skip
-def test_positions_alone_are_enough_at_any_steps_and_nothing_is_said(times: Array) -> None:
+def test_positions_alone_are_enough_at_any_steps_and_nothing_is_said(times: Array, within: float) -> None:
     error, said = drive_errors(times)
-    assert error.max() < 0.05
+    assert error.max() < within
     assert said == []
 
 
