@@ -59,7 +59,7 @@ loop: $(INSTALLED)  ## close the loop of native inverse model and plant over 200
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
 	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py tests/test_export.py \
-		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py
+		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py tests/test_hostile.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py

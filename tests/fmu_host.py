@@ -9,17 +9,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from budgets import shared_by_all_files
 from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Slave
 
 import servocore as sc
 from crane_fmu.build import build_fmu
@@ -28,7 +29,7 @@ from servocore.numerics.compiled_calls import Array
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
-DISCARD = 2
+OK, WARNING, DISCARD, ERROR = range(4)
 UNKNOWN = 99  # of no enumeration
 TEMPORARY = tempfile.gettempdir()  # before a run of an FMU sets another for a while
 
@@ -74,74 +75,108 @@ def extracted(file: Path) -> str:
 
 
 class Host:
-    """One instance; `step` returns whether doStep was accepted."""
+    """One instance of an FMU of FMI 2 or 3; `step` returns whether doStep was accepted.
+
+    Numbers are named as in FMI 2, ``load.position[1]``, in FMI 3 by their arrays.
+    """
+
+    path: tuple[str, ...] = JET
+    """Inputs that `tell` sets."""
 
     def __init__(self, file: Path | None = None, *, logging: bool = True, name: str = "crane") -> None:
         file = file or fmu_file()
         self.messages: list[str] = []
         self.description = read_model_description(str(file), validate=False)
-        self.references = {each.name: each.valueReference for each in self.description.modelVariables}
+        variables = self.description.modelVariables
+        self.references = {each.name: each.valueReference for each in variables}
+        self.sizes = {each.name: size_of(each) for each in variables}
         self.items = {
             each.name: {item.name: int(item.value) for item in each.declaredType.items}
-            for each in self.description.modelVariables
+            for each in variables
             if each.type == "Enumeration"
         }
-        self.fmu = FMU2Slave(
+        self.fmi = int(self.description.fmiVersion[0])
+        self.fmu: Any = (FMU2Slave if self.fmi == 2 else FMU3Slave)(
             guid=self.description.guid,
             unzipDirectory=extracted(file),
             modelIdentifier=self.description.coSimulation.modelIdentifier,
             instanceName=name,
         )
-        self.callbacks = fmi2CallbackFunctions()
-        self.callbacks.logger = fmi2CallbackLoggerTYPE(self._log)
-        self.callbacks.allocateMemory = defaultCallbacks.allocateMemory
-        self.callbacks.freeMemory = defaultCallbacks.freeMemory
-        self.fmu.instantiate(callbacks=self.callbacks, loggingOn=logging)
+        if self.fmi == 2:
+            self.callbacks = fmi2CallbackFunctions()
+            self.callbacks.logger = fmi2CallbackLoggerTYPE(lambda *given: self.messages.append(given[4].decode()))
+            self.callbacks.allocateMemory = defaultCallbacks.allocateMemory
+            self.callbacks.freeMemory = defaultCallbacks.freeMemory
+            self.fmu.instantiate(callbacks=self.callbacks, loggingOn=logging)
+        else:
+            self.fmu.instantiate(logMessage=lambda *given: self.messages.append(given[3].decode()))
 
-    def _log(self, _environment: object, _name: object, _status: object, _category: object, message: bytes) -> None:
-        self.messages.append(message.decode())
-
-    def __enter__(self) -> Host:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.fmu.freeInstance()
 
-    def set(self, **values: float | str) -> Host:
+    def set(self, **values: float | str) -> Self:
+        """Set numbers, and choices by the names or the numbers of their items."""
         for name, value in values.items():
-            if isinstance(value, str):
-                self.fmu.setInteger([self.references[name]], [self.items[name].get(value, UNKNOWN)])
+            if name in self.items:
+                number = self.items[name].get(value, UNKNOWN) if isinstance(value, str) else value
+                (self.fmu.setInteger if self.fmi == 2 else self.fmu.setInt64)([self.references[name]], [number])
             else:
-                self.fmu.setReal([self.references[name]], [value])
+                self.numbers_set([name], [float(value)])
         return self
 
-    def tell(self, jet: Array) -> Host:
-        """Set the fifteen inputs."""
-        self.fmu.setReal([self.references[name] for name in JET], [float(each) for each in np.ravel(jet)[:15]])
+    def numbers_set(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
+        setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
+        setter([self.references[name] for name in names], [float(each) for each in values])
+
+    def get(self, *names: str) -> np.ndarray:
+        references = [self.references[name] for name in names]
+        if self.fmi == 2:
+            return np.array(self.fmu.getReal(references))
+        return np.array(self.fmu.getFloat64(references, sum(self.sizes[name] for name in names)))
+
+    def tell(self, jet: Array) -> Self:
+        """Set the path, for a jet of shape (orders, m)."""
+        self.numbers_set(self.path, np.ravel(jet)[: sum(self.sizes[name] for name in self.path)])
         return self
 
-    def start(self, jet: Array | None = None, time: float = 0.0) -> Host:
-        self.fmu.setupExperiment(startTime=time)
-        self.fmu.enterInitializationMode()
+    def start(self, jet: Array | None = None, time: float = 0.0, **settings: float | str) -> Self:
+        self.set(**settings)
+        if self.fmi == 2:
+            self.fmu.setupExperiment(startTime=time)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=time)
         if jet is not None:
             self.tell(jet)
         self.fmu.exitInitializationMode()
         return self
 
-    def step(self, time: float, h: float) -> bool:
+    def status(self, time: float, h: float) -> int:
+        """Take a step and return the status of doStep."""
         try:
             self.fmu.doStep(time, h)
         except FMICallException as error:
-            if error.status != DISCARD:
-                raise
-            return False
-        return True
+            return int(error.status)
+        return OK
+
+    def step(self, time: float, h: float) -> bool:
+        status = self.status(time, h)
+        assert status in (OK, DISCARD), (status, self.messages)
+        return status == OK
 
     def outputs(self) -> np.ndarray:
-        return np.array(self.fmu.getReal([self.references[name] for name in OUTPUTS]))
+        return self.get(*OUTPUTS)
 
     def __getitem__(self, name: str) -> float:
-        return float(self.fmu.getReal([self.references[name]])[0])
+        return float(self.get(name)[0])
+
+
+def size_of(variable: Any) -> int:
+    """Return how many numbers a variable has."""
+    return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
 
 
 def follow(host: Host, reference: sc.Reference, times: Array, *, at: str = "start") -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import struct
 from collections.abc import Callable, Sequence
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
@@ -14,9 +15,12 @@ from typing import Any
 from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
-OK, DISCARD, ERROR = 0, 2, 3
+OK, WARNING, DISCARD, ERROR = range(4)
+HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e300, -0.0, 5e-324, 0.0)
+HANGING = (0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 5.0, 0.0, -5.0, 0.0, 0.0, 0.0)
+"""Measured values of the default crane at rest."""
 
-_ARGUMENTS: dict[str, list[type[ctypes._SimpleCData[Any]] | type[ctypes._Pointer[Any]]]] = {
+_ARGUMENTS: dict[str, list[Any]] = {
     "SetupExperiment": [c_void_p, c_int, c_double, c_double, c_int, c_double],
     "DoStep": [c_void_p, c_double, c_double, c_int],
     "SetFMUstate": [c_void_p, c_void_p],
@@ -25,6 +29,7 @@ _ARGUMENTS: dict[str, list[type[ctypes._SimpleCData[Any]] | type[ctypes._Pointer
     "SerializedFMUstateSize": [c_void_p, c_void_p, POINTER(c_size_t)],
     "SerializeFMUstate": [c_void_p, c_void_p, c_char_p, c_size_t],
     "DeSerializeFMUstate": [c_void_p, c_char_p, c_size_t, POINTER(c_void_p)],
+    "GetDirectionalDerivative": [c_void_p, *[c_void_p, c_size_t] * 2, c_void_p, c_void_p],
     **{f"{verb}{kind}": [c_void_p, c_void_p, c_size_t, c_void_p]
        for verb in ("Get", "Set") for kind in ("Real", "Integer", "Boolean", "String")},
 }  # fmt: skip
@@ -53,6 +58,7 @@ class Fmu:
         identifier = self.description.coSimulation.modelIdentifier
         binary = folder / "binaries" / "linux64" / f"{identifier}.so"
         self.has_shim = len(list(binary.parent.iterdir())) > 1
+        self.is_deferred = (folder / "resources" / "slavemodule.txt").exists()  # a PythonFMU: its setters cannot fail
         self.dll = ctypes.CDLL(str(binary))
         self.dll.fmi2Instantiate.restype = c_void_p
         self.dll.fmi2Instantiate.argtypes = [c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int]
@@ -60,12 +66,20 @@ class Fmu:
         variables = self.description.modelVariables
         self.reals = [Variable(each.name, each.valueReference) for each in variables if each.type == "Real"]
         self.choices = [Variable(each.name, each.valueReference) for each in variables if each.type == "Enumeration"]
+        self.beyond = 1 + max(each.reference for each in self.reals)  # the first reference that is none of a number
         self.items = {each.name: len(each.declaredType.items) for each in variables if each.type == "Enumeration"}
         # The path; what can be measured comes later in the table.
         first = list(takewhile(lambda each: each.causality == "input", variables))
         self.inputs = [each.valueReference for each in first]
         self.start_inputs = [float(each.start) for each in first]
-        self.follows_a_path = [each.name for each in first[:1]] == ["load.position[1]"]
+        path = [each.name for each in first if not each.name.startswith("measured.")]
+        self.components = sum(".position" in name for name in path)
+        self.follows_a_path = self.components > 0
+        self._path = len(path) * self.follows_a_path
+        self.good = [self.start_inputs, *(self.swinging(t, 0.3) for t in (0.3, 1.1, 2.5))]
+        """Inputs that nothing is wrong with."""
+        if len(first) > len(path):
+            self.good.append([*self.start_inputs[: len(path)], *HANGING])
         self.outputs = [each.name for each in variables if each.causality == "output"]
         others = [each for each in variables if each.causality in ("parameter", "input") and each not in first]
         self.usual = {each.name: float(each.start) for each in others if each.type == "Real"}
@@ -78,9 +92,17 @@ class Fmu:
             variable.causality == "parameter" and not (late and variable.variability == "fixed")
         )
 
-    def instance(self, tell: Callable[[str], None]) -> Instance:
-        """Make an instance that tells every call before it is made."""
-        return Instance(self, tell)
+    def swinging(self, t: float, size: float) -> list[float]:
+        """Return inputs of a path that goes to and fro, with its derivatives; without a path those of the start."""
+        phases = [t + 0.5 * math.pi * (k // self.components) for k in range(self._path)]
+        return [*(x + size * math.sin(phase) for x, phase in zip(self.start_inputs, phases, strict=False)),
+                *self.start_inputs[self._path :]]  # fmt: skip
+
+    def instantiated(self, guid: bytes, callbacks: fmi2CallbackFunctions) -> int | None:
+        """Return a new instance, for a description with some GUID."""
+        where = (self.folder / "resources").as_uri().encode()
+        made: int | None = self.dll.fmi2Instantiate(b"crane", 1, guid, where, byref(callbacks), 0, 1)
+        return made
 
 
 class Instance:
@@ -91,10 +113,8 @@ class Instance:
         self.messages: list[str] = []
         self._callbacks = fmi2CallbackFunctions()
         self._callbacks.logger = fmi2CallbackLoggerTYPE(lambda *each: self.messages.append(each[-1].decode()))
-        where = (fmu.folder / "resources").as_uri().encode()
         tell("Instantiate")
-        guid = fmu.description.guid.encode()
-        self._component = fmu.dll.fmi2Instantiate(b"crane", 1, guid, where, byref(self._callbacks), 0, 1)
+        self._component = fmu.instantiated(fmu.description.guid.encode(), self._callbacks)
         assert self._component, self.messages
         tell(f"  is {self._component:x}")
 
@@ -143,19 +163,20 @@ class Instance:
     def set_text(self, reference: int, text: bytes) -> int:
         return self.call("SetString", (c_uint * 1)(reference), 1, (c_char_p * 1)(text), shown=(reference, text))
 
-    def get_texts(self, references: Sequence[int]) -> list[bytes | None]:
+    def get_texts(self, references: Sequence[int]) -> tuple[int, list[bytes | None]]:
         n, values = len(references), (c_char_p * len(references))()
-        assert self.call("GetString", (c_uint * n)(*references), n, values, shown=references) == OK
-        return list(values)
+        return self.call("GetString", (c_uint * n)(*references), n, values, shown=references), list(values)
 
-    def everything(self) -> tuple[list[bytes], list[int]]:
-        """Bits of all Reals, and all choices."""
+    def differentiate(self, unknowns: Sequence[int], knowns: Sequence[int], seeds: Sequence[float]) -> int:
+        n, m = len(unknowns), len(knowns)
+        given = (c_uint * n)(*unknowns), n, (c_uint * m)(*knowns), m, (c_double * m)(*seeds), (c_double * n)()
+        return self.call("GetDirectionalDerivative", *given, shown=(unknowns, knowns, seeds))
+
+    def everything(self) -> tuple[object, ...]:
+        """Bits of all Reals, and all choices, with statuses: outputs of a start that fails cannot be read."""
         status, values = self.get_reals([each.reference for each in self._fmu.reals])
-        assert status == OK
         bits = [b"nan" if value != value else struct.pack("d", value) for value in values]  # noqa: PLR0124
-        status, chosen = self.get_integers("Integer", [each.reference for each in self._fmu.choices])
-        assert status == OK
-        return bits, chosen
+        return status, bits, self.get_integers("Integer", [each.reference for each in self._fmu.choices])
 
     def get_state(self) -> tuple[int, int]:
         state = c_void_p()
@@ -174,7 +195,11 @@ class Instance:
         assert self.call("SerializeFMUstate", state, text, size.value) == OK
         return text.raw
 
-    def deserialized(self, text: bytes) -> int:
+    def restore(self, text: bytes) -> int:
+        """Read a state from its bytes and restore it; returns the status of the call that refuses."""
         state = c_void_p()
-        assert self.call("DeSerializeFMUstate", text, len(text), byref(state), shown=text[:60]) == OK
-        return state.value or 0
+        status = self.call("DeSerializeFMUstate", text, len(text), byref(state), shown=text[:60])
+        if status == OK:
+            status = self.set_state(state.value or 0)
+            assert self.free_state(state.value or 0) == OK
+        return status

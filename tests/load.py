@@ -14,7 +14,6 @@ import threading
 from pathlib import Path
 
 import casadi  # noqa: F401 -- what a host may have imported already
-import numpy as np
 from fmpy import extract
 from hostile_fmu import OK, Fmu, Instance
 
@@ -31,24 +30,16 @@ class Driven:
     """An instance that swings its load gently, or has nothing connected."""
 
     def __init__(self, fmu: Fmu, k: int) -> None:
-        self.fmu, self.instance, self.k, self.steps = fmu, Instance(fmu, lambda _: None), k, 0
-        self.follows, self.others = fmu.follows_a_path, fmu.start_inputs[15:]
+        self.fmu, self.instance, self.steps = fmu, Instance(fmu, lambda _: None), 0
+        self.size = 0.1 + 0.01 * (k % 50)  # each instance has another
         for call in (("setup", 0.0), ("enter",), ("leave",)):
             assert self.instance.do(call) == OK, self.instance.messages
-
-    def jet(self, t: float) -> list[float]:
-        """Position to snap of a load that goes to and fro along x, each instance with another amplitude."""
-        rate, size = 0.5, 0.1 + 0.01 * (self.k % 50)
-        x = [size * rate**n * np.sin(rate * t + 0.5 * np.pi * n) for n in range(5)]
-        jet = [0.0] * 15
-        jet[::3] = map(float, x)
-        return [jet[0] + 5.0, jet[1], jet[2] - 5.0, *jet[3:], *self.others]
 
     def advance(self, count: int) -> None:
         for _ in range(count):
             t = self.steps * 0.01
-            if self.follows:
-                self.instance.set_reals(self.fmu.inputs, self.jet(t))
+            if self.fmu.follows_a_path:
+                self.instance.set_reals(self.fmu.inputs, self.fmu.swinging(t, self.size))
             assert self.instance.step(t, 0.01) == OK, self.instance.messages[-1:]
             self.steps += 1
         self.instance.everything()

@@ -1,7 +1,7 @@
-"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--draw]``.
+"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]]``.
 
 Native FMUs run random manoeuvres. Distributions and the loop's stability go to the standard output, every run into
-feedback.csv, the picture beside it. With ``--draw`` nothing runs: the picture is drawn from feedback.csv.
+feedback.csv, the picture beside it.
 """
 
 from __future__ import annotations
@@ -97,9 +97,15 @@ def broken(found: Sequence[Run]) -> bool:
     first, largest = found[0], max(each.distance for each in found)
     if first.kind == HARD:
         return not np.isfinite(largest)
-    if is_disturbed(first.kind):
-        return largest > BOUND_DISTURBED or any(each.distance > each.without for each in found)
-    return largest > BOUNDS[first.step] * (BOUND_OF_OTHERS if first.kind == ANY else 1.0)
+    worse = is_disturbed(first.kind) and any(each.distance > each.without for each in found)
+    return worse or largest > bound(first.kind, first.step)
+
+
+def bound(kind: str, h: float) -> float:
+    """Return the largest distance in mm that runs of a kind may have."""
+    if is_disturbed(kind):
+        return BOUND_DISTURBED
+    return BOUNDS[h] * (BOUND_OF_OTHERS if kind == ANY else 1.0)
 
 
 def sentence(found: Sequence[Run]) -> str:
@@ -158,32 +164,18 @@ def draw(found: Sequence[Run], file: Path) -> None:
 
 
 def _draw_kind(axis: Any, found: Sequence[Run]) -> None:
+    disturbed = found[0].kind == DISTURBED
     colours = dict(zip(STEPS, plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(STEPS))), strict=True))
-    lines = [(h, "distance", colours[h], f"{h:g} s") for h in STEPS if any(each.step == h for each in found)]
-    bounds = {h: BOUNDS[h] * (BOUND_OF_OTHERS if found[0].kind == ANY else 1.0) for h in STEPS[:-1]}
-    if found[0].kind == DISTURBED:
-        lines = [(DISTURBED_STEP, "distance", colours[DISTURBED_STEP], f"{DISTURBED_STEP:g} s"),
-                 (DISTURBED_STEP, "without", "0.5", "feedforward alone")]  # fmt: skip
-        bounds = {DISTURBED_STEP: BOUND_DISTURBED}
-    for h, name, colour, text in lines:
-        label = text
-        sizes = np.sort([getattr(each, name) for each in found if each.step == h])
-        label += " (below 1 µm)" if sizes[-1] < LEAST_SHOWN else ""
-        axis.step(
-            np.maximum(sizes, LEAST_SHOWN),
-            np.arange(1, len(sizes) + 1) / len(sizes),
-            where="post",
-            color=colour,
-            label=label,
-            lw=1.5,
-        )
-    for h, bound in bounds.items():
-        axis.plot([bound, bound], [0.93, 1.05], color=colours[h], lw=2.5, solid_capstyle="butt")
-    if found[0].kind == DISTURBED:  # without feedback most loads are lost: a distance beyond the scale
-        axis.set(xscale="log", ylim=(0.0, 1.05), xlim=(1.0, LARGEST_SHOWN))
-    else:
-        axis.set(xscale="log", ylim=(0.0, 1.05), xlim=(LEAST_SHOWN, 10.0))
-    axis.legend(loc="center" if found[0].kind == DISTURBED else "lower right", fontsize=7, frameon=False)
+    for h in dict.fromkeys(each.step for each in found):
+        sizes = np.array([each.distance for each in found if each.step == h])
+        small = " (below 1 µm)" * bool(sizes.max() < LEAST_SHOWN)
+        axis.ecdf(np.maximum(sizes, LEAST_SHOWN), color=colours[h], label=f"{h:g} s{small}", lw=1.5)
+        axis.axvline(bound(found[0].kind, h), 0.9, color=colours[h], lw=2.5)
+    if disturbed:  # without feedback most loads are lost: a distance beyond the scale
+        lost = [min(each.without, 10.0 * LARGEST_SHOWN) for each in found]
+        axis.ecdf(lost, color="0.5", label="feedforward alone", lw=1.5)
+    axis.set(xscale="log", xlim=(1.0, LARGEST_SHOWN) if disturbed else (LEAST_SHOWN, 10.0))
+    axis.legend(loc="center" if disturbed else "lower right", fontsize=7, frameon=False)
 
 
 def main(count: int, folder: Path) -> int:
@@ -204,20 +196,6 @@ def main(count: int, folder: Path) -> int:
     return status | (not stability())
 
 
-def recorded(file: Path) -> list[Run]:
-    """Read the runs that `main` wrote."""
-    with file.open(encoding="utf-8", newline="") as table:
-        return [
-            Run(row["kind"], row["master"], float(row["step"]), row["manoeuvre"],
-                *(float(row[name]) for name in ("jump", "distance", "without")))
-            for row in csv.DictReader(table)
-        ]  # fmt: skip
-
-
 if __name__ == "__main__":
-    options = [word for word in sys.argv[1:] if word.startswith("--")]
-    numbers = [word for word in sys.argv[1:] if word not in options]
-    if "--draw" in options:
-        draw(recorded(TARGET / "feedback.csv"), TARGET / "feedback.png")
-    else:
-        sys.exit(main(int(numbers[0]) if numbers else 200, Path(numbers[1]) if numbers[1:] else TARGET))
+    count, *folder = sys.argv[1:] or ["200"]
+    sys.exit(main(int(count), Path(*folder) if folder else TARGET))

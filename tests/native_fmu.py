@@ -16,11 +16,7 @@ import fmpy
 import numpy as np
 import numpy.typing as npt
 from budgets import shared_by_all_files
-from fmpy import read_model_description
-from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-from fmpy.fmi3 import FMU3Slave
-from fmu_host import extracted, only_one, scratch
+from fmu_host import OK, Host, only_one, scratch
 from outside import timed
 from present import of_kind
 from scipy.interpolate import BPoly
@@ -35,9 +31,9 @@ from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import c_compiler
 
+FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 NATIVE = Path(__file__).parent / "native"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-OK, WARNING, DISCARD, ERROR = range(4)
 START, END = 1, 2
 """Values of input_time."""
 
@@ -168,87 +164,20 @@ def native_file(name: str, fmi: int) -> Path:
     return file
 
 
-class Native:
-    """One instance; `step` returns the status of doStep. Numbers are named as in FMI 2: ``load.position[1]``."""
+class Native(Host):
+    """A native FMU; the path is all its inputs."""
 
     def __init__(self, name: str, fmi: int = 3, file: Path | None = None) -> None:
-        file = file or native_file(name, fmi)
-        self.fmi, self.name = fmi, name
-        self.messages: list[str] = []
-        self.description = read_model_description(str(file), validate=False)
-        arguments = {
-            "guid": self.description.guid,
-            "unzipDirectory": extracted(file),
-            "modelIdentifier": self.description.coSimulation.modelIdentifier,
-            "instanceName": name,
-        }
-        if fmi == 2:
-            self.fmu = FMU2Slave(**arguments)
-            self.callbacks = fmi2CallbackFunctions()
-            self.callbacks.logger = fmi2CallbackLoggerTYPE(lambda *given: self.messages.append(given[4].decode()))
-            self.callbacks.allocateMemory = defaultCallbacks.allocateMemory
-            self.callbacks.freeMemory = defaultCallbacks.freeMemory
-            self.fmu.instantiate(callbacks=self.callbacks)
-        else:
-            self.fmu = FMU3Slave(**arguments)
-            self.fmu.instantiate(logMessage=lambda *given: self.messages.append(given[3].decode()))
-        self.references = {each.name: each.valueReference for each in self.description.modelVariables}
-        self.sizes = {each.name: size_of(each) for each in self.description.modelVariables}
-        self.choices = {each.name for each in self.description.modelVariables if each.type == "Enumeration"}
-        of = {causality: [e for e in self.description.modelVariables if e.causality == causality] for causality in
-              ("input", "output", "parameter")}  # fmt: skip
-        self.inputs, self.outputs, self.parameters = (tuple(each.name for each in of[c]) for c in of)
-
-    def __enter__(self) -> Native:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.fmu.freeInstance()
-
-    def set(self, **values: float) -> Native:
-        for name, value in values.items():
-            if name in self.choices:
-                (self.fmu.setInteger if self.fmi == 2 else self.fmu.setInt64)([self.references[name]], [value])
-            else:
-                self.numbers_set([name], [value])
-        return self
-
-    def numbers_set(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
-        setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
-        setter([self.references[name] for name in names], [float(each) for each in values])
-
-    def get(self, *names: str) -> np.ndarray:
-        references = [self.references[name] for name in names]
-        if self.fmi == 2:
-            return np.array(self.fmu.getReal(references))
-        return np.array(self.fmu.getFloat64(references, sum(self.sizes[name] for name in names)))
-
-    def tell(self, jet: Array) -> Native:
-        """Set all inputs, for a jet of shape (orders, m)."""
-        self.numbers_set(self.inputs, np.ravel(jet))
-        return self
+        super().__init__(file or native_file(name, fmi), name=name)
+        self.name = name
+        self.inputs, self.results, self.parameters = (
+            tuple(each.name for each in self.description.modelVariables if each.causality == causality)
+            for causality in ("input", "output", "parameter")
+        )
+        self.path = self.inputs
 
     def values(self) -> np.ndarray:
-        return self.get(*self.outputs)
-
-    def start(self, jet: Array | None = None, time: float = 0.0, **parameters: float) -> Native:
-        self.set(**parameters)
-        if self.fmi == 2:
-            self.fmu.setupExperiment(startTime=time)
-            self.fmu.enterInitializationMode()
-        else:
-            self.fmu.enterInitializationMode(startTime=time)
-        if jet is not None:
-            self.tell(jet)
-        self.fmu.exitInitializationMode()
-        return self
-
-    def step(self, time: float, h: float) -> int:
-        try:
-            self.fmu.doStep(time, h)
-        except FMICallException as error:
-            return int(error.status)
-        return OK
+        return self.get(*self.results)
 
     def saved(self) -> bytes:
         """Return the serialized state."""
@@ -267,7 +196,7 @@ class Native:
 
     def sensitivities(self, knowns: Sequence[str], weights: Array) -> np.ndarray:
         """Derivatives of a weighted sum of all outputs by some variables."""
-        unknowns, by = ([self.references[name] for name in names] for names in (self.outputs, knowns))
+        unknowns, by = ([self.references[name] for name in names] for names in (self.results, knowns))
         sizes = sum(self.sizes[name] for name in knowns)
         found = (ctypes.c_double * sizes)()
         given = (ctypes.c_double * len(weights))(*weights)
@@ -282,17 +211,12 @@ class Native:
 
     def derivatives(self, knowns: Sequence[str], seeds: Sequence[float] | Array) -> np.ndarray:
         """Derivatives of all outputs along a direction of variables."""
-        unknowns = [self.references[name] for name in self.outputs]
+        unknowns = [self.references[name] for name in self.results]
         by = [self.references[name] for name in knowns]
         given = unknowns, by, [float(each) for each in np.ravel(seeds)]
         if self.fmi == 2:
             return np.array(self.fmu.getDirectionalDerivative(*given))
-        return np.array(self.fmu.getDirectionalDerivative(*given, sum(self.sizes[name] for name in self.outputs)))
-
-
-def size_of(variable: Any) -> int:
-    """Return how many numbers a variable has."""
-    return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
+        return np.array(self.fmu.getDirectionalDerivative(*given, sum(self.sizes[name] for name in self.results)))
 
 
 def began(scene: sc.Scene, model: str) -> tuple[np.ndarray, np.ndarray]:
@@ -315,6 +239,6 @@ def along_path(host: Native, steps: int, **parameters: float) -> np.ndarray:
     host.start(jets[0], t[0], input_time=END, **parameters)
     found = [host.values()]
     for k in range(steps):
-        assert host.tell(jets[k + 1]).step(t[k], h) == OK, host.messages
+        assert host.tell(jets[k + 1]).step(t[k], h), host.messages
         found.append(host.values())
     return np.array(found)

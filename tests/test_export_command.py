@@ -147,6 +147,23 @@ def test_equal_scenes_give_equal_bytes() -> None:
         (("cars", "--wasm", "x.wasm", "-o", "x.wasm"), ("--output and --wasm both name x.wasm",)),
         (("cars", "--wasm", "x.wasm", "-o", "x.mjs"), ("cannot write x.mjs: the name of an FMU ends with .fmu",)),
         (("cars", "-o", "x", "--c", "./x"), ("--c and --output both name x",)),
+        (("cars", "--plant", "--trajectory", "-o", "x.fmu"), ("one at a time",)),
+        (("cars", "--plant", "--reference", "p.csv", "-o", "x.fmu"), ("--reference belongs to --trajectory",)),
+        (("cars", "--plant", "--c", "x"), ("--c is for inverse models: not with --plant",)),
+        (("cars", "--plant", "--wasm", "x.wasm"), ("--wasm is for inverse models: not with --plant",)),
+        (
+            ("cars", "--trajectory", "-o", "x.fmu", "--wasm", "x.wasm", "--cross-check"),
+            ("--wasm is for inverse models: not with --trajectory",),
+        ),
+        (("cars", "--trajectory", "-o", "x.fmu", "--fmi", "1"), ("no export for FMI 1",)),
+        (("cars", "--plant", "-o", "x.fmu", "--tolerance", "1"), ("--tolerance belongs to --reference",)),
+        (
+            (
+                "cars",
+                "--trajectory",
+            ),
+            ("name the file to write with -o",),
+        ),
     ],
 )
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(

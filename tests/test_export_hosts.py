@@ -1,4 +1,4 @@
-"""Native FMUs in hosts that are not Python, on other platforms, and under whatever a host may ask.
+"""Native FMUs in hosts that are not Python, and on other platforms.
 
 `make native` asks all scenes in both versions of FMI; `make platforms` runs the libraries of other platforms, with Wine
 and QEMU where they are installed.
@@ -19,15 +19,12 @@ import numpy as np
 import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmu_host import extracted
-from native_fmu import HEADERS, NATIVE, Native, along_path, c_host, exported, jets_of, native_file, scene_called
+from native_fmu import FULL, HEADERS, NATIVE, Native, along_path, c_host, exported, jets_of, native_file, scene_called
 
 import servocore as sc
-from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.targets import zig
 
-FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 PLATFORMS = os.environ.get("SERVOCORE_PLATFORMS") == "all"
-SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 WINE = next((each for each in ("wine64", "wine", "/usr/lib/wine/wine64") if shutil.which(each)), None)
 QEMU = next((each for each in ("qemu-aarch64-static", "qemu-aarch64") if shutil.which(each)), None)
 
@@ -65,47 +62,6 @@ def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int) -> None:
     assert (numbers_of(done.stdout) == expected).all()
 
 
-# What a host may do --------------------------------------------------------------------------------------------------
-
-
-HOSTILE = ["cars", "mass_on_car plant", "rotary_crane trajectory"]
-if FULL:
-    HOSTILE += ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing", "wind", "limited", "rotary_crane plant",
-                "rotary_crane loop"]  # fmt: skip
-LONG = {"rotary_crane plant": 100_000, "rotary_crane loop": 30_000}  # steps of the long run: held, and estimating
-
-
-def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], folder: Path, *amount: int) -> None:
-    """Build a driver with an FMU's own sources, run it, and see that it ends without a word of the sanitizers."""
-    model = exported(name)
-    for file, text in fmu_sources(model, fmi).items():
-        (folder / file).write_text(text, encoding="utf-8")
-    options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
-    if name == "rotary_crane plant":  # inputs by chance would drop its load
-        options.append("-DAMPLITUDE=0.0")
-    files: list[str | Path] = [NATIVE / f"{driver}.c", *compiled_files(model, fmi)]
-    build = [*compiler, *options, *files, "-o", driver, "-lm"]
-    built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
-    if built.returncode and "sanitize" in built.stderr + "libasan":
-        pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")
-    words = [f"./{driver}", *map(str, amount)]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
-    assert done.stderr == ""
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name: str, compiler: list[str], tmp_path: Path) -> None:
-    sequences, steps = (10_000, LONG.get(name, 1_000_000)) if FULL else (300, 10_000)
-    under_sanitizers(name, 2, "hostile", compiler, tmp_path, sequences, steps, 3)
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-@pytest.mark.parametrize("name", ["gantry_crane", "wind", "rotary_crane plant", "rotary_crane loop"])
-def test_vectors_that_do_not_fit_meet_no_sanitizer(name: str, compiler: list[str], tmp_path: Path) -> None:
-    under_sanitizers(name, 3, "hostile3", compiler, tmp_path, 10_000, 3)
-
-
 # Branches, and all platforms ----------------------------------------------------------------------------------------
 
 
@@ -117,7 +73,7 @@ def test_a_branch_that_is_followed_is_followed_in_an_fmu_too() -> None:
     expected = np.column_stack([solution[each] for each in inputs])
     with Native("crossing", 3) as host:
         outputs = along_path(host, steps)
-        found, trolley = outputs[:, : len(inputs)], outputs[:, host.outputs.index("s")]
+        found, trolley = outputs[:, : len(inputs)], outputs[:, host.results.index("s")]
     assert trolley.min() < -1.0
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
@@ -154,7 +110,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path
     with Native(name, 3) as instance:
         expected = along_path(instance, steps)
     found = numbers_of(done.stdout)
-    drives = [instance.outputs.index(each.name) for each in scene_called(name).model().inputs]
+    drives = [instance.results.index(each.name) for each in scene_called(name).model().inputs]
     assert (found[:, drives] == expected[:, drives]).all()
     # Angles pass through atan2, which the C libraries of Linux and Windows round differently.
     assert (np.abs(found - expected) <= np.spacing(np.abs(expected)) * windows).all()

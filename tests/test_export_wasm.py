@@ -6,7 +6,6 @@ import gc
 import http.server
 import importlib.util
 import json
-import os
 import shutil
 import subprocess
 import threading
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_lines import CommandLine
-from native_fmu import scene_called
+from native_fmu import FULL, scene_called
 from wasm_module import Module, Verdicts, module_file, sections
 
 import servocore as sc
@@ -27,8 +26,9 @@ from servocore.numerics.compiled_calls import Array
 
 run = CommandLine(app, "servocore")
 INSTANTS, STEPS = 1000, 200
-FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 SCENES = sorted(sc.scenes.REGISTRY) if FULL else ["elastic_bar", "mass_on_car", "rotary_crane"]
+
+HEAVY = ("rotary_crane", {"load_mass": 80.0})
 
 needs_zig = pytest.mark.skipif(targets.zig() is None, reason="needs ziglang")
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
@@ -84,11 +84,17 @@ def test_inputs_at_a_thousand_instants_are_those_of_the_library(name: str) -> No
 
 
 @needs_wasmtime
-@pytest.mark.parametrize("name", SCENES)
-def test_steps_of_the_projected_form_are_those_of_the_library(name: str) -> None:
-    (found, verdicts), h, scene = marched(name)
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [*((name, {}) for name in (*SCENES, "wind")), ("rotary_crane", {"load_mass": 80.0})],
+    ids=str,
+)
+def test_steps_of_the_projected_form_are_those_of_the_library(name: str, parameters: dict[str, float]) -> None:
+    """Also where the equations contain the time, and with other parameters."""
+    (found, verdicts), h, scene = marched(name, **parameters)
     assert len(verdicts) == STEPS + 1
     assert not verdicts.any()
+    scene = scene.with_parameters(**parameters)
     solution = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=h, checks=False)
     assert largest_difference(found, solution) < 1e-9
 
@@ -110,16 +116,6 @@ def test_parameters_are_taken_with_each_call() -> None:
     found, _ = module("rotary_crane").invert(jets("rotary_crane", t), load_mass=80.0)
     heavy = sc.solve(scene_called("rotary_crane").with_parameters(load_mass=80.0), step=t[1] - t[0])
     assert largest_difference(found, heavy) < 1e-12
-    (found, _), h, scene = marched("rotary_crane", load_mass=80.0)
-    solution = sc.solve(scene.with_parameters(load_mass=80.0), sc.Projected(), sc.BackwardEuler(), step=h, checks=False)
-    assert largest_difference(found, solution) < 1e-9
-
-
-@needs_wasmtime
-def test_the_time_is_told_where_equations_hold_it() -> None:
-    (found, verdicts), h, scene = marched("wind")
-    assert not verdicts.any()
-    assert largest_difference(found, sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=h, checks=False)) < 1e-9
 
 
 @needs_wasmtime

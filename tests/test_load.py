@@ -9,19 +9,16 @@ import json
 import os
 import subprocess
 import sys
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 from fmu_host import fmu_file, in_a_process
 
-import servocore as sc
 from crane_fmu.catalogue import KINDS
 
 FILES = {name: partial(fmu_file, name) for name in KINDS}
 FULL = os.environ.get("SERVOCORE_LOAD") == "full"
-PATH = sc.scenes.rotary_crane().reference.jet(np.arange(300) * 0.05, 4)
 INSTANCES, STEPS = (200, 1_000_000) if FULL else (20, 10_000)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="calls and memory are those of the Linux binary")
@@ -50,33 +47,14 @@ def test_instances_may_be_stepped_in_threads(name: str) -> None:
     assert run(FILES[name](), 0, 500, 4)["equal"] == 1.0
 
 
-@cache
-def costs() -> dict[str, dict[str, float] | float]:
+@pytest.mark.skipif(not FULL, reason="times are measured by make load; here what they come from is counted")
+def test_a_step_costs_three_times_what_pythonfmu_itself_does_and_an_instance_a_tenth_of_a_second() -> None:
     script = Path(__file__).parents[1] / "benchmarks" / "fmu_cost.py"
     command = [sys.executable, str(script), str(fmu_file()), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found: dict[str, dict[str, float] | float] = json.loads(done.stdout)
-    return found
-
-
-timed = pytest.mark.skipif(not FULL, reason="times are measured by make load; here what they come from is counted")
-
-
-@timed
-def test_a_step_costs_at_most_three_times_what_pythonfmu_itself_does() -> None:
-    ratios = costs()["ratio"]
-    assert isinstance(ratios, dict)
-    print(ratios)
-    assert ratios["points, reduced (default)"] <= 3.0  # measured: 1.9
-
-
-@timed
-def test_an_instance_is_there_in_a_tenth_of_a_second() -> None:
-    found = costs()
-    first, second = found["first instance"], found["second instance"]
-    assert isinstance(first, float)
-    assert isinstance(second, float)
-    print(first, second)
-    assert first < 100.0  # measured: 20 to 70 ms
-    assert second < 20.0  # measured: 2 ms
+    found = json.loads(done.stdout)
+    print(found)
+    assert found["ratio"]["points, reduced (default)"] <= 3.0  # measured: 1.9
+    assert found["first instance"] < 100.0  # ms; measured: 20 to 70
+    assert found["second instance"] < 20.0  # measured: 2

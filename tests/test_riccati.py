@@ -1,4 +1,4 @@
-"""The gains of the feedback: Riccati steps minimize their cost, and the first ones are stationary at every step."""
+"""The first gains of the feedback are those of the stationary Riccati equation, at every step."""
 
 from __future__ import annotations
 
@@ -19,49 +19,9 @@ from crane_fmu.build.feedback_law import (
     hanging,
 )
 from crane_fmu.build.flatness import flat_motion
-from crane_fmu.build.riccati import riccati_functions, riccati_steps
 from crane_fmu.build.sampling import sampled
 
 LOAD = slice(2, 5)
-
-
-def random_model(size: float = 1.0) -> tuple[np.ndarray, ...]:
-    """A, B, B', how freely inputs are used, what errors of the load weigh."""
-    A, new, old = (np.random.default_rng(1).normal(size=(10, n)) for n in (10, 3, 3))
-    return size * A, new, old, np.array([3.0, 2.0, 1.0]), np.array([4.0, 5.0, 6.0])
-
-
-def test_a_riccati_step_finds_the_inputs_of_least_cost() -> None:
-    A, new, old, efforts, weights = random_model()
-    cost = np.random.default_rng(2).normal(size=(10, 10))
-    cost = cost @ cost.T
-    shared, step, _ = riccati_functions()
-    alone, goes_on, *others = shared(A, new, old, efforts, weights)
-    earlier, chosen = map(np.array, step(cost, goes_on, *others))
-    gain = np.array(alone) + chosen @ np.array(goes_on)
-    # The cost of z + B w, of w, and of A (z + B w) + B' w is that of one long vector, for any z: least squares.
-    load, root = np.zeros((3, 10)), np.linalg.cholesky(cost).T
-    load[:, LOAD] = np.diag(weights)
-    of_state = np.vstack([load, np.zeros((3, 10)), root @ A])
-    of_inputs = np.vstack([load @ new, np.diag(1 / efforts), root @ (A @ new + old)])
-    best = np.linalg.lstsq(of_inputs, of_state, rcond=None)[0]
-    left = of_state - of_inputs @ best
-    assert np.abs(gain - best).max() < 1e-10 * np.abs(best).max()
-    assert np.abs(earlier - left.T @ left).max() < 1e-10 * np.abs(earlier).max()
-
-
-@pytest.mark.parametrize("doublings", [0, 1, 2, 5, 9])
-def test_doubled_riccati_steps_are_as_many_single_ones(doublings: int) -> None:
-    shared, step, _ = riccati_functions()
-    _, *model = shared(*random_model(0.3))
-    at_once = np.array(riccati_steps(doublings)(*model))
-    cost = np.zeros((10, 10))
-    for _ in range(2**doublings):
-        cost = step(cost, *model)[0]
-    assert np.abs(at_once - np.array(cost)).max() < 1e-10 * np.abs(at_once).max()
-
-
-# At the start --------------------------------------------------------------------------------------------------------
 
 
 @cache

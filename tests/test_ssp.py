@@ -6,7 +6,6 @@ import os
 import warnings
 import zipfile
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +20,7 @@ from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
 from fmu_host import Host, fmu_file, in_a_process, only_one, scratch
+from test_masters import missing
 
 import servocore as sc
 from crane_fmu.build import SystemOptions, build_ssp
@@ -99,8 +99,8 @@ MASTERS = {"ecospy": ECOS, "libcosimpy": LIBCOSIM}
 
 def places(package: str, file: Path, steps: int, step: float = STEP) -> Array:
     """Where trajectory and plant have the load after so many steps in another master."""
-    if find_spec(package) is None or in_a_process(f"import {package}").returncode:
-        pytest.skip(f"{package} is not installed or does not load")
+    if reason := missing(package):
+        pytest.skip(reason)
     done = in_a_process(MASTERS[package], file, str(steps), str(step))
     found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("place")]
     return np.array(found, dtype=float)
@@ -230,13 +230,8 @@ def own_system(native: bool) -> Path:
     files = {"path.csv": sc.path_to_csv(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
     for name, text in files.items():
         (folder / name).write_text(text)
-    options = [
-        "--reference",
-        str(folder / "path.csv"),
-        "--parameters",
-        str(folder / "crane.toml"),
-        *["--native"] * native,
-    ]
+    options = ["--reference", str(folder / "path.csv"), "--parameters", str(folder / "crane.toml")]
+    options += ["--native"] * native
     result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), "--targets", "host", *options])
     assert result.exit_code == 0, result.output
     return folder / "out" / "Crane.ssp"

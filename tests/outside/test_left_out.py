@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from native_fmu import END, OK, Native
+from native_fmu import END, Native
 from outside.writing import coordinates, lagrange, square
 
 import servocore as sc
@@ -86,7 +86,7 @@ def test_an_fmu_refuses_a_path_of_its_host_that_breaks_it(fmi: int, tmp_path: Pa
     for path in (NEAR, FAR):
         with Native("cars", fmi, file) as host:
             host.start(path.jet(0.0, 4), 0.0, input_time=END)
-            steps = (host.tell(path.jet(0.1 * (k + 1), 4)).step(0.1 * k, 0.1) == OK for k in range(20))
+            steps = (host.tell(path.jet(0.1 * (k + 1), 4)).step(0.1 * k, 0.1) for k in range(20))
             ended[path] = all(steps), host.messages
     assert ended[NEAR][0]
     assert not ended[FAR][0]

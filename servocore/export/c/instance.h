@@ -247,6 +247,7 @@ static Outcome set_experiment(Instance *instance, double start, int stops, doubl
     instance->state.start = start;
     instance->state.now.time = start;
     instance->state.stop = end;
+    instance->state.due = 1; /* what was read before belongs to another start */
     return GOOD;
 }
 
