@@ -57,7 +57,7 @@ load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 loop: $(INSTALLED)  ## close the loop of native inverse model and plant over 200 random manoeuvres at every step (an hour)
 	$(BIN)/python tests/loop_study.py
 
-native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
+native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; fourteen thousand hostile sequences (some minutes)
 	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py tests/test_export.py \
 		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py tests/test_hostile.py
 

@@ -454,9 +454,9 @@ def test_settings_of_methods_and_studies_of_the_wrong_kind_are_refused(make: Cal
         (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),  # type: ignore[arg-type]  # wrong on purpose
         (
-            lambda: sc.path_to_csv("path.csv"),
+            lambda: sc.path_to_csv("path.csv"),  # type: ignore[arg-type]  # wrong on purpose
             "the argument of path_to_csv must be a Reference, not the text 'path.csv'",
-        ),  # type: ignore[arg-type]  # wrong on purpose
+        ),
         (lambda: PATH.jet("now", 0), "the times of a path must be numbers in s, not the text 'now'"),
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),  # type: ignore[arg-type]  # wrong on purpose
     ],
