@@ -196,16 +196,13 @@ def _judge(found: Findings, approach: Approach, route: str, distances: Array, re
 
 
 def draw(found: Findings) -> Figure:
-    """One panel an approach: routes over the logarithm of the distance, with the result of each run."""
+    """Draw the result of each run, one panel for each approach: routes over distances, evenly spaced."""
     figure, axes = panels(2, 2, width=6.8, height=1.85)
     marks = {RIGHT: ("o", GOOD), WARNED: ("^", FOURTH), FAILED: ("x", BAD), OUT: ("s", "white"), WRONG: ("*", "black")}
     for ax, approach in zip(axes.flat, APPROACHES, strict=True):
         _, distances, table = found.curves[approach.name]
-        # Distances at their logarithms; the run beyond the limit at the end, a tenth of the scale further.
         limited = distances[-1] <= approach.nearest and approach.name != "rope horizontal"
-        places = np.log10(np.abs(distances))
-        if limited:
-            places[-1] = places[-2] - 0.1 * (places[0] - places[-2])
+        places = np.arange(len(distances))  # evenly spaced: the labels give the distances
         for row, results in enumerate(table.values()):
             for k, (each, _) in enumerate(results):
                 mark, colour = marks[each]
@@ -214,8 +211,7 @@ def draw(found: Findings) -> Figure:
         ax.set_yticks(range(len(table)), [f"{form}, {model}" for model, form in table])
         texts = [f"{d:g}" for d in distances]
         ax.set_xticks(places, [*texts[:-1], "beyond"] if limited else texts, rotation=35)
-        margin = 0.05 * (places[0] - places[-1])
-        ax.set(ylim=(len(table) - 0.5, -0.5), xlim=(places[0] + margin, places[-1] - margin))
+        ax.set(ylim=(len(table) - 0.5, -0.5), xlim=(-0.4, len(distances) - 0.6))
         label(ax, f"{approach.quantity} ({approach.unit.replace('m/s2', 'm/s²').replace('deg', '°')})", "",
               approach.name, None)  # fmt: skip
     for text, (mark, colour) in marks.items():
