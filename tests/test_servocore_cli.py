@@ -44,13 +44,13 @@ class TestScenes:
         assert text.index("points") < text.index("generalized") < text.index("bodies")
 
     @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
-    def test_a_scene_says_in_one_line_what_it_is_and_in_one_sentence_what_it_needs(self, name: str) -> None:
-        summary, needs = described(sc.scenes.REGISTRY[name])
+    def test_a_scene_says_in_one_line_what_it_is_and_in_one_sentence_which_data_it_has(self, name: str) -> None:
+        summary, data = described(sc.scenes.REGISTRY[name])
         assert summary.endswith(".")
-        assert needs.startswith("needs: ")
-        assert needs.endswith(".")
-        assert "``" not in needs
-        assert len(needs) > 40
+        assert data.startswith("data: ")
+        assert data.endswith(".")
+        assert "``" not in data
+        assert len(data) > 40
 
     def test_without_docstrings_the_table_is_still_there(self) -> None:
         code = "from servocore.cli.commands import app; app(['scenes'])"

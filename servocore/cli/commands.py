@@ -34,22 +34,22 @@ def list_scenes() -> None:
         scene = factory()
         model = scene.model()
         ends = ["\n".join(f"{e.name} ({e.unit})" for e in group) for group in (model.inputs, model.outputs)]
-        summary, needs = described(factory)
+        summary, data = described(factory)
         table.add_row(
             name,
             "\n".join(scene.models),
             *ends,
-            f"{escape(summary)}\n[dim]{escape(needs)}[/dim]" if needs else escape(summary),
+            f"{escape(summary)}\n[dim]{escape(data)}[/dim]" if data else escape(summary),
         )
     table_console().print(table)
 
 
 def described(factory: Callable[[], Scene]) -> tuple[str, str]:
-    """First line of the file of a scene, and its sentence "What the scene needs: ..."; empty where there is none."""
+    """Return the first line of the file of a scene, and its sentence "Data of the scene: ...", empty without one."""
     text = inspect.getdoc(inspect.getmodule(factory)) or ""
     summary = text.partition("\n")[0]
-    needs = re.search(r"What the scene (needs: .*?(?<!\.)\.)(?:\s|$)", text, re.DOTALL)
-    return summary, " ".join(needs[1].replace("``", "").split()) if needs else ""
+    data = re.search(r"Data of the scene: (.*?(?<!\.)\.)(?:\s|$)", text, re.DOTALL)
+    return summary, " ".join(f"data: {data[1]}".replace("``", "").split()) if data else ""
 
 
 def analyse_scene(subject: Subject) -> None:

@@ -46,7 +46,7 @@ FORMER = {
 ON_THE_COMMAND_LINE = {
     r"clearance_of=\('load',\)": "--clearance-of load",
     r"give plants of your own: plant=dict\(name=factory\)": "a scene of your own may declare some",
-    r", points take a higher rest_order": ": use --from, --to and --duration",
+    r"; points take a higher rest_order": ": use --from, --to and --duration",
     r"waypoints_from_csv": "--waypoints",
     r"solve without a form and a method": "without --formulation and --method",
     r"leave its horizon to StableInversion, with": "StableInversion in Python has",

@@ -157,6 +157,6 @@ def test_a_table_without_derivatives_is_refused_and_a_smooth_one_solved(how: tup
         system = replace(system, force=ca.vertcat(0, table(y)))
         return sc.Scene("cars", {"only": lambda: system}, ALONG)
 
-    with pytest.raises(sc.InvalidModel, match="such as a table that is interpolated linearly"):
+    with pytest.raises(sc.InvalidModel, match="such as a table with linear interpolation"):
         sc.solve(scene("linear"), *how, step=0.005)
     assert sc.solve(scene("bspline"), *how, step=0.005).error.largest is not None

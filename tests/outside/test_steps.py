@@ -139,7 +139,7 @@ def cart(friction: Of) -> sc.Scene:
 @pytest.mark.parametrize("how", HOW, ids=str)
 def test_dry_friction_within_internal_dynamics_is_refused_where_it_sticks(how: tuple[Any, ...]) -> None:
     """It was left out: a Jacobian that is constant was taken for equations that are linear, with sign(0) = 0."""
-    with pytest.raises(sc.IntegrationFailed, match=r"a smooth form of it has, such as tanh\(v/e\) for sign\(v\)"):
+    with pytest.raises(sc.IntegrationFailed, match=r"use a smooth form such as tanh\(v/e\) for sign\(v\)"):
         sc.solve(cart(lambda speed: 0.5 * ca.sign(speed)), *how, step=0.005)
 
 
