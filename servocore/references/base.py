@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from math import factorial
 from typing import Any
 
 import casadi as ca
@@ -25,6 +26,10 @@ ANALYTIC_ORDER = 99
 
 
 _INSTANTS = 9  # that tell how far a path goes
+
+_UNIT = 2.3e-16
+_VALUES = 64 * _UNIT  # of a derivative's peak: the rounding error of its values, some ten operations on like terms
+_PARTS = 16  # of an analytic piece, on each of which derivatives are bounded
 
 LONGEST_TIME = 1e9
 """No path begins or ends farther from zero, in s: powers of a longer duration overflow."""
@@ -87,6 +92,16 @@ class Reference(ABC):
         return np.array([self.start_time, self.end_time])
 
     @property
+    def joints(self) -> FloatArray:
+        """Times in s, start and end included, between which the path is analytic."""
+        return self.stretches
+
+    @property
+    def degree(self) -> int | None:
+        """Degree of the polynomials between `joints`; None if the path is not made of polynomials."""
+        return None
+
+    @property
     def formula(self) -> Formula | None:
         """The path as an expression of time; None if it is none, but a table."""
         return None
@@ -130,6 +145,68 @@ class Reference(ABC):
             raise InvalidReference(f"time number {bad[0]} is {times.flat[bad[0]]}, not a finite number")
         values = self._derivatives(np.atleast_1d(times), order)
         return values if times.ndim else values[0]
+
+    def enclosure(
+        self, a: FloatArray, b: FloatArray, order: int, degree: int = 10
+    ) -> tuple[FloatArray, FloatArray]:
+        """Enclose the path and its derivatives on intervals by polynomials.
+
+        Each derivative is interpolated at Chebyshev points, with the remainder of interpolation as radius, and what
+        rounding does to the values and to the times.
+
+        Parameters
+        ----------
+        a, b : ndarray, shape (N,)
+            Begin and end of intervals in s; none has a joint of the path inside.
+        order : int
+            Highest derivative wanted.
+        degree : int
+            Of the polynomials.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (N, order + 1, dimension, degree + 1)
+            Of Chebyshev polynomials in time, scaled to [-1, 1] on the interval.
+        radii : ndarray, shape (N, order + 1, dimension)
+            Largest distance of a derivative from its polynomial; infinite where nothing bounds it, as for a class of
+            one's own that neither has a `degree` nor overrides this method.
+        """
+        nodes = np.cos((2 * np.arange(degree + 1) + 1) * np.pi / (2 * (degree + 1)))
+        middle, half = (a + b) / 2.0, (b - a) / 2.0
+        t = middle[:, None] + half[:, None] * nodes
+        values = self.jet(t.ravel(), order).reshape(*t.shape, order + 1, self.dimension)
+        inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+        bounds = self._bounds(a, b, order + degree + 1)
+        # Chebyshev interpolation: |f - p| <= h^(n+1) sup|f^(n+1)| / (2^n (n+1)!).
+        share = (half ** (degree + 1) / (2.0**degree * factorial(degree + 1)))[:, None, None]
+        late = 4.0 * _UNIT * np.maximum(np.abs(a), np.abs(b))[:, None, None]
+        radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * self._peaks(a, b, order)
+        return np.einsum("ij,njkd->nkdi", inverse, values), 1.001 * radii
+
+    def _peaks(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound the derivatives of the analytic piece around each interval: rounding of values is a share of that."""
+        ends = self.joints
+        fractions = np.linspace(0.0, 1.0, _PARTS + 1)
+        grid = ends[:-1, None] + np.diff(ends)[:, None] * fractions
+        bounds = self._bounds(grid[:, :-1].ravel(), grid[:, 1:].ravel(), order)
+        of_pieces = bounds.reshape(len(ends) - 1, _PARTS, order + 1, self.dimension).max(axis=1)
+        piece = np.clip(np.searchsorted(ends, (a + b) / 2.0) - 1, 0, len(ends) - 2)
+        return np.asarray(of_pieces[piece])
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound the magnitudes of derivatives on intervals (N,), shape (N, order + 1, dimension).
+
+        Polynomials by their Taylor coefficients in the middle.
+        """
+        degree = self.degree
+        if degree is None:
+            return np.full((len(a), order + 1, self.dimension), np.inf)
+        jets = np.abs(self.jet((a + b) / 2.0, degree))
+        half = ((b - a) / 2.0)[:, None]
+        bounds = np.zeros((len(a), max(order, degree) + 1, self.dimension))
+        for k in range(degree, -1, -1):
+            bounds[:, k] = sum(jets[:, j] * half ** (j - k) / factorial(j - k) for j in range(k, degree + 1))
+        return 1.001 * bounds[:, : order + 1]
 
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
