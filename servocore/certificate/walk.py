@@ -102,9 +102,8 @@ def _carried_out(ring: Arithmetic, group: Group, taken: Sequence[Model]) -> Mode
     return _RULES[group.operation](ring, *taken)
 
 
-@made_once
-def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
-    """Group the operations of a column of expressions of a column of symbols.
+def walk_of(expression: ca.SX, symbols: ca.SX, numbers: tuple[int, ...] = ()) -> Walk:
+    """Group the operations of a column of expressions of a column of symbols; `numbers` are alike on all boxes.
 
     Raises
     ------
@@ -124,7 +123,7 @@ def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
         arguments = [] if number in {ca.OP_CONST, ca.OP_INPUT} else [place_of[each] for each in used]
         place = place_of[out[0]] = len(level)
         level.append(1 + max((level[each] for each in arguments), default=-1))
-        flat.append(number != ca.OP_INPUT and all(flat[each] for each in arguments))
+        flat.append(used[1] in numbers if number == ca.OP_INPUT else all(flat[each] for each in arguments))
         if number == ca.OP_CONST:
             constants.append((place, constant))
         elif number == ca.OP_INPUT:

@@ -1,0 +1,167 @@
+"""The interval Newton test, block by block: exactly one solution near an approximation, at every instant of an interval.
+
+E(x, t, p) = 0 with the Jacobian J = dE/dx in block triangular form. About an approximation x_hat, a polynomial, and
+within x_hat + D, the test takes for each block b an approximate inverse Y and, with r the residual of x_hat,
+
+    Z = |Y r_b| + |Y| sum over earlier blocks e of |J_be| rho_e,    A >= |I - Y J_bb|,    A rho_b + Z <= rho_b <= D_b.
+
+x_b -> x_b - Y E_b(x) then maps x_hat_b + rho_b into itself and contracts: rho > 0 and A rho < rho make the spectral
+radius of A less than one (Collatz & Wielandt). So there is exactly one solution in x_hat + D, it lies in x_hat + rho,
+and J is regular there (Krawczyk, Computing 4 (1969) 187; Rump, Acta Numerica 19 (2010) 287, section 13). Unknowns that
+J does not depend on need no D: the solution is unique whatever they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
+from servocore.certificate.equations import BlocksOfOneSize, Equations, Places
+from servocore.numerics.compiled_calls import Array
+
+_ROOM = 1.0 + 1e-3  # radii are larger by that, so that the test holds with the rounding of its own sums
+_LEAST = 1e-17  # of an unknown's magnitude: radii are positive
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What the test takes of one block, on all intervals.
+
+    Attributes
+    ----------
+    A, inverse : ndarray, shape (intervals, size, size)
+        Bounds of |I - Y J| and |Y|.
+    residual : ndarray, shape (size, intervals)
+        Bounds of |Y r|.
+    columns : ndarray of int
+        Its unknowns.
+    """
+
+    A: Array
+    inverse: Array
+    residual: Array
+    columns: Places
+
+
+def radii(equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array) -> tuple[Array, Array]:
+    """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
+
+    Parameters
+    ----------
+    equations : Equations
+        What is solved.
+    ring : Arithmetic
+        Of the polynomials.
+    x : ndarray, shape (terms, unknowns, boxes)
+        Coefficients of x_hat.
+    given : Model
+        Of path and parameters.
+    D : ndarray, shape (unknowns, boxes)
+        Where solutions are looked for.
+    sizes : ndarray, shape (unknowns,)
+        Magnitudes of the unknowns.
+
+    Returns
+    -------
+    rho : ndarray, shape (unknowns, boxes)
+        The radii, whether within D or not.
+    failed : ndarray of int, shape (boxes,)
+        The first of the blocks, in their order, that was not proved; as many as there are if all were.
+    """
+    wide = np.where(equations.curved[:, None], D, 0.0)
+    with np.errstate(all="ignore"):
+        residual = equations.residual(ring, _joined(x, np.zeros_like(wide), given))
+        jacobian = equations.jacobian(ring, _joined(x, wide, given))
+        blocks = {group.rows.shape[1]: _tested(ring, group, residual, jacobian) for group in equations.sizes}
+        weights = magnitude(jacobian)
+        rho = np.full_like(wide, np.inf)
+        failed = np.full(x.shape[2], len(equations.order))
+        for k, ((size, number), (at, column, entry)) in enumerate(zip(equations.order, equations.outside, strict=True)):
+            block = blocks[size][number]
+            beside = np.zeros_like(block.residual)
+            np.add.at(beside, at, weights[entry] * rho[column])
+            Z = block.residual + np.einsum("kij,jk->ik", block.inverse, beside) * _ROOM
+            Z = np.maximum(Z, _LEAST * sizes[block.columns, None])
+            rho[block.columns] = _fixed(block.A, Z)
+            bad = ~np.isfinite(rho[block.columns]).all(axis=0)
+            failed[bad] = np.minimum(failed[bad], k)
+    return rho, failed
+
+
+def _joined(x: Array, r: Array, given: Model) -> Model:
+    return np.concatenate([x, given[0]], axis=1), np.concatenate([r, given[1]])
+
+
+def _tested(ring: Arithmetic, group: BlocksOfOneSize, residual: Model, jacobian: Model) -> list[Block]:
+    """Return what the test takes of blocks of one size."""
+    count, size = group.rows.shape
+    terms, boxes = len(residual[0]), residual[0].shape[2]
+    # One more entry, zero, for those that a block does not have.
+    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, group.entries]
+    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[group.entries]
+    Y = _inverses(ring, c)
+    zero = np.zeros((count, size, size, boxes))
+    # Y J and Y r as products of models: they cancel as polynomials, before magnitudes are taken.
+    identity = np.eye(size)[None, :, :, None]
+    YJ = [_product(ring, (Y[:, :, :, [k]], zero[:, :, [k]]), (c[:, :, [k]], r[:, [k]])) for k in range(size)]
+    A = _sum(ring, YJ, identity)
+    b = residual[0][:, group.rows][:, :, None], residual[1][group.rows][:, None]
+    Yr = [_product(ring, (Y[:, :, :, k], zero[:, :, k]), (b[0][:, :, :, k], b[1][:, :, k])) for k in range(size)]
+    bound = _sum(ring, Yr, 0.0)
+    inverse = norm(Y) * (1.0 + 1e-14)
+    return [
+        Block(np.moveaxis(A[k], 2, 0), np.moveaxis(inverse[k], 2, 0), bound[k], group.columns[k]) for k in range(count)
+    ]
+
+
+def _product(ring: Arithmetic, a: Model, b: Model) -> Model:
+    """Return products of models with more axes than one between terms and boxes."""
+    shape = np.broadcast_shapes(a[0].shape, b[0].shape)
+    left, right = (
+        (np.broadcast_to(c, shape).reshape(shape[0], -1, shape[-1]), np.broadcast_to(r, shape[1:]).reshape(-1, shape[-1]))
+        for c, r in (a, b)
+    )
+    found, radius = ring.product(left, right)
+    return found.reshape(shape), radius.reshape(shape[1:])
+
+
+def _sum(ring: Arithmetic, each: list[Model], constant: Array | float) -> Array:
+    """Return bounds of |constant - sum| of models: a sum of m terms is off by m units of all their coefficients."""
+    c = -sum(part[0] for part in each)
+    c[0] += constant
+    noise = (len(each) + 1) * UNIT * sum(norm(part[0]) for part in each)
+    return np.asarray((norm(c) + sum(part[1] for part in each) + noise + UNIT * np.abs(constant)) * (1.0 + 1e-14))
+
+
+def _inverses(ring: Arithmetic, c: Array) -> Array:
+    """Return coefficients of interpolated inverses of matrices (terms, blocks, size, size, boxes); any will do."""
+    terms, count, size, _, boxes = c.shape
+    values = ring.values(c.reshape(terms, -1, boxes)).reshape(-1, count, size, size, boxes)
+    matrices = np.moveaxis(values, -1, 2)
+    matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
+    try:
+        found = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        found = np.linalg.pinv(matrices)
+    found = np.moveaxis(found, 2, -1).reshape(len(values), -1, boxes)
+    return ring.interpolated(found).reshape(terms, count, size, size, boxes)
+
+
+def _fixed(A: Array, Z: Array) -> Array:
+    """Return rho (size, boxes) with A rho + Z <= rho, infinite where none is found."""
+    size = len(Z)
+    good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=0)
+    rho = np.full_like(Z, np.inf)
+    if not good.any():
+        return rho
+    matrices = np.eye(size) - _ROOM * A[good]
+    try:
+        tried = np.linalg.solve(matrices, _ROOM * Z.T[good][:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        return rho
+    image = np.einsum("kij,kj->ki", A[good], tried) + Z.T[good]
+    holds = (tried > 0.0).all(axis=1) & (image * (1.0 + 1e-6) <= tried).all(axis=1)
+    rho[:, good] = np.where(holds[:, None], tried, np.inf).T
+    return rho
