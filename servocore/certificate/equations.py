@@ -221,6 +221,13 @@ class Answers:
         """Places of the unknowns of the array that is not differentiated once more."""
         return self.equations.array.places(self.problem.array.unknowns)
 
+    @cached_property
+    def rates(self) -> npt.NDArray[np.bool_]:
+        """Whether an unknown is new in the array that is differentiated once more."""
+        new = np.ones(len(self.equations.array.unknowns), dtype=bool)
+        new[self._own] = False
+        return new
+
     def _jets(self, t: Array, order: int) -> Array:
         return self.problem.reference.jet(t, order)
 
@@ -236,7 +243,7 @@ class Answers:
         rates[:, good] = _solved(np.moveaxis(matrices[..., good], 2, 0), -rest.T[good]).T
         everything = np.empty((len(self.equations.array.unknowns), len(t)))
         everything[self._own] = found
-        everything[np.setdiff1d(np.arange(len(everything)), self._own)] = rates
+        everything[self.rates] = rates
         return everything
 
     @cached_property

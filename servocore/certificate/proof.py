@@ -150,6 +150,9 @@ class Proof:
         """Answer and test what is open, and see what to do next; return whether something is left to do."""
         fresh = [each for each in self.intervals if each.failed < 0]
         if fresh:
+            for a, b in zip(self.intervals, self.intervals[1:], strict=False):
+                if b.c is None and not b.guessed:
+                    self._answer_from(a, [b])
             for k in range(0, len(fresh), _AT_ONCE):
                 self._prove(fresh[k : k + _AT_ONCE])
             self.intervals = [part for each in self.intervals for part in self._refined(each)]
@@ -259,7 +262,8 @@ class Proof:
         assert b.c is not None
         noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(a.c) + norm(b.c))
         apart = norm(self._end_values(a, True) - self._end_values(b, False)) + noise
-        fits = (apart + b.rho <= a.D) | ~self.equations.curved, (apart + a.rho <= b.D) | ~self.equations.curved
+        free = self.answers.rates | ~self.equations.curved  # rates may jump, and others are unique wherever they are
+        fits = (apart + b.rho <= a.D) | free, (apart + a.rho <= b.D) | free
         if any(side.all() for side in fits):
             return "one branch"
         motion = self.equations.motion
@@ -277,10 +281,10 @@ class Proof:
         for k, (a, b) in enumerate(zip(self.intervals, self.intervals[1:], strict=False), 1):
             if not a.proved or (not b.guessed and not b.proved):
                 continue  # the branch is lost: what comes later is answered from the guess
-            if b.proved and self._joint(a, b) != "apart":
+            if b.proved and self._joint(a, b) in {"one branch", "inputs jump"}:
                 continue
             if b.proved and not b.guessed:
-                if b.depth >= _DEEPEST:
+                if b.depth >= _DEEPEST or self._joint(a, b) == "motion jumps":
                     continue
                 self.intervals[k : k + 1] = b.halves()
                 b = self.intervals[k]
