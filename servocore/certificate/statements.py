@@ -1,0 +1,346 @@
+"""Statements about a proved motion: limits, signs, constraints left out and masses, by enclosures on halved boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
+from servocore.certificate.equations import Equations
+from servocore.certificate.proof import Interval, Proof
+from servocore.certificate.walk import Walk
+from servocore.model.limits import Limit
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.memoization import made_once
+from servocore.problem import LEFT_OUT_HOLDS
+
+Verdict = Literal["proved", "refuted", "undecided"]
+
+_HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
+_AT_ONCE = 48
+_CONSTRAINED = 1.0  # times the largest mass: the weight of constraints beside it
+_MASS_HALVINGS = 8
+_NEGATIVE = 1e-9  # of the largest: a mass that is lower is negative
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One thing that is proved, refuted or left undecided.
+
+    Attributes
+    ----------
+    what : str
+        What is stated.
+    verdict : str
+        "proved", "refuted" or "undecided".
+    begin, end : float
+        From when to when, in s.
+    sentence : str
+        Where it fails and by how much, or what was found.
+    time : float or None
+        When it fails.
+    """
+
+    what: str
+    verdict: Verdict
+    begin: float
+    end: float
+    sentence: str
+    time: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Enclosures of quantities on boxes of time and parameters.
+
+    Attributes
+    ----------
+    ring : Arithmetic
+        Of the models.
+    c, r : ndarray, shape (terms, quantities, boxes) and (quantities, boxes)
+        The models.
+    low, high : ndarray, shape (boxes, variables)
+        Corners of the boxes.
+    """
+
+    ring: Arithmetic
+    c: Array
+    r: Array
+    low: Array
+    high: Array
+
+    def bounded(self, k: int) -> tuple[float, float]:
+        """Return the least and the largest value that quantity k can have."""
+        low, high = self.ring.span((self.c[:, k : k + 1], self.r[k : k + 1]))
+        return float(low.min()), float(high.max())
+
+
+def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
+    """Return enclosures of the results of a walk on all proved intervals within the path."""
+    ring, parts, corners = proofs[0].ring, list[Model](), list[list[tuple[float, ...]]]()
+    for proof in proofs:
+        some = [each for each in proof.intervals if each.proved and not each.outside]
+        boxes = list(proof.boxed.values())
+        for k in range(0, len(some), _AT_ONCE):
+            with np.errstate(all="ignore"):
+                parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
+        for each in some:
+            corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
+    count = len(walk.outputs)
+    if not parts:
+        empty = np.zeros((0, len(ring.degrees)))
+        return Enclosed(ring, np.zeros((len(ring.nodes), count, 0)), np.zeros((count, 0)), empty, empty)
+    c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
+    ends = np.array(corners)
+    return Enclosed(ring, c, r, ends[:, 0], ends[:, 1])
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a quantity keeps its bounds.
+
+    Attributes
+    ----------
+    verdict : str
+        As that of a statement.
+    at : ndarray or None
+        Time and parameters where it fails, or where that is not decided.
+    value : float
+        The quantity there.
+    boxes : int
+        How many were looked at.
+    """
+
+    verdict: Verdict
+    at: Array | None = None
+    value: float = np.nan
+    boxes: int = 0
+
+
+def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decision:
+    """Decide whether quantity k stays from `lower` to `upper` on all boxes, halving those on which it may not."""
+    ring = quantities.ring
+    c, r, low, high = quantities.c[:, k], quantities.r[k], quantities.low, quantities.high
+    worst, doubtful, seen = Decision("proved"), Decision("proved"), 0
+    for _ in range(_HALVINGS):
+        seen += len(r)
+        least, most = (each[0] for each in ring.span((c[:, None], r[None])))
+        open_ = ~((least >= lower) & (most <= upper))
+        c, r, low, high = c[:, open_], r[open_], low[open_], high[open_]
+        if not len(r):
+            break
+        values = ring.values(c)
+        noise = r + (len(c) + 8) * UNIT * norm(c)
+        beyond = np.maximum(lower - values, values - upper)
+        certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
+        found = worst if certain.any() else doubtful
+        among = np.flatnonzero(certain) if certain.any() else np.arange(len(r))
+        box = among[int(beyond[:, among].max(axis=0).argmax())]
+        node = int(beyond[:, box].argmax())
+        place = (low[box] + high[box]) / 2.0 + (high[box] - low[box]) / 2.0 * ring.nodes[node]
+        found = Decision("refuted" if certain.any() else "undecided", place, float(values[node, box]))
+        worst, doubtful = (found, doubtful) if certain.any() else (worst, found)
+        # Where the radius is more than what the polynomial varies by, halves tell nothing new.
+        useless = ~np.isfinite(r) | (norm(c[1:]) < r / 4.0)
+        keep = ~certain & ~useless
+        if worst.verdict == "refuted" or not keep.any() or keep.sum() > _MOST:
+            break
+        doubtful = doubtful if useless.any() else Decision("proved")
+        c, r, low, high = _halved(ring, c[:, keep], r[keep], low[keep], high[keep])
+    else:
+        doubtful = Decision("undecided", (low[0] + high[0]) / 2.0, float(c[0, 0]))
+    final = worst if worst.verdict == "refuted" else doubtful
+    return Decision(final.verdict, final.at, final.value, seen)
+
+
+def _halved(ring: Arithmetic, c: Array, r: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the halves of boxes, each by the variable that its polynomial varies most with."""
+    orders = np.indices([d + 1 for d in ring.degrees]).reshape(len(ring.degrees), -1)
+    by = np.stack([norm(c[order > 0]) for order in orders]).argmax(axis=0)
+    parts = []
+    for k in range(len(ring.degrees)):
+        own = by == k
+        middle = (low[own, k] + high[own, k]) / 2.0
+        for half, side in zip(ring.halved((c[:, None, own], r[None, own]), k), (high, low), strict=True):
+            corners = [low[own].copy(), high[own].copy()]
+            corners[1 if side is high else 0][:, k] = middle
+            parts.append((half[0][:, 0], half[1][0], *corners))
+    columns = list(zip(*parts, strict=True))
+    return (np.concatenate(columns[0], axis=1), *(np.concatenate(each) for each in columns[1:]))  # type: ignore[return-value]
+
+
+# Limits and signs -----------------------------------------------------------------------------------------------------
+
+
+@made_once
+def walk_of_limits(equations: Equations, limits: tuple[Limit, ...], rates: bool) -> Walk:
+    """Return what limits compare, or its rates, as a walk."""
+    expressions = [limit.on(equations.array.system) for limit in limits]
+    return equations.rates(expressions) if rates else equations.walk(expressions)
+
+
+def known(equations: Equations, limit: Limit) -> bool:
+    """Whether the equations enclose all derivatives of the path that a limit compares."""
+    system = equations.array.system
+    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.path_order
+
+
+def limit_statements(
+    proofs: Sequence[Proof], limits: Sequence[Limit], what: Callable[[Limit], str]
+) -> list[Statement]:
+    """Decide limits between the instants too, each a statement."""
+    equations = proofs[0].equations
+    path = proofs[0].problem.reference
+    begin, end, statements = path.start_time, path.end_time, list[Statement]()
+    whole = all(each.proved for proof in proofs for each in proof.intervals if not each.outside)
+    for rates in (False, True):
+        chosen = tuple(limit for limit in limits if limit.rate == rates)
+        usable = tuple(limit for limit in chosen if known(equations, limit))
+        for limit in chosen:
+            if limit not in usable:
+                text = "it depends on higher derivatives of the path than the inputs do"
+                statements.append(Statement(what(limit), "undecided", begin, end, text))
+        if not usable:
+            continue
+        quantities = enclosed(proofs, walk_of_limits(equations, usable, rates))
+        for k, limit in enumerate(usable):
+            decision = decided(quantities, k, limit.bound, limit.upper)
+            verdict, sentence = decision.verdict, ""
+            if decision.at is None and quantities.c.shape[2]:
+                least, most = quantities.bounded(k)
+                sentence = f"it stays from {limit.told(least)} to {limit.told(most)}"
+            elif decision.at is not None:
+                sentence = _failure(proofs[0], limit, decision)
+            if verdict == "proved" and not whole:
+                verdict, sentence = "undecided", "the motion is not proved at all times"
+            time = None if decision.at is None else float(decision.at[0])
+            statements.append(Statement(what(limit), verdict, begin, end, sentence, time))
+    return statements
+
+
+def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:
+    assert decision.at is not None
+    below = decision.value - limit.bound < limit.upper - decision.value
+    bound = limit.bound if below else limit.upper
+    names = [proof.problem.system.parameters.names[k] for k in proof.boxed]
+    given = "".join(f", {name} = {value:.6g}" for name, value in zip(names, decision.at[1:], strict=True))
+    verb = "it is" if decision.verdict == "refuted" else "not decided: it is about"
+    off = abs(decision.value - bound)
+    why = f", {limit.reason}" if limit.reason else ""
+    return (
+        f"{verb} {limit.told(decision.value)} at t = {decision.at[0]:.6g} s{given}, {limit.told(off)} from the bound"
+        f" of {limit.told(bound)}{why}"
+    )
+
+
+# Constraints left out, and masses -------------------------------------------------------------------------------------
+
+
+def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
+    """State that holonomic constraints left out as redundant hold along the motion."""
+    problem = proofs[0].problem
+    rows = problem.resolved.left_out
+    if not rows.numel():
+        return []
+    equations, system = proofs[0].equations, problem.system
+    nominal = ca.DM(system.coordinates.nominal)
+    gradient = ca.Function("sc_reach", [system.q, system.p, system.time], [
+        ca.densify(ca.mtimes(ca.fabs(ca.jacobian(rows, system.q)), nominal))])  # fmt: skip
+    home, p = system.home_configuration()
+    reach = np.asarray(gradient(home, p, np.zeros(system.time.numel()))).ravel()
+    quantities = enclosed(proofs, equations.walk([rows]))
+    path = problem.reference
+    for k in range(rows.numel()):
+        bound = LEFT_OUT_HOLDS * reach[k]
+        decision = decided(quantities, k, -bound, bound)
+        if decision.verdict != "proved":
+            assert decision.at is not None
+            text = f"constraint {k + 1} of them is off by {abs(decision.value):.3g} at t = {decision.at[0]:.6g} s"
+            return [Statement("redundant constraints hold", decision.verdict, path.start_time, path.end_time, text)]
+    return [Statement("redundant constraints hold", "proved", path.start_time, path.end_time, "")]
+
+
+@made_once
+def _walk_of_mass(equations: Equations) -> Walk:
+    system = equations.array.system
+    return equations.walk([ca.vec(ca.densify(system.mass)), ca.vec(ca.densify(system.G))])
+
+
+def mass_statement(proofs: Sequence[Proof]) -> Statement:
+    """State that the mass matrix M is definite on all velocities that the holonomic constraints allow.
+
+    It is if M + w G^T G is, for any weight w > 0: on the kernel of G the second term vanishes. With an approximate
+    factor L of that matrix, |I - L^-1 (M + w G^T G) L^-T| < 1 in the maximum norm shows it (Rump, BIT 46 (2006) 433).
+    """
+    proof = proofs[0]
+    system, path = proof.equations.array.system, proof.problem.reference
+    n, what = len(system.coordinates), "mass matrix definite on all motions that the constraints allow"
+    quantities = enclosed(proofs, _walk_of_mass(proof.equations))
+    ring, scale = quantities.ring, np.array(system.coordinates.nominal)
+    c, r, low, high = quantities.c, quantities.r, quantities.low, quantities.high
+    sentence, time = "", None
+    for _ in range(_MASS_HALVINGS):
+        good, least = _definite(ring, c, r, n, scale)
+        if (least < -_NEGATIVE).any():
+            at = int(least.argmin())
+            time = float(low[at, 0] + high[at, 0]) / 2.0
+            return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
+        c, r, low, high = c[..., ~good], r[:, ~good], low[~good], high[~good]
+        if not len(low):
+            break
+        time = float(low[0, 0] + high[0, 0]) / 2.0
+        sentence = f"not decided near t = {time:.6g} s"
+        halves = [ring.halved((c, r), k) for k in range(1)][0]
+        middle = (low[:, :1] + high[:, :1]) / 2.0
+        c, r = np.concatenate([half[0] for half in halves], axis=2), np.concatenate([half[1] for half in halves], axis=1)
+        low, high = (
+            np.concatenate([low, np.c_[middle, low[:, 1:]]]), np.concatenate([np.c_[middle, high[:, 1:]], high])
+        )  # fmt: skip
+    whole = all(each.proved for proof in proofs for each in proof.intervals)
+    if not len(low) and whole:
+        return Statement(what, "proved", path.start_time, path.end_time, "")
+    sentence = sentence if len(low) else "the motion is not proved at all times"
+    return Statement(what, "undecided", path.start_time, path.end_time, sentence, time)
+
+
+def _definite(ring: Arithmetic, c: Array, r: Array, n: int, scale: Array) -> tuple[Array, Array]:
+    """Return on which boxes M is definite where G v = 0, and its least eigenvalue there in the middle, of the largest."""
+    low, high = ring.span((c, r))
+    middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
+    boxes = middle.shape[1]
+    M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius))
+    rows = (len(middle) - n * n) // n
+    G, dG = (
+        np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) * scale for each in (middle, radius)
+    )
+    largest = np.abs(M).max(axis=(1, 2), keepdims=True)
+    size = np.abs(G).max(axis=(1, 2), keepdims=True, initial=0.0)
+    weight = _CONSTRAINED * largest / np.where(size > 0.0, size, 1.0) ** 2
+    N = M + weight * (G.swapaxes(1, 2) @ G)
+    spread = np.abs(G).swapaxes(1, 2) @ dG
+    dN = dM + weight * (spread + spread.swapaxes(1, 2) + dG.swapaxes(1, 2) @ dG) + 1e-13 * n * np.abs(N).max(
+        axis=(1, 2), keepdims=True
+    )
+    good, least = np.zeros(boxes, dtype=bool), np.zeros(boxes)
+    finite = np.isfinite(N).all(axis=(1, 2)) & np.isfinite(dN).all(axis=(1, 2))
+    for k in np.flatnonzero(finite):
+        values, vectors = np.linalg.eigh(N[k])
+        least[k] = values[0] / values[-1]
+        if values[0] > 0.0:
+            W = (vectors / np.sqrt(values)).T
+            rest = np.abs(np.eye(n) - W @ N[k] @ W.T) + np.abs(W) @ dN[k] @ np.abs(W).T
+            good[k] = rest.sum(axis=1).max() < 1.0 - 1e-9
+    return good, least
+
+
+def unproved(proof: Proof) -> list[Interval]:
+    """Return the intervals without a proof."""
+    return [each for each in proof.intervals if not each.proved]
