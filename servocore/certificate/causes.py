@@ -6,9 +6,11 @@ import numpy as np
 
 from servocore.certificate.chebyshev import norm
 from servocore.certificate.proof import Interval, Proof
+from servocore.certificate.statements import known
 from servocore.model.limits import Named
 
-_SMALL = 2e-2  # of its peak: a force that passes zero near an interval
+_SMALL = 2e-2  # of its peak: a quantity that comes to its bound
+_NEAR = 0.05  # of the duration
 _SINGULAR = 1e-7  # least singular value of equilibrated equations
 
 
@@ -45,19 +47,25 @@ def cause_of(proof: Proof, each: Interval) -> str:
 
 
 def _slack(proof: Proof, each: Interval) -> str:
-    """Return what positive quantity comes to zero near an interval."""
-    observables = [quantity for quantity in proof.problem.system.observables if quantity.positive]
-    near = [other for other in proof.intervals if other.c is not None and abs(other.begin - each.begin) < 0.05 * (
-        proof.problem.reference.duration) and np.isfinite(other.c).all()]  # fmt: skip
-    if not observables or not near:
+    """Return what comes to its lower bound near an interval: a force in a rope, or a distance that the scene needs."""
+    problem, system = proof.problem, proof.problem.system
+    bounded = [(q.name, 0.0, q.wrong_sign, Named(q.name)(system)) for q in system.observables if q.positive]
+    bounded += [
+        (limit.quantity, limit.bound, limit.reason, limit.on(system))
+        for limit in problem.limits if limit.of_path and known(proof.equations, limit)
+    ]  # fmt: skip
+    reach = _NEAR * problem.reference.duration
+    near = [k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach]
+    if not bounded or not near:
         return ""
-    walk = proof.equations.walk([Named(quantity.name)(proof.problem.system) for quantity in observables])
+    walk = proof.equations.walk([expression for *_, expression in bounded])
     given = proof.given(near)
     x = np.stack([other.c for other in near if other.c is not None], axis=2)
     with np.errstate(all="ignore"):
         c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))
         values = proof.ring.values(c)
-    for k, quantity in enumerate(observables):
-        if np.nanmin(values[:, k]) < _SMALL * np.nanmax(np.abs(values[:, k])):
-            return f": {quantity.name} comes to zero, {quantity.wrong_sign}"
+    for k, (name, bound, reason, _) in enumerate(bounded):
+        distance = values[:, k] - bound
+        if np.nanmin(distance) < _SMALL * np.nanmax(np.abs(distance)):
+            return f": {name} comes to {bound:g}" + (f", {reason}" if reason else "")
     return ""

@@ -207,14 +207,21 @@ class Arithmetic:
             return q, np.where(good, magnitude(rest) / least * _UP, np.inf)
 
     def root(self, a: Model) -> Model:
-        """Return the square root of positive a: |sqrt(a) - s| = |a - s^2|/(sqrt(a) + s)."""
-        low, _ = self.span(a)
+        """Return the square root of a: |sqrt(a) - s| = |a - s^2|/(sqrt(a) + s) where a is positive.
+
+        Where it may come to zero, from 0 to the root of its upper bound, for values with which the root is defined.
+        """
+        low, high = self.span(a)
         with np.errstate(all="ignore"):
             s = _finite(self.interpolated(np.sqrt(self.values(a[0]))))
             exact = s, np.zeros_like(a[1])
             rest = self.sum(a, self.product(exact, exact), -1.0)
             least = np.sqrt(low) * (1 - UNIT) + np.maximum(self.span(exact)[0], 0.0)
-            return s, np.where(low > 0.0, magnitude(rest) / least * _UP, np.inf)
+            half = np.sqrt(np.maximum(high, 0.0)) / 2.0
+        around = self.constant(half)[0]
+        good = low > 0.0
+        wide = np.where(high >= 0.0, half * (1.0 + 1e-14), np.inf)
+        return np.where(good, s, around), np.where(good, magnitude(rest) / np.where(good, least, 1.0) * _UP, wide)
 
     def _along(self, *coefficients: Array, defect: Callable[..., Model]) -> Array:
         """Return the sum over the variables of bounds of a defect, a model of polynomials and their derivatives.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
 from servocore.certificate.equations import Equations
@@ -82,6 +83,29 @@ class Enclosed:
         low, high = self.ring.span((self.c[:, k : k + 1], self.r[k : k + 1]))
         return float(low.min()), float(high.max())
 
+    def of(self, chosen: npt.NDArray[np.bool_]) -> Enclosed:
+        """Return the same on some of the boxes."""
+        return replace(
+            self, c=self.c[..., chosen], r=self.r[:, chosen], low=self.low[chosen], high=self.high[chosen]
+        )
+
+    def halved(self) -> Enclosed:
+        """Return the halves of the boxes, each by the variable that its polynomials vary most with."""
+        orders = np.indices([d + 1 for d in self.ring.degrees]).reshape(len(self.ring.degrees), -1)
+        by = np.stack([norm(self.c[order > 0]).sum(axis=0) for order in orders]).argmax(axis=0)
+        parts = list[Enclosed]()
+        for k in range(len(self.ring.degrees)):
+            own = self.of(by == k)
+            middle = (own.low[:, k] + own.high[:, k]) / 2.0
+            for (c, r), early in zip(self.ring.halved((own.c, own.r), k), (True, False), strict=True):
+                low, high = own.low.copy(), own.high.copy()
+                (high if early else low)[:, k] = middle
+                parts.append(Enclosed(self.ring, c, r, low, high))
+        return Enclosed(
+            self.ring, *(np.concatenate([getattr(part, name) for part in parts], axis=axis)
+                         for name, axis in (("c", 2), ("r", 1), ("low", 0), ("high", 0))),
+        )  # fmt: skip
+
 
 def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
     """Return enclosures of the results of a walk on all proved intervals within the path."""
@@ -128,53 +152,34 @@ class Decision:
 def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decision:
     """Decide whether quantity k stays from `lower` to `upper` on all boxes, halving those on which it may not."""
     ring = quantities.ring
-    c, r, low, high = quantities.c[:, k], quantities.r[k], quantities.low, quantities.high
-    worst, doubtful, seen = Decision("proved"), Decision("proved"), 0
+    some = replace(quantities, c=quantities.c[:, k : k + 1], r=quantities.r[k : k + 1])
+    found = doubtful = Decision("proved")
+    seen = 0
     for _ in range(_HALVINGS):
-        seen += len(r)
-        least, most = (each[0] for each in ring.span((c[:, None], r[None])))
-        open_ = ~((least >= lower) & (most <= upper))
-        c, r, low, high = c[:, open_], r[open_], low[open_], high[open_]
-        if not len(r):
+        seen += len(some.low)
+        least, most = (each[0] for each in ring.span((some.c, some.r)))
+        some = some.of(~((least >= lower) & (most <= upper)))
+        if not len(some.low):
             break
+        c, r = some.c[:, 0], some.r[0]
         values = ring.values(c)
         noise = r + (len(c) + 8) * UNIT * norm(c)
         beyond = np.maximum(lower - values, values - upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
-        found = worst if certain.any() else doubtful
         among = np.flatnonzero(certain) if certain.any() else np.arange(len(r))
         box = among[int(beyond[:, among].max(axis=0).argmax())]
         node = int(beyond[:, box].argmax())
-        place = (low[box] + high[box]) / 2.0 + (high[box] - low[box]) / 2.0 * ring.nodes[node]
+        place = (some.low[box] + some.high[box]) / 2.0 + (some.high[box] - some.low[box]) / 2.0 * ring.nodes[node]
         found = Decision("refuted" if certain.any() else "undecided", place, float(values[node, box]))
-        worst, doubtful = (found, doubtful) if certain.any() else (worst, found)
         # Where the radius is more than what the polynomial varies by, halves tell nothing new.
         useless = ~np.isfinite(r) | (norm(c[1:]) < r / 4.0)
-        keep = ~certain & ~useless
-        if worst.verdict == "refuted" or not keep.any() or keep.sum() > _MOST:
+        if certain.any() or useless.all() or len(r) > _MOST:
             break
-        doubtful = doubtful if useless.any() else Decision("proved")
-        c, r, low, high = _halved(ring, c[:, keep], r[keep], low[keep], high[keep])
+        doubtful = found if useless.any() else doubtful
+        some, found = some.of(~useless).halved(), doubtful
     else:
-        doubtful = Decision("undecided", (low[0] + high[0]) / 2.0, float(c[0, 0]))
-    final = worst if worst.verdict == "refuted" else doubtful
-    return Decision(final.verdict, final.at, final.value, seen)
-
-
-def _halved(ring: Arithmetic, c: Array, r: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the halves of boxes, each by the variable that its polynomial varies most with."""
-    orders = np.indices([d + 1 for d in ring.degrees]).reshape(len(ring.degrees), -1)
-    by = np.stack([norm(c[order > 0]) for order in orders]).argmax(axis=0)
-    parts = []
-    for k in range(len(ring.degrees)):
-        own = by == k
-        middle = (low[own, k] + high[own, k]) / 2.0
-        for half, side in zip(ring.halved((c[:, None, own], r[None, own]), k), (high, low), strict=True):
-            corners = [low[own].copy(), high[own].copy()]
-            corners[1 if side is high else 0][:, k] = middle
-            parts.append((half[0][:, 0], half[1][0], *corners))
-    columns = list(zip(*parts, strict=True))
-    return (np.concatenate(columns[0], axis=1), *(np.concatenate(each) for each in columns[1:]))  # type: ignore[return-value]
+        found = Decision("undecided", (some.low[0] + some.high[0]) / 2.0, float(some.c[0, 0, 0]))
+    return replace(found, boxes=seen)
 
 
 # Limits and signs -----------------------------------------------------------------------------------------------------
@@ -283,37 +288,29 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
     proof = proofs[0]
     system, path = proof.equations.array.system, proof.problem.reference
     n, what = len(system.coordinates), "mass matrix definite on all motions that the constraints allow"
-    quantities = enclosed(proofs, _walk_of_mass(proof.equations))
-    ring, scale = quantities.ring, np.array(system.coordinates.nominal)
-    c, r, low, high = quantities.c, quantities.r, quantities.low, quantities.high
-    sentence, time = "", None
-    for _ in range(_MASS_HALVINGS):
-        good, least = _definite(ring, c, r, n, scale)
+    some = enclosed(proofs, _walk_of_mass(proof.equations))
+    scale = np.array(system.coordinates.nominal)
+    for k in range(_MASS_HALVINGS):
+        some = some.halved() if k else some
+        good, least = _definite(some, n, scale)
         if (least < -_NEGATIVE).any():
-            at = int(least.argmin())
-            time = float(low[at, 0] + high[at, 0]) / 2.0
+            time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
             return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
-        c, r, low, high = c[..., ~good], r[:, ~good], low[~good], high[~good]
-        if not len(low):
+        some = some.of(~good)
+        if not len(some.low):
             break
-        time = float(low[0, 0] + high[0, 0]) / 2.0
-        sentence = f"not decided near t = {time:.6g} s"
-        halves = [ring.halved((c, r), k) for k in range(1)][0]
-        middle = (low[:, :1] + high[:, :1]) / 2.0
-        c, r = np.concatenate([half[0] for half in halves], axis=2), np.concatenate([half[1] for half in halves], axis=1)
-        low, high = (
-            np.concatenate([low, np.c_[middle, low[:, 1:]]]), np.concatenate([np.c_[middle, high[:, 1:]], high])
-        )  # fmt: skip
-    whole = all(each.proved for proof in proofs for each in proof.intervals)
-    if not len(low) and whole:
-        return Statement(what, "proved", path.start_time, path.end_time, "")
-    sentence = sentence if len(low) else "the motion is not proved at all times"
-    return Statement(what, "undecided", path.start_time, path.end_time, sentence, time)
+    if len(some.low):
+        time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
+        text = f"not decided near t = {time:.6g} s"
+        return Statement(what, "undecided", path.start_time, path.end_time, text, time)
+    if not all(each.proved for proof in proofs for each in proof.intervals):
+        return Statement(what, "undecided", path.start_time, path.end_time, "the motion is not proved at all times")
+    return Statement(what, "proved", path.start_time, path.end_time, "")
 
 
-def _definite(ring: Arithmetic, c: Array, r: Array, n: int, scale: Array) -> tuple[Array, Array]:
+def _definite(some: Enclosed, n: int, scale: Array) -> tuple[Array, Array]:
     """Return on which boxes M is definite where G v = 0, and its least eigenvalue there in the middle, of the largest."""
-    low, high = ring.span((c, r))
+    low, high = some.ring.span((some.c, some.r))
     middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
     boxes = middle.shape[1]
     M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius))
