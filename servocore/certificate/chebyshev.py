@@ -19,9 +19,9 @@ from math import prod
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import as_strided
 from numpy.polynomial import chebyshev
 
+from servocore.certificate.products import convolved
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
@@ -154,7 +154,7 @@ class Arithmetic:
         |a|_1 |b|_1 (Higham, *Accuracy and Stability*, section 3.1). What lies beyond the degree goes into the radius,
         and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
-        full = self._convolved(a[0], b[0])
+        full = convolved(self.degrees, a[0], b[0])
         size_a, size_b = norm(a[0]), norm(b[0])
         kept, beyond = self._within
         rounding = (prod(2 * d + 1 for d in self.degrees) + 2) * UNIT / 2.0
@@ -168,31 +168,6 @@ class Arithmetic:
         orders = np.indices([2 * d + 1 for d in self.degrees]).reshape(len(self.degrees), -1)
         within = (orders <= np.array(self.degrees)[:, None]).all(axis=0)
         return np.flatnonzero(within), np.flatnonzero(~within)
-
-    def _convolved(self, a: Array, b: Array) -> Array:
-        """Return the coefficients of products, degree 2 d in each variable, shape (prod(2 d + 1), count, boxes).
-
-        With mirrored coefficients, T_k = (z^k + z^-k)/2, the product is a convolution: halves and twos are exact.
-        """
-        shape = np.broadcast_shapes(a.shape[1:], b.shape[1:])
-        left = np.broadcast_to(a, (len(a), *shape)).reshape(*(d + 1 for d in self.degrees), *shape)
-        right = np.broadcast_to(b, (len(b), *shape)).reshape(left.shape)
-        for axis, d in enumerate(self.degrees):
-            left, right = _mirrored(left, axis, d, 2.0), _mirrored(right, axis, d, 1.0, 2 * d)
-        # right holds powers -3 d ... 3 d, left -d ... d: entry m of the result takes right[m - i + 2 d] for all i.
-        count = len(self.degrees)
-        steps = right.strides
-        window = as_strided(
-            right[tuple(slice(4 * d, None) if d else slice(None) for d in self.degrees)],
-            (*(2 * d + 1 for d in self.degrees), *(2 * d + 1 for d in self.degrees), *shape),
-            (*steps[:count], *(-step for step in steps[:count]), *steps[count:]),
-            writeable=False,
-        )
-        letters, summed = "abcdef"[:count], "ghijkl"[:count]
-        full = np.einsum(f"{summed}yz,{letters}{summed}yz->{letters}yz", left, window)
-        for axis in range(count):
-            full[(slice(None),) * axis + (0,)] *= 0.5
-        return np.asarray(full.reshape(-1, *shape))
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------
 
@@ -368,15 +343,3 @@ def _finite(c: Array) -> Array:
 
 def _bounded(radius: Array) -> Array:
     return np.asarray(np.where(np.isnan(radius), np.inf, radius))
-
-
-def _mirrored(c: Array, axis: int, degree: int, scale: float, zeros: int = 0) -> Array:
-    """Return `scale` times the coefficients of z^-d ... z^d of polynomials along an axis, with zeros around."""
-    if not degree:
-        return c * scale
-    moved = np.moveaxis(c, axis, 0)
-    half = moved[1:] * (scale / 2.0)
-    padding = np.zeros((zeros, *moved.shape[1:]))
-    return np.ascontiguousarray(
-        np.moveaxis(np.concatenate([padding, half[::-1], moved[:1] * scale, half, padding]), 0, axis)
-    )
