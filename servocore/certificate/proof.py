@@ -46,7 +46,9 @@ class Interval:
     outside : bool
         Whether it lies before or behind the path.
     guessed : bool
-        Whether answers come from the guess of the model, or from the interval before.
+        Whether answers come from the guess of the model, or from an interval beside it.
+    backwards : bool
+        Whether from the one behind it.
     c : ndarray, shape (terms, unknowns)
         Polynomials.
     rho, D : ndarray, shape (unknowns,)
@@ -62,6 +64,7 @@ class Interval:
     depth: int = 0
     outside: bool = False
     guessed: bool = True
+    backwards: bool = False
     c: Array | None = None
     rho: Array = field(default_factory=lambda: np.zeros(0))
     D: Array = field(default_factory=lambda: np.zeros(0))
@@ -75,7 +78,7 @@ class Interval:
         middle = (self.begin + self.end) / 2.0
         ends = ((self.begin, middle), (middle, self.end))
         return [
-            Interval(a, b, self.depth + 1, self.outside, self.guessed, before=relative) for a, b in ends
+            Interval(a, b, self.depth + 1, self.outside, self.guessed, self.backwards, before=relative) for a, b in ends
         ]
 
 
@@ -150,9 +153,13 @@ class Proof:
         """Answer and test what is open, and see what to do next; return whether something is left to do."""
         fresh = [each for each in self.intervals if each.failed < 0]
         if fresh:
-            for a, b in zip(self.intervals, self.intervals[1:], strict=False):
-                if b.c is None and not b.guessed:
+            pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
+            for a, b in pairs:
+                if b.c is None and not b.guessed and not b.backwards:
                     self._answer_from(a, [b])
+            for a, b in reversed(pairs):
+                if a.c is None and a.backwards:
+                    self._answer_from(b, [a], late=False)
             for k in range(0, len(fresh), _AT_ONCE):
                 self._prove(fresh[k : k + _AT_ONCE])
             self.intervals = [part for each in self.intervals for part in self._refined(each)]
@@ -277,8 +284,12 @@ class Proof:
     # Following the branch -------------------------------------------------------------------------------------------
 
     def _follow(self) -> bool:
-        """Answer again, from the proved interval before it, the first that is not on its branch."""
-        for k, (a, b) in enumerate(zip(self.intervals, self.intervals[1:], strict=False), 1):
+        """Answer again, from the proved interval beside it, the first that is not on its branch.
+
+        From the beginning on; before the first interval that is proved at all, backwards from that.
+        """
+        pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
+        for k, (a, b) in enumerate(pairs, 1):
             if not a.proved or (not b.guessed and not b.proved):
                 continue  # the branch is lost: what comes later is answered from the guess
             if b.proved and self._joint(a, b) in {"one branch", "inputs jump"}:
@@ -287,22 +298,27 @@ class Proof:
                 if b.depth >= _DEEPEST or self._joint(a, b) == "motion jumps":
                     continue
                 self.intervals[k : k + 1] = b.halves()
-                b = self.intervals[k]
             self._answer_from(a, self.intervals[k : k + _AHEAD])
+            return True
+        first = next((k for k, each in enumerate(self.intervals) if each.proved), 0)
+        if first and self.intervals[first - 1].guessed:
+            self._answer_from(self.intervals[first], self.intervals[first - 1 :: -1][:_AHEAD], late=False)
             return True
         return False
 
-    def _answer_from(self, a: Interval, following: Sequence[Interval]) -> None:
-        """Follow the motion by Newton's method from node to node, from the end of a proved interval."""
-        values = self.ring.rows(np.c_[np.ones(self._parameters.shape[1]), self.ring.nodes[: self._parameters.shape[1], 1:]])
+    def _answer_from(self, a: Interval, following: Sequence[Interval], late: bool = True) -> None:
+        """Follow the motion by Newton's method from node to node, from an end of an interval that was answered."""
+        of_box = self.ring.nodes[: self._parameters.shape[1]].copy()
+        of_box[:, 0] = 1.0 if late else -1.0
         assert a.c is not None
-        x, t, before = (values @ a.c).T, a.end, None
+        x, t, before = (self.ring.rows(of_box) @ a.c).T, a.end if late else a.begin, None
         for each in following:
-            nodes, found = self._times(each)[::-1], []
-            for at in nodes:
+            found = []
+            for at in self._times(each)[:: -1 if late else 1]:
                 guess = self.answers.predicted(x, before, at - t)
                 new = self.answers.from_near(np.full(x.shape[1], at), self._parameters, guess)
                 before, x, t = (x, at - t), new, at
                 found.append(new)
-            own = np.stack(found[::-1], axis=1).reshape(len(x), -1)
-            each.c, each.guessed, each.failed, each.final, each.proved = self._interpolated(own), False, -1, False, False
+            own = np.stack(found[:: -1 if late else 1], axis=1).reshape(len(x), -1)
+            each.c, each.guessed, each.backwards = self._interpolated(own), False, not late
+            each.failed, each.final, each.proved = -1, False, False
