@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from servocore import scenes as scenes
     from servocore.analysis import StructureReport as StructureReport, analyse as analyse
+    from servocore.certificate.certify import Certificate as Certificate, certify as certify
     from servocore.dae import Dae as Dae, Equation as Equation, Unknown as Unknown
     from servocore.effects.drives import Drives as Drives
     from servocore.effects.report import EffectRow as EffectRow, EffectsReport as EffectsReport
