@@ -1,1 +1,1 @@
-"""Proofs that a computed motion holds at all times of a run: enclosures by Chebyshev models and an interval Newton test."""
+"""Proofs that a motion holds at all times of a run: enclosures by Chebyshev models, and an interval Newton test."""

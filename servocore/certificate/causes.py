@@ -4,46 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
-from servocore.certificate.chebyshev import norm
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import known
 from servocore.model.limits import Named
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR = 0.05  # of the duration
-_SINGULAR = 1e-7  # least singular value of equilibrated equations
 
 
 def cause_of(proof: Proof, each: Interval) -> str:
     """Return a sentence on an interval that is not proved: where, in which equations, and why."""
     at = f"not proved from t = {each.begin:.6g} s to {each.end:.6g} s"
-    equations, array = proof.equations, proof.equations.array
-    if not np.isfinite(proof.given([each])[1]).all():
+    slack, given = _slack(proof, each), proof.given([each])
+    if not np.isfinite(given[1]).all():
         return f"{at}: nothing bounds the derivatives of the path"
     if each.c is None or not np.isfinite(each.c).all():
-        return f"{at}: the equations have no solution there that was found; the path may be out of reach{_slack(proof, each)}"
+        return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
+    equations, array = proof.equations, proof.equations.array
     size, number = equations.order[min(each.failed, len(equations.order) - 1)]
     block = next(group for group in equations.sizes if group.rows.shape[1] == size)
     names = array.signature.equations.equations
     rows = dict.fromkeys(names[array.rows[k][0]] for k in block.rows[number])
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
-    if slack := _slack(proof, each):
-        return where + slack
+    x = each.c[:, :, None]
     with np.errstate(all="ignore"):
-        x, given = each.c[:, :, None], proof.given([each])
         arguments = np.concatenate([x, given[0]], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), given[1]])
-        c, r = equations.jacobian(proof.ring, arguments)
-    if not np.isfinite(r).all():
-        return f"{where}: they have a kink or a jump there"
-    values = np.concatenate([proof.ring.values(c)[:, :, 0], np.zeros((len(c), 1))], axis=1)[:, block.entries[number]]
-    values = values / np.maximum(np.abs(values).max(axis=(0, 2), keepdims=True), 1e-300)
-    signs = np.sign(np.linalg.det(values))
-    least = np.linalg.svd(values, compute_uv=False)[:, -1].min()
-    if least < _SINGULAR or len(set(signs.tolist())) > 1 or not each.guessed:
-        return f"{where}: the configuration is singular there, or two branches meet"
-    if norm(c).max() > 0.0 and each.depth:
-        return f"{where}: the motion changes too fast there"
-    return f"{where}: it is too near to being singular"
+        kinked = not np.isfinite(equations.jacobian(proof.ring, arguments)[1]).all()
+    why = (
+        ": they have a kink or a jump there"
+        if kinked
+        else ": the configuration is singular there, or two branches meet"
+    )
+    return where + (slack or why)
 
 
 def _slack(proof: Proof, each: Interval) -> str:
@@ -55,7 +47,9 @@ def _slack(proof: Proof, each: Interval) -> str:
         for limit in problem.limits if limit.of_path and known(proof.equations, limit)
     ]  # fmt: skip
     reach = _NEAR * problem.reference.duration
-    near = [k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach]
+    near = [
+        k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach
+    ]
     if not bounded or not near:
         return ""
     walk = proof.equations.walk([expression for *_, expression in bounded])

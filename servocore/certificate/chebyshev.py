@@ -71,7 +71,7 @@ class Arithmetic:
     @cached_property
     def interpolation(self) -> Array:
         """Matrix from values at the nodes to coefficients."""
-        return np.linalg.inv(self.at_nodes)
+        return np.asarray(np.linalg.inv(self.at_nodes), dtype=np.float64)
 
     def rows(self, points: Array) -> Array:
         """Return the matrix from coefficients to values at `points` (N, variables): entries within 4 ulp."""
@@ -272,8 +272,9 @@ class Arithmetic:
         return y, np.where(low - r > 0.0, _bounded(radius), np.inf)
 
     def angle(self, y: Model, x: Model) -> Model:
-        """Return atan2(y, x) away from the negative x axis: (a - atan2)' = (a' (x^2 + y^2) - (x y' - y x'))/(x^2 + y^2).
+        """Return atan2(y, x) away from the negative x axis.
 
+        (a - atan2(y, x))' = (a' (x^2 + y^2) - (x y' - y x'))/(x^2 + y^2).
         A displacement of (x, y) by its radii turns the angle by at most their sum over the least distance.
         """
         zero = np.zeros_like(x[1])

@@ -1,4 +1,4 @@
-"""The equations of a flat problem, prepared for proofs: residual and Jacobian as walks, blocks, and answers at instants.
+"""The equations of a flat problem, prepared for proofs: residual, Jacobian, its blocks, and answers at instants.
 
 The unknowns are those of the derivative array. For rates of inputs the array is differentiated once more: the same
 structure with all offsets one higher.
@@ -95,21 +95,13 @@ class Equations:
         first = len(self.array.names) - len(self.array.system.inputs)
         return self.array.places((j, 0) for j in range(first, len(self.array.names)))
 
-    def walk(self, expressions: Iterable[ca.SX]) -> Walk:
-        """Return expressions of the system's q, v, lam, u, gamma and p as a walk of the same arguments."""
+    def walk(self, expressions: Iterable[ca.SX], rates: bool = False) -> Walk:
+        """Return expressions of q, v, lam, u, gamma and p, or their rates, as a walk of the same arguments."""
         system, y = self.array.system, self.array.y
         n = len(system.coordinates)
         old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
         (values,) = ca.substitute([ca.vertcat(ca.SX(0, 1), *expressions)], [old], [new])
-        return walk_of(values, self.symbols, self.numbers)
-
-    def rates(self, expressions: Iterable[ca.SX]) -> Walk:
-        """Return the rates of change of such expressions; the equations are `raised`."""
-        system, y = self.array.system, self.array.y
-        n = len(system.coordinates)
-        old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-        (values,) = ca.substitute([ca.vertcat(ca.SX(0, 1), *expressions)], [old], [new])
-        return walk_of(time_derivative(values, y, system.gamma), self.symbols, self.numbers)
+        return walk_of(time_derivative(values, y, system.gamma) if rates else values, self.symbols, self.numbers)
 
 
 @made_once

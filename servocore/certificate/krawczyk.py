@@ -1,4 +1,4 @@
-"""The interval Newton test, block by block: exactly one solution near an approximation, at every instant of an interval.
+"""The interval Newton test, block by block: one solution near an approximation, at every instant of an interval.
 
 E(x, t, p) = 0 with the Jacobian J = dE/dx in block triangular form. About an approximation x_hat, a polynomial, and
 within x_hat + D, the test takes for each block b an approximate inverse Y and, with r the residual of x_hat,
@@ -45,7 +45,9 @@ class Block:
     columns: Places
 
 
-def radii(equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array) -> tuple[Array, Array]:
+def radii(
+    equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array
+) -> tuple[Array, Array]:
     """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
 
     Parameters
@@ -106,10 +108,10 @@ def _tested(ring: Arithmetic, group: BlocksOfOneSize, residual: Model, jacobian:
     # Y J and Y r as products of models: they cancel as polynomials, before magnitudes are taken.
     identity = np.eye(size)[None, :, :, None]
     YJ = [_product(ring, (Y[:, :, :, [k]], zero[:, :, [k]]), (c[:, :, [k]], r[:, [k]])) for k in range(size)]
-    A = _sum(ring, YJ, identity)
+    A = _sum(YJ, identity)
     b = residual[0][:, group.rows][:, :, None], residual[1][group.rows][:, None]
     Yr = [_product(ring, (Y[:, :, :, k], zero[:, :, k]), (b[0][:, :, :, k], b[1][:, :, k])) for k in range(size)]
-    bound = _sum(ring, Yr, 0.0)
+    bound = _sum(Yr, 0.0)
     inverse = norm(Y) * (1.0 + 1e-14)
     return [
         Block(np.moveaxis(A[k], 2, 0), np.moveaxis(inverse[k], 2, 0), bound[k], group.columns[k]) for k in range(count)
@@ -120,19 +122,24 @@ def _product(ring: Arithmetic, a: Model, b: Model) -> Model:
     """Return products of models with more axes than one between terms and boxes."""
     shape = np.broadcast_shapes(a[0].shape, b[0].shape)
     left, right = (
-        (np.broadcast_to(c, shape).reshape(shape[0], -1, shape[-1]), np.broadcast_to(r, shape[1:]).reshape(-1, shape[-1]))
+        (
+            np.broadcast_to(c, shape).reshape(shape[0], -1, shape[-1]),
+            np.broadcast_to(r, shape[1:]).reshape(-1, shape[-1]),
+        )
         for c, r in (a, b)
     )
     found, radius = ring.product(left, right)
     return found.reshape(shape), radius.reshape(shape[1:])
 
 
-def _sum(ring: Arithmetic, each: list[Model], constant: Array | float) -> Array:
+def _sum(each: list[Model], constant: Array | float) -> Array:
     """Return bounds of |constant - sum| of models: a sum of m terms is off by m units of all their coefficients."""
-    c = -sum(part[0] for part in each)
+    c = -np.sum([part[0] for part in each], axis=0)
     c[0] += constant
-    noise = (len(each) + 1) * UNIT * sum(norm(part[0]) for part in each)
-    return np.asarray((norm(c) + sum(part[1] for part in each) + noise + UNIT * np.abs(constant)) * (1.0 + 1e-14))
+    noise = (len(each) + 1) * UNIT * np.sum([norm(part[0]) for part in each], axis=0)
+    return np.asarray(
+        (norm(c) + np.sum([part[1] for part in each], axis=0) + noise + UNIT * np.abs(constant)) * (1.0 + 1e-14)
+    )
 
 
 def _inverses(ring: Arithmetic, c: Array) -> Array:
@@ -145,8 +152,8 @@ def _inverses(ring: Arithmetic, c: Array) -> Array:
         found = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
         found = np.linalg.pinv(matrices)
-    found = np.moveaxis(found, 2, -1).reshape(len(values), -1, boxes)
-    return ring.interpolated(found).reshape(terms, count, size, size, boxes)
+    lined = np.moveaxis(found, 2, -1).reshape(len(values), -1, boxes)
+    return ring.interpolated(np.asarray(lined, dtype=np.float64)).reshape(terms, count, size, size, boxes)
 
 
 def _fixed(A: Array, Z: Array) -> Array:

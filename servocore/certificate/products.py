@@ -12,7 +12,6 @@ from math import prod
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import JustInTime
@@ -111,32 +110,10 @@ def _table(degrees: tuple[int, ...]) -> np.ndarray[tuple[int, int], np.dtype[np.
 
 
 def _in_numpy(degrees: tuple[int, ...], a: Array, b: Array) -> Array:
-    """Return the same: with mirrored coefficients, T_k = (z^k + z^-k)/2, a product is a convolution."""
-    count, shape = len(degrees), a.shape[1:]
-    left, right = (each.reshape(*(d + 1 for d in degrees), *shape) for each in (a, b))
-    for axis, d in enumerate(degrees):
-        left, right = _mirrored(left, axis, d, 2.0), _mirrored(right, axis, d, 1.0, 2 * d)
-    # right holds powers -3 d ... 3 d, left -d ... d: entry m of the result takes right[m - i + 2 d] for all i.
-    window = as_strided(
-        right[tuple(slice(4 * d, None) if d else slice(None) for d in degrees)],
-        (*(2 * d + 1 for d in degrees), *(2 * d + 1 for d in degrees), *shape),
-        (*right.strides[:count], *(-step for step in right.strides[:count]), *right.strides[count:]),
-        writeable=False,
-    )
-    letters, summed = "abcdef"[:count], "ghijkl"[:count]
-    full = np.einsum(f"{summed}yz,{letters}{summed}yz->{letters}yz", left, window)
-    for axis in range(count):
-        full[(slice(None),) * axis + (0,)] *= 0.5
-    return np.asarray(full.reshape(-1, *shape))
-
-
-def _mirrored(c: Array, axis: int, degree: int, scale: float, zeros: int = 0) -> Array:
-    """Return `scale` times the coefficients of z^-d ... z^d of polynomials along an axis, with zeros around."""
-    if not degree:
-        return c * scale
-    moved = np.moveaxis(c, axis, 0)
-    half = moved[1:] * (scale / 2.0)
-    padding = np.zeros((zeros, *moved.shape[1:]))
-    return np.ascontiguousarray(
-        np.moveaxis(np.concatenate([padding, half[::-1], moved[:1] * scale, half, padding]), 0, axis)
-    )
+    """Return the same, one coefficient of `a` after the other: matrices of zeros and ones take products to places."""
+    table, terms = _table(degrees), len(a)
+    places = np.zeros((terms, terms, prod(2 * d + 1 for d in degrees)))
+    for each in table.T:
+        np.add.at(places, (*np.indices((terms, terms)), each.reshape(terms, terms)), 1.0 / table.shape[1])
+    products = (places[i].T @ (a[i] * b).reshape(terms, -1) for i in range(terms))
+    return np.asarray(sum(products)).reshape(-1, *a.shape[1:])

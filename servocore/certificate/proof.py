@@ -8,11 +8,12 @@ that the motion begins and ends as the path does outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, norm
 from servocore.certificate.equations import Answers, Equations, equations_of, parameter_models, path_models
@@ -124,7 +125,7 @@ class Proof:
     @cached_property
     def peaks(self) -> Array:
         """Largest magnitude of each unknown at the first nodes, at least what counts as small, shape (unknowns,)."""
-        seen = self.answers.magnitudes
+        seen: Array = self.answers.magnitudes
         for each in self.intervals:
             if each.c is not None:
                 seen = np.fmax(seen, np.abs(self.ring.values(each.c[:, :, None])[:, :, 0]).max(axis=0))
@@ -187,7 +188,7 @@ class Proof:
     def input_peaks(self) -> Array:
         """Peaks of the inputs; one that is next to nothing counts as a millionth of the largest."""
         peaks = self.peaks[self.equations.inputs]
-        return np.maximum(peaks, 1e-6 * peaks.max(initial=1e-300))
+        return np.asarray(np.maximum(peaks, 1e-6 * peaks.max(initial=1e-300)))
 
     # Answers and test -----------------------------------------------------------------------------------------------
 
@@ -226,7 +227,7 @@ class Proof:
     def first_reach(self, fresh: Sequence[Interval]) -> Array:
         """Return D (unknowns, intervals) to begin with: what curvature leaves falls with the square of the width."""
         widths = np.array([0.25 ** max(each.depth, 0) for each in fresh])
-        return _REACH * self.peaks[:, None] * np.maximum(widths, 1e-6)
+        return np.asarray(_REACH * self.peaks[:, None] * np.maximum(widths, 1e-6))
 
     def given(self, some: Sequence[Interval]) -> Model:
         """Return models of path and parameters on intervals."""
@@ -237,10 +238,10 @@ class Proof:
 
     def _test(self, some: Sequence[Interval], D: Array) -> None:
         x = np.stack([each.c for each in some if each.c is not None], axis=2)
-        solved = np.isfinite(x).all(axis=(0, 1))
+        solved: npt.NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=(0, 1)))
         rho, failed = radii(self.equations, self.ring, np.where(solved, x, 0.0), self.given(some), D, self.peaks)
         curved = self.equations.curved
-        within = solved & (rho <= D)[curved].all(axis=0) & np.isfinite(rho).all(axis=0)
+        within = np.asarray(solved & (rho <= D)[curved].all(axis=0) & np.isfinite(rho).all(axis=0))
         for k, each in enumerate(some):
             each.rho, each.D, each.proved = rho[:, k], D[:, k], bool(within[k])
             each.failed = int(failed[k]) if solved[k] else 0

@@ -85,9 +85,7 @@ class Enclosed:
 
     def of(self, chosen: npt.NDArray[np.bool_]) -> Enclosed:
         """Return the same on some of the boxes."""
-        return replace(
-            self, c=self.c[..., chosen], r=self.r[:, chosen], low=self.low[chosen], high=self.high[chosen]
-        )
+        return replace(self, c=self.c[..., chosen], r=self.r[:, chosen], low=self.low[chosen], high=self.high[chosen])
 
     def halved(self) -> Enclosed:
         """Return the halves of the boxes, each by the variable that its polynomials vary most with."""
@@ -189,8 +187,7 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...], rates: bool) -> Walk:
     """Return what limits compare, or its rates, as a walk."""
-    expressions = [limit.on(equations.array.system) for limit in limits]
-    return equations.rates(expressions) if rates else equations.walk(expressions)
+    return equations.walk([limit.on(equations.array.system) for limit in limits], rates)
 
 
 def known(equations: Equations, limit: Limit) -> bool:
@@ -199,9 +196,7 @@ def known(equations: Equations, limit: Limit) -> bool:
     return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.path_order
 
 
-def limit_statements(
-    proofs: Sequence[Proof], limits: Sequence[Limit], what: Callable[[Limit], str]
-) -> list[Statement]:
+def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Callable[[Limit], str]) -> list[Statement]:
     """Decide limits between the instants too, each a statement."""
     equations = proofs[0].equations
     path = proofs[0].problem.reference
@@ -311,12 +306,14 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
     return Statement(what, "proved", path.start_time, path.end_time, "")
 
 
-def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[Array, Array]:
-    """Return on which boxes M is definite where G v = 0, and its least eigenvalue there in the middle, of the largest."""
+def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
     low, high = some.ring.span((some.c, some.r))
     middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
     boxes = middle.shape[1]
-    M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius))
+    M, dM = (
+        np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius)
+    )
     rows = (len(middle) - n * n) // n
     G, dG = (
         np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) * scale for each in (middle, radius)
@@ -326,8 +323,10 @@ def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[Arra
     w = weight * largest / np.where(size > 0.0, size, 1.0) ** 2
     N = M + w * (G.swapaxes(1, 2) @ G)
     spread = np.abs(G).swapaxes(1, 2) @ dG
-    dN = dM + w * (spread + spread.swapaxes(1, 2) + dG.swapaxes(1, 2) @ dG) + 1e-13 * n * np.abs(N).max(
-        axis=(1, 2), keepdims=True
+    dN = (
+        dM
+        + w * (spread + spread.swapaxes(1, 2) + dG.swapaxes(1, 2) @ dG)
+        + 1e-13 * n * np.abs(N).max(axis=(1, 2), keepdims=True)
     )
     finite = (np.isfinite(N) & np.isfinite(dN)).all(axis=(1, 2))
     N, dN = (np.where(finite[:, None, None], each, np.eye(n)) for each in (N, dN))

@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
 Places: TypeAlias = npt.NDArray[np.intp]
@@ -84,10 +83,11 @@ class Walk:
         c[:, self.inputs[:, 0]], r[self.inputs[:, 0]] = (part[..., self.inputs[:, 1], :] for part in arguments)
         for group in self.groups:
             flat = all(group.flat)
+            one_box = [flat or (group.operation, *each) in _BY_NUMBERS for each in enumerate(group.flat)]
             taken = [
-                (c[:1, each, :1], r[each, :1]) if flat or (group.operation, k, only) in _BY_NUMBERS
-                else (c[:, each], r[each]) for k, (each, only) in enumerate(zip(group.arguments, group.flat, strict=True))
-            ]  # fmt: skip
+                (c[:1, each, :1], r[each, :1]) if one else (c[:, each], r[each])
+                for each, one in zip(group.arguments, one_box, strict=True)
+            ]
             found = _carried_out(_BALL if flat else ring, group, taken)
             c[: len(found[0]), group.results], r[group.results] = found
         return c[:, self.outputs], r[self.outputs]
@@ -155,13 +155,17 @@ def _power(a: ca.SX, b: ca.SX) -> ca.SX:
     return ca.exp(b * ca.log(a))
 
 
+def _tangent(a: ca.SX) -> ca.SX:
+    return ca.sin(a) / ca.cos(a)
+
+
 def _tanh(a: ca.SX) -> ca.SX:
     return 1.0 - 2.0 / (ca.exp(2.0 * a) + 1.0)
 
 
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
-    ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: lambda a: ca.sin(a) / ca.cos(a), ca.OP_TANH: _tanh,
-    ca.OP_ATAN: lambda a: ca.atan2(a, 1.0), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
+    ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent, ca.OP_TANH: _tanh,
+    ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
 }  # fmt: skip
@@ -199,9 +203,9 @@ def _no_bound(ring: Arithmetic, *taken: Model) -> Model:
     return c, np.full_like(r, np.inf)
 
 
-def _truth(ring: Arithmetic, values: Array, known: Array) -> Model:
+def _truth(ring: Arithmetic, values: npt.ArrayLike, known: npt.ArrayLike) -> Model:
     """Return conditions, 0 or 1; where they are not known, without a bound."""
-    c, r = ring.constant(values.astype(np.float64))
+    c, r = ring.constant(np.asarray(values, dtype=np.float64))
     return c, np.where(known, r, np.inf)
 
 

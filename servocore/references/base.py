@@ -146,9 +146,7 @@ class Reference(ABC):
         values = self._derivatives(np.atleast_1d(times), order)
         return values if times.ndim else values[0]
 
-    def enclosure(
-        self, a: FloatArray, b: FloatArray, order: int, degree: int = 10
-    ) -> tuple[FloatArray, FloatArray]:
+    def enclosure(self, a: FloatArray, b: FloatArray, order: int, degree: int = 10) -> tuple[FloatArray, FloatArray]:
         """Enclose the path and its derivatives on intervals by polynomials.
 
         Each derivative is interpolated at Chebyshev points, with the remainder of interpolation as radius, and what

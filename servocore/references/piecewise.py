@@ -79,7 +79,7 @@ class PiecewisePolynomial(Reference):
     @property
     def degree(self) -> int:
         """Degree of the pieces."""
-        return self.coefficients.shape[1] - 1
+        return int(self.coefficients.shape[1]) - 1
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         gamma = np.empty((t.size, order + 1, self.dimension))

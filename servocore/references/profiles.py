@@ -39,9 +39,9 @@ class Profile(ABC):
         """The k of C^k, with rest before and after: the highest derivative that starts and ends at zero."""
 
     @property
-    @abstractmethod
-    def highest_power(self) -> int:
-        """Degree of the polynomials that the law is made of."""
+    def highest_power(self) -> int | None:
+        """Degree of the polynomials that the law is made of; None if it is made of none."""
+        return None
 
     @property
     def shortest_duration(self) -> float:

@@ -50,7 +50,7 @@ class RestToRest(Reference):
         return np.unique([self.start_time, *inner, self.end_time])
 
     @property
-    def degree(self) -> int:
+    def degree(self) -> int | None:
         """Degree of the time law."""
         return self.profile.highest_power
 

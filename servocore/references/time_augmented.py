@@ -36,33 +36,11 @@ class TimeAugmented(Reference):
         """Those of the path."""
         return self.path.joints
 
-    def enclosure(
-        self, a: FloatArray, b: FloatArray, order: int, degree: int = 10
-    ) -> tuple[FloatArray, FloatArray]:
-        """Enclose the path and the time, which is linear; see `Reference.enclosure`.
-
-        Parameters
-        ----------
-        a, b : ndarray, shape (N,)
-            Begin and end of intervals in s.
-        order : int
-            Highest derivative wanted.
-        degree : int
-            Of the polynomials.
-
-        Returns
-        -------
-        coefficients : ndarray, shape (N, order + 1, dimension, degree + 1)
-            Of Chebyshev polynomials.
-        radii : ndarray, shape (N, order + 1, dimension)
-            Largest distance of a derivative from its polynomial.
-        """
-        coefficients, radii = self.path.enclosure(a, b, order, degree)
-        clock, error = np.zeros((len(a), order + 1, 1, degree + 1)), np.zeros((len(a), order + 1, 1))
-        clock[:, 0, 0, 0], clock[:, 0, 0, 1] = (a + b) / 2.0, (b - a) / 2.0
-        clock[:, 1:2, 0, 0] = 1.0
-        error[:, 0, 0] = 1e-15 * np.maximum(np.abs(a), np.abs(b))
-        return np.concatenate([coefficients, clock], axis=2), np.concatenate([radii, error], axis=2)
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives by those of the path, the time by its ends."""
+        clock = np.zeros((len(a), order + 1, 1))
+        clock[:, 0, 0], clock[:, 1:2] = np.maximum(np.abs(a), np.abs(b)), 1.0
+        return np.concatenate([self.path._bounds(a, b, order), clock], axis=2)
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         clock = np.zeros((len(t), order + 1, 1))

@@ -14,7 +14,6 @@ import numpy as np
 from servocore.references.base import FloatArray, Reference
 from servocore.references.piecewise import PiecewisePolynomial
 
-
 _HALVINGS = 60
 
 
