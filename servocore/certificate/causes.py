@@ -21,10 +21,10 @@ def cause_of(proof: Proof, each: Interval) -> str:
     if each.c is None or not np.isfinite(each.c).all():
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
     equations, array = proof.equations, proof.equations.array
-    size, number = equations.order[min(each.failed, len(equations.order) - 1)]
-    block = next(group for group in equations.sizes if group.rows.shape[1] == size)
+    blocks = [pair for stage in equations.stages for pair in zip(stage.rows, stage.columns, strict=True)]
+    first = next(rows for rows, columns in blocks if columns[0] == each.failed or each.failed < 0)
     names = array.signature.equations.equations
-    rows = dict.fromkeys(names[array.rows[k][0]] for k in block.rows[number])
+    rows = dict.fromkeys(names[array.rows[k][0]] for k in first)
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
     x = each.c[:, :, None]
     with np.errstate(all="ignore"):

@@ -28,8 +28,8 @@ Places = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class BlocksOfOneSize:
-    """Diagonal blocks of the Jacobian with equally many rows.
+class Stage:
+    """Diagonal blocks of the Jacobian with equally many rows that depend on blocks of earlier stages alone.
 
     Attributes
     ----------
@@ -37,11 +37,14 @@ class BlocksOfOneSize:
         Of the Jacobian.
     entries : ndarray of int, shape (blocks, size, size)
         Places among its entries; one behind the last where there is none.
+    beside : tuple of (ndarray of int, ndarray of int, ndarray of int)
+        Of what lies beside the blocks: the row, counted through all blocks, the column and the place among the entries.
     """
 
     rows: Places
     columns: Places
     entries: Places
+    beside: tuple[Places, Places, Places]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +59,8 @@ class Equations:
         Unknowns, path with its derivatives, parameters: the arguments of the walks.
     residual, jacobian : Walk
         Of the equations, and of the entries of their Jacobian.
-    sizes : tuple of BlocksOfOneSize
-        The diagonal blocks.
-    order : tuple of (int, int)
-        Size and number of each block, such that a block depends on earlier ones alone.
-    outside : tuple of (ndarray of int, ndarray of int, ndarray of int)
-        For each of `order`: rows within the block, columns, and places among the entries of what lies beside the block.
+    stages : tuple of Stage
+        The diagonal blocks, in an order in which they can be solved.
     curved : ndarray of bool
         Unknowns that the Jacobian depends on.
     numbers : tuple of int
@@ -72,9 +71,7 @@ class Equations:
     symbols: ca.SX
     residual: Walk
     jacobian: Walk
-    sizes: tuple[BlocksOfOneSize, ...]
-    order: tuple[tuple[int, int], ...]
-    outside: tuple[tuple[Places, Places, Places], ...]
+    stages: tuple[Stage, ...]
     curved: npt.NDArray[np.bool_]
     numbers: tuple[int, ...]
 
@@ -120,37 +117,35 @@ def equations_of(resolved: ResolvedSystem, raised: bool, boxed: tuple[int, ...])
     curved[np.array(ca.jacobian_sparsity(J.nz[:], x).get_col(), dtype=np.intp)] = True
     return Equations(
         array, symbols, walk_of(array.residual, symbols, numbers), walk_of(J.nz[:], symbols, numbers),
-        *_blocks(J.sparsity(), rows, columns), curved, numbers,
+        _stages(J.sparsity(), rows, columns), curved, numbers,
     )  # fmt: skip
 
 
-def _blocks(
-    pattern: ca.Sparsity, rows: Places, columns: Places
-) -> tuple[tuple[BlocksOfOneSize, ...], tuple[tuple[int, int], ...], tuple[tuple[Places, Places, Places], ...]]:
-    """Return the diagonal blocks by size, their order, and the entries beside each."""
+def _stages(pattern: ca.Sparsity, rows: Places, columns: Places) -> tuple[Stage, ...]:
+    """Return the diagonal blocks in stages: those of one size that need the same number of others before them."""
     size, none = pattern.size1(), len(rows)
     entry = np.full((size, size), none, dtype=np.intp)
     entry[rows, columns] = np.arange(none)
     _, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
-    by_size: dict[int, list[tuple[Places, Places]]] = {}
-    order, outside = list[tuple[int, int]](), list[tuple[Places, Places, Places]]()
+    level = np.full(size, -1)  # of the block that determines an unknown
+    grouped: dict[tuple[int, int], list[tuple[Places, Places]]] = {}
     # The form is lower triangular: the first block depends on no other.
     for (a, b), (c, d) in zip(pairwise(row_ends), pairwise(column_ends), strict=True):
-        its_rows, its_columns = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
-        if not len(its_rows):
-            continue
-        members = by_size.setdefault(len(its_rows), [])
-        order.append((len(its_rows), len(members)))
-        members.append((its_rows, its_columns))
-        beside = entry[its_rows].copy()
-        beside[:, its_columns] = none
-        at, column = np.nonzero(beside < none)
-        outside.append((at, column, beside[at, column]))
-    groups = []
-    for _, members in sorted(by_size.items()):
+        own = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
+        if len(own[0]):
+            its_level = 1 + level[(entry[own[0]] < none).any(axis=0)].max(initial=-1)
+            level[own[1]] = its_level
+            grouped.setdefault((int(its_level), len(own[0])), []).append(own)
+    stages = []
+    for _, members in sorted(grouped.items()):
         its_rows, its_columns = (np.stack(each) for each in zip(*members, strict=True))
-        groups.append(BlocksOfOneSize(its_rows, its_columns, entry[its_rows[:, :, None], its_columns[:, None, :]]))
-    return tuple(groups), tuple(order), tuple(outside)
+        others = entry[its_rows].copy()
+        np.put_along_axis(others, its_columns[:, None, :].repeat(its_rows.shape[1], axis=1), none, axis=2)
+        others = others.reshape(-1, size)
+        at, column = np.nonzero(others < none)
+        within = entry[its_rows[:, :, None], its_columns[:, None, :]]
+        stages.append(Stage(its_rows, its_columns, within, (at, column, others[at, column])))
+    return tuple(stages)
 
 
 @made_once

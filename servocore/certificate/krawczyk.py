@@ -13,36 +13,14 @@ J does not depend on need no D: the solution is unique whatever they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
-from servocore.certificate.equations import BlocksOfOneSize, Equations, Places
+from servocore.certificate.equations import Equations, Stage
 from servocore.numerics.compiled_calls import Array
 
 _ROOM = 1.0 + 1e-3  # radii are larger by that, so that the test holds with the rounding of its own sums
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """What the test takes of one block, on all intervals.
-
-    Attributes
-    ----------
-    A, inverse : ndarray, shape (intervals, size, size)
-        Bounds of |I - Y J| and |Y|.
-    residual : ndarray, shape (size, intervals)
-        Bounds of |Y r|.
-    columns : ndarray of int
-        Its unknowns.
-    """
-
-    A: Array
-    inverse: Array
-    residual: Array
-    columns: Places
 
 
 def radii(
@@ -70,25 +48,25 @@ def radii(
     rho : ndarray, shape (unknowns, boxes)
         The radii, whether within D or not.
     failed : ndarray of int, shape (boxes,)
-        The first of the blocks, in their order, that was not proved; as many as there are if all were.
+        The first unknown that was not proved, in the order of the stages; -1 if all were.
     """
     wide = np.where(equations.curved[:, None], D, 0.0)
     with np.errstate(all="ignore"):
         residual = equations.residual(ring, _joined(x, np.zeros_like(wide), given))
         jacobian = equations.jacobian(ring, _joined(x, wide, given))
-        blocks = {group.rows.shape[1]: _tested(ring, group, residual, jacobian) for group in equations.sizes}
         weights = magnitude(jacobian)
-        rho = np.full_like(wide, np.inf)
-        failed = np.full(x.shape[2], len(equations.order))
-        for k, ((size, number), (at, column, entry)) in enumerate(zip(equations.order, equations.outside, strict=True)):
-            block = blocks[size][number]
-            beside = np.zeros_like(block.residual)
+        rho, failed = np.full_like(wide, np.inf), np.full(x.shape[2], -1)
+        for stage in equations.stages:
+            A, inverse, own = _tested(ring, stage, residual, jacobian)
+            at, column, entry = stage.beside
+            beside = np.zeros((own.shape[0] * own.shape[1], own.shape[2]))
             np.add.at(beside, at, weights[entry] * rho[column])
-            Z = block.residual + np.einsum("kij,jk->ik", block.inverse, beside) * _ROOM
-            Z = np.maximum(Z, _LEAST * sizes[block.columns, None])
-            rho[block.columns] = _fixed(block.A, Z)
-            bad = ~np.isfinite(rho[block.columns]).all(axis=0)
-            failed[bad] = np.minimum(failed[bad], k)
+            Z = own + np.einsum("bijk,bjk->bik", inverse, beside.reshape(own.shape)) * _ROOM
+            Z = np.maximum(Z, _LEAST * sizes[stage.columns][:, :, None])
+            rho[stage.columns] = found = _fixed(A, Z)
+            bad = ~np.isfinite(found).all(axis=1)
+            first = stage.columns[bad.argmax(axis=0), 0]
+            failed = np.where((failed < 0) & bad.any(axis=0), first, failed)
     return rho, failed
 
 
@@ -96,26 +74,20 @@ def _joined(x: Array, r: Array, given: Model) -> Model:
     return np.concatenate([x, given[0]], axis=1), np.concatenate([r, given[1]])
 
 
-def _tested(ring: Arithmetic, group: BlocksOfOneSize, residual: Model, jacobian: Model) -> list[Block]:
-    """Return what the test takes of blocks of one size."""
-    count, size = group.rows.shape
+def _tested(ring: Arithmetic, stage: Stage, residual: Model, jacobian: Model) -> tuple[Array, Array, Array]:
+    """Return bounds of |I - Y J|, |Y| and |Y r| of the blocks of a stage, shape (blocks, size, ..., boxes)."""
+    size = stage.rows.shape[1]
     terms, boxes = len(residual[0]), residual[0].shape[2]
     # One more entry, zero, for those that a block does not have.
-    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, group.entries]
-    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[group.entries]
+    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, stage.entries]
+    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[stage.entries]
     Y = _inverses(ring, c)
-    zero = np.zeros((count, size, size, boxes))
+    zero = np.zeros(Y.shape[1:])
     # Y J and Y r as products of models: they cancel as polynomials, before magnitudes are taken.
-    identity = np.eye(size)[None, :, :, None]
     YJ = [_product(ring, (Y[:, :, :, [k]], zero[:, :, [k]]), (c[:, :, [k]], r[:, [k]])) for k in range(size)]
-    A = _sum(YJ, identity)
-    b = residual[0][:, group.rows][:, :, None], residual[1][group.rows][:, None]
+    b = residual[0][:, stage.rows][:, :, None], residual[1][stage.rows][:, None]
     Yr = [_product(ring, (Y[:, :, :, k], zero[:, :, k]), (b[0][:, :, :, k], b[1][:, :, k])) for k in range(size)]
-    bound = _sum(Yr, 0.0)
-    inverse = norm(Y) * (1.0 + 1e-14)
-    return [
-        Block(np.moveaxis(A[k], 2, 0), np.moveaxis(inverse[k], 2, 0), bound[k], group.columns[k]) for k in range(count)
-    ]
+    return _sum(YJ, np.eye(size)[None, :, :, None]), norm(Y) * (1.0 + 1e-14), _sum(Yr, 0.0)
 
 
 def _product(ring: Arithmetic, a: Model, b: Model) -> Model:
@@ -157,18 +129,16 @@ def _inverses(ring: Arithmetic, c: Array) -> Array:
 
 
 def _fixed(A: Array, Z: Array) -> Array:
-    """Return rho (size, boxes) with A rho + Z <= rho, infinite where none is found."""
-    size = len(Z)
-    good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=0)
-    rho = np.full_like(Z, np.inf)
-    if not good.any():
-        return rho
-    matrices = np.eye(size) - _ROOM * A[good]
+    """Return rho (blocks, size, boxes) with A rho + Z <= rho, infinite where none is found."""
+    size = Z.shape[1]
+    good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=1)
+    matrices = np.where(good[..., None, None], np.eye(size) - _ROOM * np.moveaxis(A, 3, 1), np.eye(size))
+    right = _ROOM * np.moveaxis(Z, 2, 1)
     try:
-        tried = np.linalg.solve(matrices, _ROOM * Z.T[good][:, :, None])[:, :, 0]
+        tried = right / matrices[..., 0] if size == 1 else np.linalg.solve(matrices, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        return rho
-    image = np.einsum("kij,kj->ki", A[good], tried) + Z.T[good]
-    holds = (tried > 0.0).all(axis=1) & (image * (1.0 + 1e-6) <= tried).all(axis=1)
-    rho[:, good] = np.where(holds[:, None], tried, np.inf).T
-    return rho
+        return np.full_like(Z, np.inf)
+    tried = np.moveaxis(tried, 1, 2)
+    image = np.einsum("bijk,bjk->bik", A, tried) + Z
+    holds = np.asarray(good & (tried > 0.0).all(axis=1) & (image * (1.0 + 1e-6) <= tried).all(axis=1))
+    return np.where(holds[:, None], tried, np.inf)

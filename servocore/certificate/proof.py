@@ -55,7 +55,9 @@ class Interval:
     rho, D : ndarray, shape (unknowns,)
         Radii, and where the solution is the only one.
     failed : int
-        The block that was not proved; -1 before the test.
+        The first unknown that was not proved; -1 for none.
+    tested : bool
+        Whether the test was done.
     before : float
         Relative radius of the interval that it is a half of.
     """
@@ -70,6 +72,7 @@ class Interval:
     rho: Array = field(default_factory=lambda: np.zeros(0))
     D: Array = field(default_factory=lambda: np.zeros(0))
     failed: int = -1
+    tested: bool = False
     proved: bool = False
     final: bool = False
     before: float = np.inf
@@ -152,7 +155,7 @@ class Proof:
 
     def _round(self) -> bool:
         """Answer and test what is open, and see what to do next; return whether something is left to do."""
-        fresh = [each for each in self.intervals if each.failed < 0]
+        fresh = [each for each in self.intervals if not each.tested]
         if fresh:
             pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
             for a, b in pairs:
@@ -244,7 +247,7 @@ class Proof:
         within = np.asarray(solved & (rho <= D)[curved].all(axis=0) & np.isfinite(rho).all(axis=0))
         for k, each in enumerate(some):
             each.rho, each.D, each.proved = rho[:, k], D[:, k], bool(within[k])
-            each.failed = int(failed[k]) if solved[k] else 0
+            each.failed, each.tested = int(failed[k]), True
             each.rho = each.rho if solved[k] else np.full_like(each.rho, np.inf)
 
     def models(self, some: Sequence[Interval]) -> Model:
@@ -322,4 +325,4 @@ class Proof:
                 found.append(new)
             own = np.stack(found[:: -1 if late else 1], axis=1).reshape(len(x), -1)
             each.c, each.guessed, each.backwards = self._interpolated(own), False, not late
-            each.failed, each.final, each.proved = -1, False, False
+            each.tested, each.final, each.proved = False, False, False

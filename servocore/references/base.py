@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
+from servocore.numerics.memoization import made_once
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -178,18 +179,10 @@ class Reference(ABC):
         # Chebyshev interpolation: |f - p| <= h^(n+1) sup|f^(n+1)| / (2^n (n+1)!).
         share = (half ** (degree + 1) / (2.0**degree * factorial(degree + 1)))[:, None, None]
         late = 4.0 * _UNIT * np.maximum(np.abs(a), np.abs(b))[:, None, None]
-        radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * self._peaks(a, b, order)
+        # Values are rounded as shares of what is largest on the analytic piece around an interval.
+        piece = np.clip(np.searchsorted(self.joints, middle) - 1, 0, len(self.joints) - 2)
+        radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * _peaks(self, order)[piece]
         return np.einsum("ij,njkd->nkdi", inverse, values), 1.001 * radii
-
-    def _peaks(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
-        """Bound the derivatives of the analytic piece around each interval: rounding of values is a share of that."""
-        ends = self.joints
-        fractions = np.linspace(0.0, 1.0, _PARTS + 1)
-        grid = ends[:-1, None] + np.diff(ends)[:, None] * fractions
-        bounds = self._bounds(grid[:, :-1].ravel(), grid[:, 1:].ravel(), order)
-        of_pieces = bounds.reshape(len(ends) - 1, _PARTS, order + 1, self.dimension).max(axis=1)
-        piece = np.clip(np.searchsorted(ends, (a + b) / 2.0) - 1, 0, len(ends) - 2)
-        return np.asarray(of_pieces[piece])
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
         """Bound the magnitudes of derivatives on intervals (N,), shape (N, order + 1, dimension).
@@ -199,16 +192,22 @@ class Reference(ABC):
         degree = self.degree
         if degree is None:
             return np.full((len(a), order + 1, self.dimension), np.inf)
-        jets = np.abs(self.jet((a + b) / 2.0, degree))
-        half = ((b - a) / 2.0)[:, None]
-        bounds = np.zeros((len(a), max(order, degree) + 1, self.dimension))
-        for k in range(degree, -1, -1):
-            bounds[:, k] = sum(jets[:, j] * half ** (j - k) / factorial(j - k) for j in range(k, degree + 1))
-        return 1.001 * bounds[:, : order + 1]
+        jets, up = np.abs(self.jet((a + b) / 2.0, degree)), np.arange(degree + 1) - np.arange(order + 1)[:, None]
+        shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
+        return np.asarray(1.001 * np.einsum("nkj,njd->nkd", shares * ((b - a) / 2.0)[:, None, None] ** np.maximum(up, 0), jets))
 
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         """Answer `jet` for checked arguments: times (N,) to derivatives (N, order+1, dimension)."""
+
+
+@made_once
+def _peaks(path: Reference, order: int) -> FloatArray:
+    """Bound the derivatives of a path on each of its analytic pieces, shape (pieces, order + 1, dimension)."""
+    fractions = np.linspace(0.0, 1.0, _PARTS + 1)
+    grid = path.joints[:-1, None] + np.diff(path.joints)[:, None] * fractions
+    bounds = path._bounds(grid[:, :-1].ravel(), grid[:, 1:].ravel(), order)
+    return np.asarray(bounds.reshape(len(grid), _PARTS, order + 1, path.dimension).max(axis=1))
 
 
 def numbers_of(values: npt.ArrayLike, what: str) -> FloatArray:
