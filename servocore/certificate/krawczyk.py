@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
-from servocore.certificate.equations import Equations, Stage
+from servocore.certificate.equations import Equations, Places
 from servocore.numerics.compiled_calls import Array
 
 _ROOM = 1.0 + 1e-3  # radii are larger by that, so that the test holds with the rounding of its own sums
@@ -56,8 +56,7 @@ def radii(
         jacobian = equations.jacobian(ring, _joined(x, wide, given))
         weights = magnitude(jacobian)
         rho, failed = np.full_like(wide, np.inf), np.full(x.shape[2], -1)
-        for stage in equations.stages:
-            A, inverse, own = _tested(ring, stage, residual, jacobian)
+        for stage, (A, inverse, own) in zip(equations.stages, _tests(ring, equations, residual, jacobian), strict=True):
             at, column, entry = stage.beside
             beside = np.zeros((own.shape[0] * own.shape[1], own.shape[2]))
             np.add.at(beside, at, weights[entry] * rho[column])
@@ -74,18 +73,35 @@ def _joined(x: Array, r: Array, given: Model) -> Model:
     return np.concatenate([x, given[0]], axis=1), np.concatenate([r, given[1]])
 
 
-def _tested(ring: Arithmetic, stage: Stage, residual: Model, jacobian: Model) -> tuple[Array, Array, Array]:
-    """Return bounds of |I - Y J|, |Y| and |Y r| of the blocks of a stage, shape (blocks, size, ..., boxes)."""
-    size = stage.rows.shape[1]
+def _tests(ring: Arithmetic, equations: Equations, residual: Model, jacobian: Model) -> list[tuple[Array, ...]]:
+    """Return what the test takes of the blocks of each stage: all blocks of one size are worked on together."""
+    sizes = [stage.rows.shape[1] for stage in equations.stages]
+    found = dict[int, tuple[Array, ...]]()
+    for size in set(sizes):
+        same = [k for k, each in enumerate(sizes) if each == size]
+        rows, entries = (
+            np.concatenate([getattr(equations.stages[k], name) for k in same]) for name in ("rows", "entries")
+        )
+        ends = np.cumsum([len(equations.stages[k].rows) for k in same])[:-1]
+        parts = (np.split(part, ends) for part in _tested(ring, rows, entries, residual, jacobian))
+        found.update(zip(same, zip(*parts, strict=True), strict=True))
+    return [found[k] for k in range(len(sizes))]
+
+
+def _tested(
+    ring: Arithmetic, rows: Places, entries: Places, residual: Model, jacobian: Model
+) -> tuple[Array, Array, Array]:
+    """Return bounds of |I - Y J|, |Y| and |Y r| of blocks of one size, shape (blocks, size, ..., boxes)."""
+    size = rows.shape[1]
     terms, boxes = len(residual[0]), residual[0].shape[2]
     # One more entry, zero, for those that a block does not have.
-    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, stage.entries]
-    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[stage.entries]
+    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, entries]
+    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[entries]
     Y = _inverses(ring, c)
     zero = np.zeros(Y.shape[1:])
     # Y J and Y r as products of models: they cancel as polynomials, before magnitudes are taken.
     YJ = [_product(ring, (Y[:, :, :, [k]], zero[:, :, [k]]), (c[:, :, [k]], r[:, [k]])) for k in range(size)]
-    b = residual[0][:, stage.rows][:, :, None], residual[1][stage.rows][:, None]
+    b = residual[0][:, rows][:, :, None], residual[1][rows][:, None]
     Yr = [_product(ring, (Y[:, :, :, k], zero[:, :, k]), (b[0][:, :, :, k], b[1][:, :, k])) for k in range(size)]
     return _sum(YJ, np.eye(size)[None, :, :, None]), norm(Y) * (1.0 + 1e-14), _sum(Yr, 0.0)
 
@@ -131,7 +147,7 @@ def _inverses(ring: Arithmetic, c: Array) -> Array:
 def _fixed(A: Array, Z: Array) -> Array:
     """Return rho (blocks, size, boxes) with A rho + Z <= rho, infinite where none is found."""
     size = Z.shape[1]
-    good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=1)
+    good = np.asarray(np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=1))
     matrices = np.where(good[..., None, None], np.eye(size) - _ROOM * np.moveaxis(A, 3, 1), np.eye(size))
     right = _ROOM * np.moveaxis(Z, 2, 1)
     try:
@@ -140,5 +156,5 @@ def _fixed(A: Array, Z: Array) -> Array:
         return np.full_like(Z, np.inf)
     tried = np.moveaxis(tried, 1, 2)
     image = np.einsum("bijk,bjk->bik", A, tried) + Z
-    holds = np.asarray(good & (tried > 0.0).all(axis=1) & (image * (1.0 + 1e-6) <= tried).all(axis=1))
-    return np.where(holds[:, None], tried, np.inf)
+    holds = good[:, None] & (tried > 0.0).all(axis=1, keepdims=True)
+    return np.where(holds & (image * (1.0 + 1e-6) <= tried).all(axis=1, keepdims=True), tried, np.inf)

@@ -194,7 +194,9 @@ class Reference(ABC):
             return np.full((len(a), order + 1, self.dimension), np.inf)
         jets, up = np.abs(self.jet((a + b) / 2.0, degree)), np.arange(degree + 1) - np.arange(order + 1)[:, None]
         shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
-        return np.asarray(1.001 * np.einsum("nkj,njd->nkd", shares * ((b - a) / 2.0)[:, None, None] ** np.maximum(up, 0), jets))
+        return np.asarray(
+            1.001 * np.einsum("nkj,njd->nkd", shares * ((b - a) / 2.0)[:, None, None] ** np.maximum(up, 0), jets)
+        )
 
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
