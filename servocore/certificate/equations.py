@@ -189,19 +189,24 @@ class Answers:
 
     def from_guess(self, t: Array, p: Array) -> Array:
         """Return the unknowns (size, N) at instants with parameters (n_p, N), from the model's guess; NaN for none."""
-        inverse = inversion(self.problem.array)
-        jets = self._jets(t, self.problem.array.reference_order)
-        found, _, residual = _at_points(inverse.expression or inverse.search_from_guess, jets, p)
-        bad = np.flatnonzero(~(residual.max(axis=0) < LARGEST_RESIDUAL))
-        if len(bad) and inverse.expression is not None:
-            found[:, bad], _, residual[:, bad] = _at_points(inverse.search_from_guess, jets[bad], p[:, bad])
-        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
+        inverse, jets = inversion(self.problem.array), self._jets(t, self.problem.array.reference_order)
+        (found,), left = _at_points(inverse.guess, jets, p), np.arange(len(t))
+        if inverse.expression is not None:
+            candidate, _, residual = _at_points(inverse.expression, jets, p)
+            good = residual.max(axis=0) < LARGEST_RESIDUAL
+            found, left = np.where(good, candidate, found), np.flatnonzero(~good)
+        if len(left):
+            found[:, left] = self._searched(jets[left], p[:, left], found[:, left])
+        return self._completed(found, t, p)
 
     def from_near(self, t: Array, p: Array, guess: Array) -> Array:
         """Return the same by Newton's method from guesses (size, N)."""
         jets = self._jets(t, self.problem.array.reference_order)
-        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess[self._own])
-        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
+        return self._completed(self._searched(jets, p, guess[self._own]), t, p)
+
+    def _searched(self, jets: Array, p: Array, guess: Array) -> Array:
+        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess)
+        return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
 
     @cached_property
     def _own(self) -> list[int]:

@@ -159,12 +159,8 @@ def _tangent(a: ca.SX) -> ca.SX:
     return ca.sin(a) / ca.cos(a)
 
 
-def _tanh(a: ca.SX) -> ca.SX:
-    return 1.0 - 2.0 / (ca.exp(2.0 * a) + 1.0)
-
-
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
-    ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent, ca.OP_TANH: _tanh,
+    ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent,
     ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
@@ -190,6 +186,15 @@ def _number(ring: Arithmetic, like: Model, value: float) -> Model:
 
 def _negative(_: Arithmetic, a: Model) -> Model:
     return -a[0], a[1]
+
+
+def _tanh(ring: Arithmetic, a: Model) -> Model:
+    """Return tanh(a) = 1 - 2/(e^(2 a) + 1); beyond 20 it is 1 but for 2 e^(-40) < 1e-17."""
+    one, (low, high) = _number(ring, a, 1.0), ring.span(a)
+    share = ring.quotient(_number(ring, a, 2.0), ring.sum(ring.exponential((2.0 * a[0], 2.0 * a[1])), one))
+    c, r = ring.sum(one, share, -1.0)
+    saturated = (low > 20.0) | (high < -20.0)
+    return np.where(saturated, ring.constant(np.sign(low))[0], c), np.where(saturated, 1e-17, r)
 
 
 def _steps(ring: Arithmetic, a: Model) -> Model:
@@ -241,6 +246,7 @@ _RULES: dict[int, Callable[..., Model]] = {
     ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
     ca.OP_EXP: lambda ring, a: ring.exponential(a),
     ca.OP_LOG: lambda ring, a: ring.logarithm(a),
+    ca.OP_TANH: _tanh,
     ca.OP_ATAN2: lambda ring, a, b: ring.angle(a, b),
     ca.OP_FABS: lambda ring, a: _chosen(ring, a, a, _negative(ring, a)),
     ca.OP_SIGN: lambda ring, a: _chosen(ring, a, _number(ring, a, 1.0), _number(ring, a, -1.0)),

@@ -28,8 +28,7 @@ ANALYTIC_ORDER = 99
 
 _INSTANTS = 9  # that tell how far a path goes
 
-_UNIT = 2.3e-16
-_VALUES = 64 * _UNIT  # of a derivative's peak: the rounding error of its values, some ten operations on like terms
+_UNIT, _VALUES = 2.3e-16, 1.5e-14  # rounding errors: of a time, and of a derivative's values as a share of its peak
 _PARTS = 16  # of an analytic piece, on each of which derivatives are bounded
 
 LONGEST_TIME = 1e9
@@ -148,15 +147,12 @@ class Reference(ABC):
         return values if times.ndim else values[0]
 
     def enclosure(self, a: FloatArray, b: FloatArray, order: int, degree: int = 10) -> tuple[FloatArray, FloatArray]:
-        """Enclose the path and its derivatives on intervals by polynomials.
-
-        Each derivative is interpolated at Chebyshev points, with the remainder of interpolation as radius, and what
-        rounding does to the values and to the times.
+        """Enclose the path and its derivatives on intervals by polynomials: interpolated at Chebyshev points.
 
         Parameters
         ----------
         a, b : ndarray, shape (N,)
-            Begin and end of intervals in s; none has a joint of the path inside.
+            Begin and end of intervals in s; none has one of the `joints` inside.
         order : int
             Highest derivative wanted.
         degree : int
@@ -167,10 +163,9 @@ class Reference(ABC):
         coefficients : ndarray, shape (N, order + 1, dimension, degree + 1)
             Of Chebyshev polynomials in time, scaled to [-1, 1] on the interval.
         radii : ndarray, shape (N, order + 1, dimension)
-            Largest distance of a derivative from its polynomial; infinite where nothing bounds it, as for a class of
-            one's own that neither has a `degree` nor overrides this method.
+            Largest distance of a derivative from its polynomial; infinite where nothing bounds it.
         """
-        nodes = np.cos((2 * np.arange(degree + 1) + 1) * np.pi / (2 * (degree + 1)))
+        nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
         middle, half = (a + b) / 2.0, (b - a) / 2.0
         t = middle[:, None] + half[:, None] * nodes
         values = self.jet(t.ravel(), order).reshape(*t.shape, order + 1, self.dimension)
@@ -185,12 +180,8 @@ class Reference(ABC):
         return np.einsum("ij,njkd->nkdi", inverse, values), 1.001 * radii
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
-        """Bound the magnitudes of derivatives on intervals (N,), shape (N, order + 1, dimension).
-
-        Polynomials by their Taylor coefficients in the middle.
-        """
-        degree = self.degree
-        if degree is None:
+        """Bound derivatives of polynomials on intervals by Taylor's formula, shape (N, order + 1, dimension)."""
+        if (degree := self.degree) is None:
             return np.full((len(a), order + 1, self.dimension), np.inf)
         jets, up = np.abs(self.jet((a + b) / 2.0, degree)), np.arange(degree + 1) - np.arange(order + 1)[:, None]
         shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
