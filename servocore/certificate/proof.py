@@ -251,10 +251,11 @@ class Proof:
             each.rho = each.rho if solved[k] else np.full_like(each.rho, np.inf)
 
     def models(self, some: Sequence[Interval]) -> Model:
-        """Return enclosures of unknowns, path and parameters on proved intervals: the arguments of walks."""
-        c, r = self.given(some)
-        x = np.stack([each.c for each in some if each.c is not None], axis=2)
-        return np.concatenate([x, c], axis=1), np.concatenate([np.stack([each.rho for each in some], axis=1), r])
+        """Return enclosures of unknowns, path and parameters, the arguments of walks; infinite where not proved."""
+        (c, r), none = self.given(some), np.zeros((len(self.ring.nodes), len(self.peaks)))
+        x = np.stack([none if each.c is None or not each.proved else each.c for each in some], axis=2)
+        rho = np.stack([each.rho if each.proved else np.full(len(self.peaks), np.inf) for each in some], axis=1)
+        return np.concatenate([x, c], axis=1), np.concatenate([rho, r])
 
     # Joints ---------------------------------------------------------------------------------------------------------
 

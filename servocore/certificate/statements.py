@@ -107,20 +107,16 @@ class Enclosed:
 
 
 def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
-    """Return enclosures of the results of a walk on all proved intervals within the path."""
+    """Return enclosures of the results of a walk on all intervals within the path."""
     ring, parts, corners = proofs[0].ring, list[Model](), list[list[tuple[float, ...]]]()
     for proof in proofs:
-        some = [each for each in proof.intervals if each.proved and not each.outside]
+        some = [each for each in proof.intervals if not each.outside]
         boxes = list(proof.boxed.values())
         for k in range(0, len(some), _AT_ONCE):
             with np.errstate(all="ignore"):
                 parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
         for each in some:
             corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
-    count = len(walk.outputs)
-    if not parts:
-        empty = np.zeros((0, len(ring.degrees)))
-        return Enclosed(ring, np.zeros((len(ring.nodes), count, 0)), np.zeros((count, 0)), empty, empty)
     c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
     ends = np.array(corners)
     return Enclosed(ring, c, r, ends[:, 0], ends[:, 1])
@@ -169,7 +165,8 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
         box = among[int(beyond[:, among].max(axis=0).argmax())]
         node = int(beyond[:, box].argmax())
         place = (some.low[box] + some.high[box]) / 2.0 + (some.high[box] - some.low[box]) / 2.0 * ring.nodes[node]
-        found = Decision("refuted" if certain.any() else "undecided", place, float(values[node, box]))
+        value = float(values[node, box]) if np.isfinite(noise[box]) else np.nan
+        found = Decision("refuted" if certain.any() else "undecided", place, value)
         # Where the radius is more than what the polynomial varies by, halves tell nothing new.
         useless = ~np.isfinite(r) | (norm(c[1:]) < r / 4.0)
         if certain.any() or useless.all() or len(r) > _MOST:
@@ -201,7 +198,6 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
     equations = proofs[0].equations
     path = proofs[0].problem.reference
     begin, end, statements = path.start_time, path.end_time, list[Statement]()
-    whole = all(each.proved for proof in proofs for each in proof.intervals if not each.outside)
     for rates in (False, True):
         chosen = tuple(limit for limit in limits if limit.rate == rates)
         usable = tuple(limit for limit in chosen if known(equations, limit))
@@ -214,21 +210,19 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
         quantities = enclosed(proofs, walk_of_limits(equations, usable, rates))
         for k, limit in enumerate(usable):
             decision = decided(quantities, k, limit.bound, limit.upper)
-            verdict, sentence = decision.verdict, ""
-            if decision.at is None and quantities.c.shape[2]:
+            if decision.at is None:
                 least, most = quantities.bounded(k)
-                sentence = f"it stays from {limit.told(least)} to {limit.told(most)}"
-            elif decision.at is not None:
-                sentence = _failure(proofs[0], limit, decision)
-            if verdict == "proved" and not whole:
-                verdict, sentence = "undecided", "the motion is not proved at all times"
-            time = None if decision.at is None else float(decision.at[0])
-            statements.append(Statement(what(limit), verdict, begin, end, sentence, time))
+                sentence, time = f"it stays from {limit.told(least)} to {limit.told(most)}", None
+            else:
+                sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
+            statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))
     return statements
 
 
 def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:
     assert decision.at is not None
+    if not np.isfinite(decision.value):
+        return f"the motion is not proved at t = {decision.at[0]:.6g} s"
     below = decision.value - limit.bound < limit.upper - decision.value
     bound = limit.bound if below else limit.upper
     names = [proof.problem.system.parameters.names[k] for k in proof.boxed]
@@ -301,8 +295,6 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
         time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
         text = f"not decided near t = {time:.6g} s"
         return Statement(what, "undecided", path.start_time, path.end_time, text, time)
-    if not all(each.proved for proof in proofs for each in proof.intervals):
-        return Statement(what, "undecided", path.start_time, path.end_time, "the motion is not proved at all times")
     return Statement(what, "proved", path.start_time, path.end_time, "")
 
 
