@@ -27,9 +27,8 @@ def cause_of(proof: Proof, each: Interval) -> str:
     rows = dict.fromkeys(names[array.rows[k][0]] for k in first)
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
     x = each.c[:, :, None]
-    with np.errstate(all="ignore"):
-        arguments = np.concatenate([x, given[0]], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), given[1]])
-        kinked = not np.isfinite(equations.jacobian(proof.ring, arguments)[1]).all()
+    arguments = np.concatenate([x, given[0]], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), given[1]])
+    kinked = not np.isfinite(equations.jacobian(proof.ring, arguments)[1]).all()
     why = (
         ": they have a kink or a jump there"
         if kinked
@@ -55,9 +54,8 @@ def _slack(proof: Proof, each: Interval) -> str:
     walk = proof.equations.walk([expression for *_, expression in bounded])
     given = proof.given(near)
     x = np.stack([other.c for other in near if other.c is not None], axis=2)
-    with np.errstate(all="ignore"):
-        c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))
-        values = proof.ring.values(c)
+    c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))
+    values = proof.ring.values(c)
     for k, (name, bound, reason, _) in enumerate(bounded):
         distance = values[:, k] - bound
         if np.nanmin(distance) < _SMALL * np.nanmax(np.abs(distance)):

@@ -71,6 +71,7 @@ class Certificate:
         lines = [f"<Certificate of {self.name}: {self.verdict}, {len(self.intervals)} intervals>"]
         return "\n".join([*lines, *(f"  {statement}" for statement in self.statements)])
 
+    @np.errstate(all="ignore")
     def tube(self, t: npt.ArrayLike) -> dict[str, Array]:
         """Return enclosures of all quantities that a solution reports, at times within the path.
 
@@ -122,6 +123,7 @@ class Certificate:
         return figure_of(t, curves, f"{self.name}: {self.verdict}")
 
 
+@np.errstate(all="ignore")  # what is not finite is not proved
 def certify(
     scene_or_solution: Scene | Solution,
     limits: Mapping[str, Bounds] | None = None,

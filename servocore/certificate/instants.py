@@ -172,7 +172,6 @@ def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring = arithmetic((0, *proof.ring.degrees[1:]))
     walk = proof.equations.walk([Named(name)(proof.problem.system) for name in names])
-    with np.errstate(all="ignore"):
-        low, high = ring.span(walk(ring, at_times(proof, t)))
+    low, high = ring.span(walk(ring, at_times(proof, t)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)

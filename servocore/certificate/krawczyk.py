@@ -51,21 +51,20 @@ def radii(
         The first unknown that was not proved, in the order of the stages; -1 if all were.
     """
     wide = np.where(equations.curved[:, None], D, 0.0)
-    with np.errstate(all="ignore"):
-        residual = equations.residual(ring, _joined(x, np.zeros_like(wide), given))
-        jacobian = equations.jacobian(ring, _joined(x, wide, given))
-        weights = magnitude(jacobian)
-        rho, failed = np.full_like(wide, np.inf), np.full(x.shape[2], -1)
-        for stage, (A, inverse, own) in zip(equations.stages, _tests(ring, equations, residual, jacobian), strict=True):
-            at, column, entry = stage.beside
-            beside = np.zeros((own.shape[0] * own.shape[1], own.shape[2]))
-            np.add.at(beside, at, weights[entry] * rho[column])
-            Z = own + np.einsum("bijk,bjk->bik", inverse, beside.reshape(own.shape)) * _ROOM
-            Z = np.maximum(Z, _LEAST * sizes[stage.columns][:, :, None])
-            rho[stage.columns] = found = _fixed(A, Z)
-            bad = ~np.isfinite(found).all(axis=1)
-            first = stage.columns[bad.argmax(axis=0), 0]
-            failed = np.where((failed < 0) & bad.any(axis=0), first, failed)
+    residual = equations.residual(ring, _joined(x, np.zeros_like(wide), given))
+    jacobian = equations.jacobian(ring, _joined(x, wide, given))
+    weights = magnitude(jacobian)
+    rho, failed = np.full_like(wide, np.inf), np.full(x.shape[2], -1)
+    for stage, (A, inverse, own) in zip(equations.stages, _tests(ring, equations, residual, jacobian), strict=True):
+        at, column, entry = stage.beside
+        beside = np.zeros((own.shape[0] * own.shape[1], own.shape[2]))
+        np.add.at(beside, at, weights[entry] * rho[column])
+        Z = own + np.einsum("bijk,bjk->bik", inverse, beside.reshape(own.shape)) * _ROOM
+        Z = np.maximum(Z, _LEAST * sizes[stage.columns][:, :, None])
+        rho[stage.columns] = found = _fixed(A, Z)
+        bad = ~np.isfinite(found).all(axis=1)
+        first = stage.columns[bad.argmax(axis=0), 0]
+        failed = np.where((failed < 0) & bad.any(axis=0), first, failed)
     return rho, failed
 
 

@@ -134,6 +134,7 @@ class Proof:
                 seen = np.fmax(seen, np.abs(self.ring.values(each.c[:, :, None])[:, :, 0]).max(axis=0))
         return seen
 
+    @np.errstate(all="ignore")  # what is not finite is not proved
     def run(self) -> Proof:
         """Prove what can be proved."""
         self.intervals = self._first_intervals()

@@ -113,8 +113,7 @@ def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
         some = [each for each in proof.intervals if not each.outside]
         boxes = list(proof.boxed.values())
         for k in range(0, len(some), _AT_ONCE):
-            with np.errstate(all="ignore"):
-                parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
+            parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
         for each in some:
             corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
     c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
@@ -323,10 +322,9 @@ def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[npt.
     finite = (np.isfinite(N) & np.isfinite(dN)).all(axis=(1, 2))
     N, dN = (np.where(finite[:, None, None], each, np.eye(n)) for each in (N, dN))
     values, vectors = np.linalg.eigh(N)
-    with np.errstate(all="ignore"):
-        W = (vectors / np.sqrt(values)[:, None, :]).swapaxes(1, 2)
-        rest = np.abs(np.eye(n) - W @ N @ W.swapaxes(1, 2)) + np.abs(W) @ dN @ np.abs(W).swapaxes(1, 2)
-        good = finite & (values[:, 0] > 0.0) & (rest.sum(axis=2).max(axis=1) < 1.0 - 1e-9)
+    W = (vectors / np.sqrt(np.abs(values))[:, None, :]).swapaxes(1, 2)
+    rest = np.abs(np.eye(n) - W @ N @ W.swapaxes(1, 2)) + np.abs(W) @ dN @ np.abs(W).swapaxes(1, 2)
+    good = finite & (values[:, 0] > 0.0) & (rest.sum(axis=2).max(axis=1) < 1.0 - 1e-9)
     return good, values[:, 0] / values[:, -1]
 
 
