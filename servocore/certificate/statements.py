@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
-from servocore.certificate.equations import Equations
+from servocore.certificate.equations import Equations, Places
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import parts_of
 from servocore.numerics.expressions import highest_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS
@@ -263,9 +264,18 @@ def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
 
 
 @made_once
-def _walk_of_mass(equations: Equations) -> Walk:
+def _mass_and_constraints(equations: Equations) -> tuple[Walk, list[Places], list[int]]:
+    """Return M and G of parts that neither couples, one after the other, the places of their coordinates, and ends."""
     system = equations.array.system
-    return equations.walk([ca.vec(ca.densify(system.mass)), ca.vec(ca.densify(system.G))])
+    M, G = ca.densify(system.mass), ca.densify(system.G)
+    couplings = (system.mass + ca.mtimes(system.G.T, system.G) + ca.SX.eye(M.size1())).sparsity()
+    expressions, parts = [ca.SX(0, 1)], [part.rows for part in parts_of(couplings)]
+    for places in parts:
+        own = places.tolist()
+        rows = [k for k in range(G.size1()) if system.G[k, own].nnz()]
+        expressions += [ca.vec(M[own, own]), ca.vec(G[rows, own])]
+    ends = np.cumsum([each.numel() for each in expressions])[::2]
+    return equations.walk([ca.vertcat(*expressions)]), parts, ends.tolist()
 
 
 def mass_statement(proofs: Sequence[Proof]) -> Statement:
@@ -276,32 +286,32 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
     A light weight leaves what M says by itself as it is; one that is heavy tells a negative mass from a direction that
     the constraints exclude.
     """
-    proof = proofs[0]
-    system, path = proof.equations.array.system, proof.problem.reference
-    n, what = len(system.coordinates), "mass matrix definite on all motions that the constraints allow"
-    some = enclosed(proofs, _walk_of_mass(proof.equations))
-    scale = np.array(system.coordinates.nominal)
-    for k in range(_MASS_HALVINGS):
-        some = some.halved() if k else some
-        good, least = _definite(some, n, scale, _LIGHT)
-        if (least < -_NEGATIVE).any() and ((least := _definite(some, n, scale, _HEAVY)[1]) < -_NEGATIVE).any():
-            time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
-            return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
-        some = some.of(~good)
-        if not len(some.low):
-            break
-    if len(some.low):
-        time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
-        text = f"not decided near t = {time:.6g} s"
-        return Statement(what, "undecided", path.start_time, path.end_time, text, time)
+    path, what = proofs[0].problem.reference, "mass matrix definite on all motions that the constraints allow"
+    walk, parts, ends = _mass_and_constraints(proofs[0].equations)
+    every, scale = enclosed(proofs, walk), np.array(proofs[0].problem.system.coordinates.nominal)
+    for part, first, last in zip(parts, ends, ends[1:], strict=False):
+        some = replace(every, c=every.c[:, first:last], r=every.r[first:last])
+        for k in range(_MASS_HALVINGS):
+            some = some.halved() if k else some
+            good, least = _definite(some, scale[part], _LIGHT)
+            if (least < -_NEGATIVE).any() and ((least := _definite(some, scale[part], _HEAVY)[1]) < -_NEGATIVE).any():
+                time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
+                return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
+            some = some.of(~good)
+            if not len(some.low):
+                break
+        else:
+            time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
+            text = f"not decided near t = {time:.6g} s"
+            return Statement(what, "undecided", path.start_time, path.end_time, text, time)
     return Statement(what, "proved", path.start_time, path.end_time, "")
 
 
-def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
+def _definite(some: Enclosed, scale: Array, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
     """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
     low, high = some.ring.span((some.c, some.r))
     middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
-    boxes = middle.shape[1]
+    boxes, n = middle.shape[1], len(scale)
     M, dM = (
         np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius)
     )
@@ -311,7 +321,7 @@ def _definite(some: Enclosed, n: int, scale: Array, weight: float) -> tuple[npt.
     )
     largest = np.abs(M).max(axis=(1, 2), keepdims=True)
     size = np.abs(G).max(axis=(1, 2), keepdims=True, initial=0.0)
-    w = weight * largest / np.where(size > 0.0, size, 1.0) ** 2
+    w = weight * np.where(largest > 0.0, largest, 1.0) / np.where(size > 0.0, size, 1.0) ** 2
     N = M + w * (G.swapaxes(1, 2) @ G)
     spread = np.abs(G).swapaxes(1, 2) @ dG
     dN = (
