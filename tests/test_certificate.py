@@ -233,6 +233,11 @@ def test_a_mass_that_is_negative_on_a_motion_is_refuted() -> None:
     assert mass_statement([shown]).verdict == "refuted"
 
 
+def test_nothing_is_known_of_times_far_from_the_path() -> None:
+    tube = sc.certify(OVERHEAD).tube([-9.0, 1.0, 9.0])["F"]
+    assert np.isfinite(tube).all(axis=1).tolist() == [False, True, False]
+
+
 def test_a_certificate_is_short_in_print_and_has_a_plot() -> None:
     certificate = sc.certify(OVERHEAD)
     assert repr(certificate).startswith("<Certificate of overhead_crane: proved, ")

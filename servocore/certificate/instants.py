@@ -152,15 +152,16 @@ def at_times(proof: Proof, t: Array) -> Model:
     numbers = _interval_of(proof, t)
     some = [proof.intervals[k] for k in numbers]
     a, b = (np.array([getattr(each, name) for each in some]) for name in ("begin", "end"))
-    position = np.clip((2.0 * t - a - b) / (b - a), -1.0, 1.0)
-    basis = np.polynomial.chebyshev.chebvander(position, proof.ring.degrees[0])
+    position = (2.0 * t - a - b) / (b - a)
+    elsewhere = np.abs(position) > 1.0 + 1e-9
+    basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
     c = np.stack([each.c for each in some if each.c is not None], axis=2)
     shaped = c.reshape(basis.shape[1], -1, *c.shape[1:])
     x = np.einsum("ni,ijkn->jkn", basis, shaped)
     late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
     noise = np.einsum("i,ijkn->kn", np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped)) * late
-    bad = ~np.isfinite(x).all(axis=(0, 1))
+    bad = elsewhere | ~np.isfinite(x).all(axis=(0, 1))
     rho = np.stack([each.rho for each in some], axis=1) + noise
     x, rho = np.where(bad, 0.0, x), np.where(bad, np.inf, rho)
     path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
