@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from servocore import scenes as scenes
     from servocore.analysis import analyse as analyse
+    from servocore.certificate.certify import certify as certify
     from servocore.dae import Dae as Dae
     from servocore.effects.position_loops import PositionLoops as PositionLoops
     from servocore.effects.study import effects as effects

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from math import factorial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
+from servocore.numerics.memoization import made_once
 
 if TYPE_CHECKING:
     from servocore.references.likely_units import UndeclaredUnits
@@ -27,6 +29,9 @@ ANALYTIC_ORDER = 99
 
 
 _INSTANTS = 9  # to estimate the extent of a path
+
+_UNIT, _VALUES = 2.3e-16, 1.5e-14  # rounding errors: of a time, and of a derivative's values as a share of its peak
+_PARTS = 16  # of an analytic piece, on each of which derivatives are bounded
 
 LONGEST_TIME = 1e9
 """No path begins or ends farther from zero, in s: powers of a longer duration overflow."""
@@ -92,6 +97,16 @@ class Reference(ABC):
         return np.array([self.start_time, self.end_time])
 
     @property
+    def joints(self) -> FloatArray:
+        """Times in s, start and end included, between which the path is analytic."""
+        return self.stretches
+
+    @property
+    def degree(self) -> int | None:
+        """Degree of the polynomials between `joints`; None if the path is not made of polynomials."""
+        return None
+
+    @property
     def formula(self) -> Formula | None:
         """The path as an expression of time; None if it is none, but a table."""
         return None
@@ -136,9 +151,61 @@ class Reference(ABC):
         values = self._derivatives(np.atleast_1d(times), order)
         return values if times.ndim else values[0]
 
+    def enclosure(self, a: FloatArray, b: FloatArray, order: int, degree: int = 10) -> tuple[FloatArray, FloatArray]:
+        """Enclose the path and its derivatives on intervals by polynomials: interpolated at Chebyshev points.
+
+        Parameters
+        ----------
+        a, b : ndarray, shape (N,)
+            Begin and end of intervals in s; none has one of the `joints` inside.
+        order : int
+            Highest derivative wanted.
+        degree : int
+            Of the polynomials.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (N, order + 1, dimension, degree + 1)
+            Of Chebyshev polynomials in time, scaled to [-1, 1] on the interval.
+        radii : ndarray, shape (N, order + 1, dimension)
+            Largest distance of a derivative from its polynomial; infinite where nothing bounds it.
+        """
+        nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
+        middle, half = (a + b) / 2.0, (b - a) / 2.0
+        t = middle[:, None] + half[:, None] * nodes
+        values = self.jet(t.ravel(), order).reshape(*t.shape, order + 1, self.dimension)
+        inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+        bounds = self._bounds(a, b, order + degree + 1)
+        # Chebyshev interpolation: |f - p| <= h^(n+1) sup|f^(n+1)| / (2^n (n+1)!).
+        share = (half ** (degree + 1) / (2.0**degree * factorial(degree + 1)))[:, None, None]
+        late = 4.0 * _UNIT * np.maximum(np.abs(a), np.abs(b))[:, None, None]
+        # Values are rounded as shares of what is largest on the analytic piece around an interval.
+        piece = np.clip(np.searchsorted(self.joints, middle) - 1, 0, len(self.joints) - 2)
+        radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * _peaks(self, order)[piece]
+        return np.einsum("ij,njkd->nkdi", inverse, values), 1.001 * radii
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives of polynomials on intervals by Taylor's formula, shape (N, order + 1, dimension)."""
+        if (degree := self.degree) is None:
+            return np.full((len(a), order + 1, self.dimension), np.inf)
+        jets, up = np.abs(self.jet((a + b) / 2.0, degree)), np.arange(degree + 1) - np.arange(order + 1)[:, None]
+        shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
+        return np.asarray(
+            1.001 * np.einsum("nkj,njd->nkd", shares * ((b - a) / 2.0)[:, None, None] ** np.maximum(up, 0), jets)
+        )
+
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         """Answer `jet` for checked arguments: times (N,) to derivatives (N, order+1, dimension)."""
+
+
+@made_once
+def _peaks(path: Reference, order: int) -> FloatArray:
+    """Bound the derivatives of a path on each of its analytic pieces, shape (pieces, order + 1, dimension)."""
+    fractions = np.linspace(0.0, 1.0, _PARTS + 1)
+    grid = path.joints[:-1, None] + np.diff(path.joints)[:, None] * fractions
+    bounds = path._bounds(grid[:, :-1].ravel(), grid[:, 1:].ravel(), order)
+    return np.asarray(bounds.reshape(len(grid), _PARTS, order + 1, path.dimension).max(axis=1))
 
 
 def numbers_of(values: npt.ArrayLike, what: str) -> FloatArray:

@@ -48,6 +48,13 @@ class Periodic(Reference):
         halves = np.ceil(2.0 * len(self.cosines) * self.duration / self.period)
         return np.linspace(self.start_time, self.end_time, int(np.clip(halves, 1, MOST_STRETCHES)) + 1)
 
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:  # noqa: ARG002 - alike on all intervals
+        """Bound derivatives by the amplitudes of all harmonics."""
+        rates = 2.0 * np.pi / self.period * np.arange(1.0, len(self.cosines) + 1.0)
+        bounds = np.vander(rates, order + 1, increasing=True).T @ np.hypot(self.cosines, self.sines)
+        bounds[0] += np.abs(self.centre)
+        return np.tile(1.001 * bounds, (len(a), 1, 1))
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         turn = np.fmod(t - self.start_time, self.period) / self.period
         harmonics = np.arange(1.0, len(self.cosines) + 1.0)

@@ -80,6 +80,11 @@ class PiecewisePolynomial(Reference):
         """The knots."""
         return self.knots
 
+    @property
+    def degree(self) -> int:
+        """Degree of the pieces."""
+        return int(self.coefficients.shape[1]) - 1
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         gamma = np.empty((t.size, order + 1, self.dimension))
         for first in range(0, t.size, _AT_ONCE):

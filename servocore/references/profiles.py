@@ -39,6 +39,11 @@ class Profile(ABC):
         """The k of C^k, with rest before and after: the highest derivative that starts and ends at zero."""
 
     @property
+    def highest_power(self) -> int | None:
+        """Degree of the polynomials that the law is made of; None if it is made of none."""
+        return None
+
+    @property
     def shortest_duration(self) -> float:
         """Time in s that the law needs at least; 0 for one that stretches to any duration."""
         return 0.0
@@ -156,6 +161,11 @@ class PolynomialProfile(Profile):
         return (self.degree - 1) // 2
 
     @property
+    def highest_power(self) -> int:
+        """The degree."""
+        return self.degree
+
+    @property
     def coefficients(self) -> tuple[int, ...]:
         """Integer coefficients of T^0 ... T^degree, for formulas and for code generation.
 
@@ -219,6 +229,11 @@ class ThreePhaseProfile(Profile):
     def smoothness(self) -> int:
         """Four: s' has the three vanishing derivatives of the degree-7 polynomial."""
         return 4
+
+    @property
+    def highest_power(self) -> int:
+        """Eight: the speed has the degree-7 polynomial."""
+        return 8
 
     @property
     def shortest_duration(self) -> float:

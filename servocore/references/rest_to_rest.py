@@ -49,6 +49,11 @@ class RestToRest(Reference):
         inner = [self.start_time + junction for junction in self.profile.junctions(self.duration)]
         return np.unique([self.start_time, *inner, self.end_time])
 
+    @property
+    def degree(self) -> int | None:
+        """Degree of the time law."""
+        return self.profile.highest_power
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         numbers = [self.start_time, self.end_time, *self.profile.numbers(self.duration, order)]
         law, outside = _law(self.profile, t, numbers, order)

@@ -31,6 +31,17 @@ class TimeAugmented(Reference):
         """Those of the path."""
         return self.path.stretches
 
+    @property
+    def joints(self) -> FloatArray:
+        """Those of the path."""
+        return self.path.joints
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives by those of the path, the time by its ends."""
+        clock = np.zeros((len(a), order + 1, 1))
+        clock[:, 0, 0], clock[:, 1:2] = np.maximum(np.abs(a), np.abs(b)), 1.0
+        return np.concatenate([self.path._bounds(a, b, order), clock], axis=2)
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         clock = np.zeros((len(t), order + 1, 1))
         clock[:, 0, 0] = t

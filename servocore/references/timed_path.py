@@ -14,6 +14,8 @@ import numpy as np
 from servocore.references.base import FloatArray, Reference
 from servocore.references.piecewise import PiecewisePolynomial
 
+_HALVINGS = 60
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedPath(Reference):
@@ -41,6 +43,28 @@ class TimedPath(Reference):
     def stretches(self) -> FloatArray:
         """Those of the law: pieces of the curve meet more smoothly, and often too near to these for rows at both."""
         return self.law.stretches
+
+    @property
+    def joints(self) -> FloatArray:
+        """Those of the law, and the times at which a rising law comes to a joint of the curve, to round-off."""
+        low, high = (np.full(len(self.curve.knots) - 2, t) for t in (self.start_time, self.end_time))
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2.0
+            short = self.law.jet(middle, 0)[:, 0, 0] < self.curve.knots[1:-1]
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return np.unique([*self.law.joints, *high])
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives by the rule of Faa di Bruno: all its factors are positive."""
+        law = self.law._bounds(a, b, order)
+        s, reach = self.law.jet((a + b) / 2.0, 0)[:, 0, 0], law[:, 1, 0] * (b - a) / 2.0
+        s = np.clip(s, 0.0, 1.0)
+        # On the piece of the curve that the middle is on: beyond its ends by round-off that polynomial goes on.
+        piece = np.clip(np.searchsorted(self.curve.knots, s) - 1, 0, len(self.curve.knots) - 2)
+        begin = np.maximum(s - reach, self.curve.knots[piece])
+        end = np.minimum(s + reach, self.curve.knots[piece + 1])
+        slopes = self.curve._bounds(begin, end, order)
+        return np.stack(chained(list(np.moveaxis(slopes, 1, 0)), list(np.moveaxis(law, 1, 0))), axis=1)
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         s = self.law.jet(t, order)[:, :, 0]
@@ -101,6 +125,17 @@ class TimeScaled(Reference):
         """Those of the path."""
         inner = self.start_time + (self.path.stretches[1:-1] - self.start_time) * self.factor
         return np.array([self.start_time, *inner, self.end_time])
+
+    @property
+    def joints(self) -> FloatArray:
+        """Those of the path."""
+        inner = self.start_time + (self.path.joints[1:-1] - self.start_time) * self.factor
+        return np.array([self.start_time, *inner, self.end_time])
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives by those of the path, on intervals enlarged by the rounding of times."""
+        begin, end = (self.start_time + (t - self.start_time) / self.factor for t in (a, b))
+        return self.path._bounds(begin, end, order) / self.factor ** np.arange(order + 1)[:, None]
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         original = self.start_time + (t - self.start_time) / self.factor

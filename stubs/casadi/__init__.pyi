@@ -34,18 +34,23 @@ __version__: str
 pi: float
 inf: float
 
+OP_ACOS: int
 OP_ADD: int
 OP_AND: int
+OP_ASIN: int
 OP_ASSIGN: int
+OP_ATAN: int
 OP_ATAN2: int
 OP_CALL: int
 OP_CEIL: int
 OP_CONST: int
 OP_CONSTPOW: int
+OP_COSH: int
 OP_COPYSIGN: int
 OP_COS: int
 OP_DIV: int
 OP_EQ: int
+OP_EXP: int
 OP_FABS: int
 OP_FLOOR: int
 OP_FMAX: int
@@ -56,6 +61,7 @@ OP_IF_ELSE_ZERO: int
 OP_INPUT: int
 OP_INV: int
 OP_LE: int
+OP_LOG: int
 OP_LT: int
 OP_MUL: int
 OP_NE: int
@@ -67,9 +73,12 @@ OP_POW: int
 OP_REMAINDER: int
 OP_SIGN: int
 OP_SIN: int
+OP_SINH: int
 OP_SQ: int
 OP_SQRT: int
 OP_SUB: int
+OP_TAN: int
+OP_TANH: int
 OP_TWICE: int
 
 class GlobalOptions:

@@ -1,0 +1,343 @@
+"""Statements about a proved motion: limits, signs, constraints left out and masses, by enclosures on halved boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
+from servocore.certificate.equations import Equations, Places
+from servocore.certificate.proof import Interval, Proof
+from servocore.certificate.walk import Walk
+from servocore.model.limits import Limit
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import parts_of
+from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.memoization import made_once
+from servocore.problem import LEFT_OUT_HOLDS
+
+Verdict = Literal["proved", "refuted", "undecided"]
+
+_HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
+_AT_ONCE = 48
+_LIGHT, _HEAVY = 1e-4, 1e4  # times the largest mass: the weight of constraints beside it
+_MASS_HALVINGS = 8
+_NEGATIVE = 1e-9  # of the largest: a mass that is lower is negative
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One thing that is proved, refuted or left undecided.
+
+    Attributes
+    ----------
+    what : str
+        What is stated.
+    verdict : str
+        "proved", "refuted" or "undecided".
+    begin, end : float
+        From when to when, in s.
+    sentence : str
+        Where it fails and by how much, or what was found.
+    time : float or None
+        When it fails.
+    """
+
+    what: str
+    verdict: Verdict
+    begin: float
+    end: float
+    sentence: str
+    time: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Enclosures of quantities on boxes of time and parameters.
+
+    Attributes
+    ----------
+    ring : Arithmetic
+        Of the models.
+    c, r : ndarray, shape (terms, quantities, boxes) and (quantities, boxes)
+        The models.
+    low, high : ndarray, shape (boxes, variables)
+        Corners of the boxes.
+    """
+
+    ring: Arithmetic
+    c: Array
+    r: Array
+    low: Array
+    high: Array
+
+    def bounded(self, k: int) -> tuple[float, float]:
+        """Return the least and the largest value that quantity k can have."""
+        low, high = self.ring.span((self.c[:, k : k + 1], self.r[k : k + 1]))
+        return float(low.min()), float(high.max())
+
+    def of(self, chosen: npt.NDArray[np.bool_]) -> Enclosed:
+        """Return the same on some of the boxes."""
+        return replace(self, c=self.c[..., chosen], r=self.r[:, chosen], low=self.low[chosen], high=self.high[chosen])
+
+    def halved(self) -> Enclosed:
+        """Return the halves of the boxes, each by the variable that its polynomials vary most with."""
+        orders = np.indices([d + 1 for d in self.ring.degrees]).reshape(len(self.ring.degrees), -1)
+        of_its_own = 1.0 / np.maximum(norm(self.c), 1e-300)
+        by = np.stack([(norm(self.c[order > 0]) * of_its_own).sum(axis=0) for order in orders]).argmax(axis=0)
+        parts = list[Enclosed]()
+        for k in range(len(self.ring.degrees)):
+            own = self.of(by == k)
+            middle = (own.low[:, k] + own.high[:, k]) / 2.0
+            for (c, r), early in zip(self.ring.halved((own.c, own.r), k), (True, False), strict=True):
+                low, high = own.low.copy(), own.high.copy()
+                (high if early else low)[:, k] = middle
+                parts.append(Enclosed(self.ring, c, r, low, high))
+        return Enclosed(
+            self.ring, *(np.concatenate([getattr(part, name) for part in parts], axis=axis)
+                         for name, axis in (("c", 2), ("r", 1), ("low", 0), ("high", 0))),
+        )  # fmt: skip
+
+
+def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
+    """Return enclosures of the results of a walk on all intervals within the path."""
+    ring, parts, corners = proofs[0].ring, list[Model](), list[list[tuple[float, ...]]]()
+    for proof in proofs:
+        some = [each for each in proof.intervals if not each.outside]
+        boxes = list(proof.boxed.values())
+        for k in range(0, len(some), _AT_ONCE):
+            parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
+        for each in some:
+            corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
+    c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
+    ends = np.array(corners)
+    return Enclosed(ring, c, r, ends[:, 0], ends[:, 1])
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a quantity keeps its bounds.
+
+    Attributes
+    ----------
+    verdict : str
+        As that of a statement.
+    at : ndarray or None
+        Time and parameters where it fails, or where that is not decided.
+    value : float
+        The quantity there.
+    boxes : int
+        How many were looked at.
+    """
+
+    verdict: Verdict
+    at: Array | None = None
+    value: float = np.nan
+    boxes: int = 0
+
+
+def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decision:
+    """Decide whether quantity k stays from `lower` to `upper` on all boxes, halving those on which it may not."""
+    ring = quantities.ring
+    some = replace(quantities, c=quantities.c[:, k : k + 1], r=quantities.r[k : k + 1])
+    found = doubtful = Decision("proved")
+    seen = 0
+    for _ in range(_HALVINGS):
+        seen += len(some.low)
+        least, most = (each[0] for each in ring.span((some.c, some.r)))
+        some = some.of(~((least >= lower) & (most <= upper)))
+        if not len(some.low):
+            break
+        c, r = some.c[:, 0], some.r[0]
+        values = ring.values(c)
+        noise = r + (len(c) + 8) * UNIT * norm(c)
+        beyond = np.maximum(lower - values, values - upper)
+        certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
+        among = np.flatnonzero(certain) if certain.any() else np.arange(len(r))
+        box = among[int(beyond[:, among].max(axis=0).argmax())]
+        node = int(beyond[:, box].argmax())
+        place = (some.low[box] + some.high[box]) / 2.0 + (some.high[box] - some.low[box]) / 2.0 * ring.nodes[node]
+        value = float(values[node, box]) if np.isfinite(noise[box]) else np.nan
+        found = Decision("refuted" if certain.any() else "undecided", place, value)
+        # Where the radius is more than what the polynomial varies by, halves tell nothing new.
+        useless = ~np.isfinite(r) | (norm(c[1:]) < r / 4.0)
+        if certain.any() or useless.all() or len(r) > _MOST:
+            break
+        doubtful = found if useless.any() else doubtful
+        some, found = some.of(~useless).halved(), doubtful
+    else:
+        found = Decision("undecided", (some.low[0] + some.high[0]) / 2.0, float(some.c[0, 0, 0]))
+    return replace(found, boxes=seen)
+
+
+# Limits and signs -----------------------------------------------------------------------------------------------------
+
+
+@made_once
+def walk_of_limits(equations: Equations, limits: tuple[Limit, ...], rates: bool) -> Walk:
+    """Return what limits compare, or its rates, as a walk."""
+    return equations.walk([limit.on(equations.array.system) for limit in limits], rates)
+
+
+def known(equations: Equations, limit: Limit) -> bool:
+    """Whether the equations enclose all derivatives of the path that a limit compares."""
+    system = equations.array.system
+    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.path_order
+
+
+def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Callable[[Limit], str]) -> list[Statement]:
+    """Decide limits between the instants too, each a statement."""
+    equations = proofs[0].equations
+    path = proofs[0].problem.reference
+    begin, end, statements = path.start_time, path.end_time, list[Statement]()
+    for rates in (False, True):
+        chosen = tuple(limit for limit in limits if limit.rate == rates)
+        usable = tuple(limit for limit in chosen if known(equations, limit))
+        for limit in chosen:
+            if limit not in usable:
+                text = "it depends on higher derivatives of the path than the inputs do"
+                statements.append(Statement(what(limit), "undecided", begin, end, text))
+        if not usable:
+            continue
+        quantities = enclosed(proofs, walk_of_limits(equations, usable, rates))
+        for k, limit in enumerate(usable):
+            decision = decided(quantities, k, limit.bound, limit.upper)
+            if decision.at is None:
+                least, most = quantities.bounded(k)
+                sentence, time = f"it stays from {limit.told(least)} to {limit.told(most)}", None
+            else:
+                sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
+            statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))
+    return statements
+
+
+def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:
+    assert decision.at is not None
+    if not np.isfinite(decision.value):
+        return f"the motion is not proved at t = {decision.at[0]:.6g} s"
+    below = decision.value - limit.bound < limit.upper - decision.value
+    bound = limit.bound if below else limit.upper
+    names = [proof.problem.system.parameters.names[k] for k in proof.boxed]
+    given = "".join(f", {name} = {value:.6g}" for name, value in zip(names, decision.at[1:], strict=True))
+    verb = "it is" if decision.verdict == "refuted" else "not decided: it is about"
+    off = abs(decision.value - bound)
+    why = f", {limit.reason}" if limit.reason else ""
+    return (
+        f"{verb} {limit.told(decision.value)} at t = {decision.at[0]:.6g} s{given}, {limit.told(off)} from the bound"
+        f" of {limit.told(bound)}{why}"
+    )
+
+
+# Constraints left out, and masses -------------------------------------------------------------------------------------
+
+
+def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
+    """State that holonomic constraints left out as redundant hold along the motion."""
+    problem = proofs[0].problem
+    rows = problem.resolved.left_out
+    if not rows.numel():
+        return []
+    equations, system = proofs[0].equations, problem.system
+    nominal = ca.DM(system.coordinates.nominal)
+    gradient = ca.Function("sc_reach", [system.q, system.p, system.time], [
+        ca.densify(ca.mtimes(ca.fabs(ca.jacobian(rows, system.q)), nominal))])  # fmt: skip
+    home, p = system.home_configuration()
+    reach = np.asarray(gradient(home, p, np.zeros(system.time.numel()))).ravel()
+    quantities = enclosed(proofs, equations.walk([rows]))
+    path = problem.reference
+    for k in range(rows.numel()):
+        bound = LEFT_OUT_HOLDS * reach[k]
+        decision = decided(quantities, k, -bound, bound)
+        if decision.verdict != "proved":
+            assert decision.at is not None
+            text = f"constraint {k + 1} of them is off by {abs(decision.value):.3g} at t = {decision.at[0]:.6g} s"
+            return [Statement("redundant constraints hold", decision.verdict, path.start_time, path.end_time, text)]
+    return [Statement("redundant constraints hold", "proved", path.start_time, path.end_time, "")]
+
+
+@made_once
+def _mass_and_constraints(equations: Equations) -> tuple[Walk, list[Places], list[int]]:
+    """Return M and G of parts that neither couples, one after the other, the places of their coordinates, and ends."""
+    system = equations.array.system
+    M, G = ca.densify(system.mass), ca.densify(system.G)
+    couplings = (system.mass + ca.mtimes(system.G.T, system.G) + ca.SX.eye(M.size1())).sparsity()
+    expressions, parts = [ca.SX(0, 1)], [part.rows for part in parts_of(couplings)]
+    for places in parts:
+        own = places.tolist()
+        rows = [k for k in range(G.size1()) if system.G[k, own].nnz()]
+        expressions += [ca.vec(M[own, own]), ca.vec(G[rows, own])]
+    ends = np.cumsum([each.numel() for each in expressions])[::2]
+    return equations.walk([ca.vertcat(*expressions)]), parts, ends.tolist()
+
+
+def mass_statement(proofs: Sequence[Proof]) -> Statement:
+    """State that the mass matrix M is definite on all velocities that the holonomic constraints allow.
+
+    It is if M + w G^T G is, for any weight w > 0: on the kernel of G the second term vanishes. With an approximate
+    factor L of that matrix, |I - L^-1 (M + w G^T G) L^-T| < 1 in the maximum norm shows it (Rump, BIT 46 (2006) 433).
+    A light weight leaves what M says by itself as it is; one that is heavy tells a negative mass from a direction that
+    the constraints exclude.
+    """
+    path, what = proofs[0].problem.reference, "mass matrix definite on all motions that the constraints allow"
+    walk, parts, ends = _mass_and_constraints(proofs[0].equations)
+    every, scale = enclosed(proofs, walk), np.array(proofs[0].problem.system.coordinates.nominal)
+    for part, first, last in zip(parts, ends, ends[1:], strict=False):
+        some = replace(every, c=every.c[:, first:last], r=every.r[first:last])
+        for k in range(_MASS_HALVINGS):
+            some = some.halved() if k else some
+            good, least = _definite(some, scale[part], _LIGHT)
+            if (least < -_NEGATIVE).any() and ((least := _definite(some, scale[part], _HEAVY)[1]) < -_NEGATIVE).any():
+                time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
+                return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
+            some = some.of(~good)
+            if not len(some.low):
+                break
+        else:
+            time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
+            text = f"not decided near t = {time:.6g} s"
+            return Statement(what, "undecided", path.start_time, path.end_time, text, time)
+    return Statement(what, "proved", path.start_time, path.end_time, "")
+
+
+def _definite(some: Enclosed, scale: Array, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
+    low, high = some.ring.span((some.c, some.r))
+    middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
+    boxes, n = middle.shape[1], len(scale)
+    M, dM = (
+        np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius)
+    )
+    rows = (len(middle) - n * n) // n
+    G, dG = (
+        np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) * scale for each in (middle, radius)
+    )
+    largest = np.abs(M).max(axis=(1, 2), keepdims=True)
+    size = np.abs(G).max(axis=(1, 2), keepdims=True, initial=0.0)
+    w = weight * np.where(largest > 0.0, largest, 1.0) / np.where(size > 0.0, size, 1.0) ** 2
+    N = M + w * (G.swapaxes(1, 2) @ G)
+    spread = np.abs(G).swapaxes(1, 2) @ dG
+    dN = (
+        dM
+        + w * (spread + spread.swapaxes(1, 2) + dG.swapaxes(1, 2) @ dG)
+        + 1e-13 * n * np.abs(N).max(axis=(1, 2), keepdims=True)
+    )
+    finite = (np.isfinite(N) & np.isfinite(dN)).all(axis=(1, 2))
+    N, dN = (np.where(finite[:, None, None], each, np.eye(n)) for each in (N, dN))
+    values, vectors = np.linalg.eigh(N)
+    W = (vectors / np.sqrt(np.abs(values))[:, None, :]).swapaxes(1, 2)
+    rest = np.abs(np.eye(n) - W @ N @ W.swapaxes(1, 2)) + np.abs(W) @ dN @ np.abs(W).swapaxes(1, 2)
+    good = finite & (values[:, 0] > 0.0) & (rest.sum(axis=2).max(axis=1) < 1.0 - 1e-9)
+    return good, values[:, 0] / values[:, -1]
+
+
+def unproved(proof: Proof) -> list[Interval]:
+    """Return the intervals without a proof."""
+    return [each for each in proof.intervals if not each.proved]

@@ -1,0 +1,245 @@
+"""Certificates: right motions are proved with the truth inside, wrong ones never, and a cause is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+import test_meeting_branches as meeting
+from present import present
+
+import servocore as sc
+from servocore.certificate import proof
+from servocore.certificate.equations import equations_of
+from servocore.certificate.proof import Proof
+from servocore.certificate.statements import mass_statement
+from servocore.problem import Problem
+from servocore.references.profiles import DEGREE5, DEGREE7
+
+FLAT = [
+    (name, model)
+    for name, make in sc.scenes.REGISTRY.items()
+    for model in make().models
+    if name not in {"mass_on_car", "passive_joint_arm"}
+]
+THOROUGH = [pytest.param(*each, marks=pytest.mark.nightly) if each[1] == "bodies" else each for each in FLAT]
+
+
+def truth(scene: sc.Scene, t: np.ndarray) -> dict[str, np.ndarray]:
+    exact = present(scene.closed_form)
+    return exact(scene.reference.jet(t, scene.closed_form_order), scene.parameter_values())
+
+
+def require_truth_inside(scene: sc.Scene, certificate: sc.Certificate, seed: int = 0) -> None:
+    """Closed forms in double precision are off by round-off themselves."""
+    path = scene.reference
+    t = np.random.default_rng(seed).uniform(path.start_time, path.end_time, 60)
+    tube, exact = certificate.tube(t), truth(scene, t)
+    for name, bound in certificate.error_bounds.items():
+        low, high = tube[name].T
+        assert (low - 1e-11 * bound.peak <= exact[name]).all()
+        assert (exact[name] <= high + 1e-11 * bound.peak).all()
+        assert bound.relative < 1e-9
+
+
+@pytest.mark.parametrize(("name", "model"), THOROUGH)
+def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name: str, model: str) -> None:
+    scene = sc.scenes.REGISTRY[name]()
+    certificate = sc.certify(scene, model=model)
+    assert certificate.verdict == "proved", certificate
+    if scene.closed_form is not None and certificate.error_bounds:
+        require_truth_inside(scene, certificate)
+
+
+def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
+    path = scene.reference
+    ends = np.array([path.start, path.end])  # type: ignore[attr-defined]  # a RestToRest
+    moved = ends + rng.uniform(-0.3, 0.3, ends.shape) * np.maximum(np.abs(ends[1] - ends[0]), 0.1)
+    way = sc.rest_to_rest(*moved, path.duration * rng.uniform(0.7, 1.5), path.profile)  # type: ignore[attr-defined]
+    values = {k: v * rng.uniform(0.7, 1.4) for k, v in scene.parameter_values().items() if k != "gravity"}
+    return scene.with_reference(way).with_parameters(**values)
+
+
+def test_random_paths_and_parameters_of_a_crane_are_proved() -> None:
+    rng = np.random.default_rng(0)
+    for seed in range(5):
+        scene = varied(sc.scenes.overhead_crane(), rng)
+        certificate = sc.certify(scene)
+        assert certificate.verdict == "proved", certificate
+        require_truth_inside(scene, certificate, seed)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("name", "model"), FLAT)
+def test_few_random_paths_and_parameters_stay_undecided(name: str, model: str) -> None:
+    scene, rng, verdicts = sc.scenes.REGISTRY[name](), np.random.default_rng(1), list[str]()
+    if not hasattr(scene.reference, "profile"):
+        pytest.skip("its path is no line from rest to rest")
+    for seed in range(50 if model != "bodies" else 5):
+        subject = varied(scene, rng)
+        certificate = sc.certify(subject, model=model)
+        verdicts.append(certificate.verdict)
+        if certificate.error_bounds and subject.closed_form is not None:
+            require_truth_inside(subject, certificate, seed)
+    assert verdicts.count("undecided") <= 0.06 * len(verdicts), verdicts
+
+
+# Bad cases ------------------------------------------------------------------------------------------------------------
+
+CRANE, OVERHEAD = sc.scenes.rotary_crane(), sc.scenes.overhead_crane()
+QUADROTOR = sc.scenes.quadrotor_with_load()
+
+
+def line(
+    scene: sc.Scene, start: tuple[float, ...], end: tuple[float, ...], duration: float, **more: object
+) -> sc.Scene:
+    return scene.with_reference(sc.rest_to_rest(start, end, duration, **more))  # type: ignore[arg-type]
+
+
+def spiked() -> sc.Scene:
+    return line(QUADROTOR, QUADROTOR.reference.start, (5.91, 2.15), 1.71, profile=QUADROTOR.reference.profile)  # type: ignore[attr-defined]
+
+
+BAD: dict[str, tuple[Callable[[], sc.Scene], str]] = {
+    "through the slewing axis": (
+        lambda: line(CRANE, (3, 0, -5), (-3, 0, -5), 20.0),
+        "comes to zero|slewing axis|singular",
+    ),
+    "a slack rope": (lambda: line(OVERHEAD, (0, -1), (1, -4), 0.9), "slack"),
+    "above the girder": (lambda: line(OVERHEAD, (0, -1), (1, 1), 5.0), "girder|singular"),
+    "two derivatives": (lambda: line(OVERHEAD, (0, -4), (5, -1), 3.0, profile=DEGREE5), "too rough"),
+    "branches that meet": (meeting.scene, "branches meet"),
+    "a spike": (spiked, "between instants"),
+    "a broken limit": (lambda: OVERHEAD.with_limits(F=508.9), "limit of F"),
+    "a broken rate": (lambda: OVERHEAD.with_limits(**{"F.rate": 1000.0}), "F.rate"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_never_proved_and_a_cause_is_told(case: str) -> None:
+    make, cause = BAD[case]
+    certificate = sc.certify(make())
+    assert certificate.verdict != "proved"
+    told = " ".join(str(each) for each in certificate.statements if each.verdict != "proved")
+    assert any(each in told for each in cause.split("|")), told
+
+
+@pytest.mark.parametrize("model", ["points", "generalized"])
+def test_a_limit_wrong_by_a_billionth_is_not_proved_and_one_that_is_right_by_a_millionth_is(model: str) -> None:
+    t = np.linspace(0.0, 3.0, 300_001)
+    peak = np.abs(truth(OVERHEAD, t)["F"]).max()
+    assert sc.certify(OVERHEAD.with_limits(F=peak * (1 - 1e-9)), model=model).verdict != "proved"
+    assert sc.certify(OVERHEAD, limits={"F": peak * (1 + 1e-6)}, model=model).verdict == "proved"
+
+
+def test_a_proof_finds_the_branch_that_a_run_of_many_instants_misses() -> None:
+    """Finding: 100 to 400 steps jump to the other assembly without a word."""
+    certificate = sc.certify(meeting.scene(longer=1e-6))
+    found = {each.what: each.verdict for each in certificate.statements}
+    assert found["one branch from the beginning to the end"] == "proved"
+    low, high = certificate.tube([4.0])["y2"][0]
+    assert low <= 0.11446253077 + 5e-10
+    assert high >= 0.11446253077 - 5e-10
+    assert high - low < 1e-9
+
+
+@pytest.mark.parametrize("model", list(QUADROTOR.models))
+def test_a_spike_between_instants_is_refuted_with_its_value(model: str) -> None:
+    """Finding: the thrust turns fast between two of 201 instants, which show a quarter of the moment."""
+    exact = np.abs(truth(spiked(), np.linspace(0.0, 1.71, 20_001))["M"]).max()
+    statement = next(each for each in sc.certify(spiked(), model=model).statements if each.verdict == "refuted")
+    assert statement.what.startswith("M between instants")
+    assert statement.time == pytest.approx(0.288, abs=1e-3)
+    assert float(statement.sentence.split()[2]) == pytest.approx(exact, rel=1e-2)
+
+
+def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
+    certificate = sc.certify(line(OVERHEAD, (0, -4), (5, -1), 3.0, profile=DEGREE7))
+    assert certificate.verdict == "proved"
+    assert certificate.jumps == (0.0, 3.0)
+
+
+def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, rng = Problem.of(OVERHEAD), np.random.default_rng(2)
+    exact = Proof(problem, {}, 1e-8).run()
+    interpolated = Proof._interpolated
+    for size in 10.0 ** np.arange(-12.0, 0.0):
+
+        def disturbed(self: Proof, x: np.ndarray, size: float = size) -> np.ndarray:
+            return interpolated(self, x * (1.0 + size * rng.normal(size=(len(x), 1))))
+
+        monkeypatch.setattr(Proof, "_interpolated", disturbed)
+        monkeypatch.setattr(proof, "_MOST", 60)
+        tried = Proof(problem, {}, 1e-8).run()
+        monkeypatch.undo()
+        for each in tried.intervals:
+            if each.proved and not each.outside:
+                right = next(k for k in exact.intervals if k.begin <= each.begin < k.end)
+                x = exact.ring.rows(np.array([[2.0 * (each.begin - right.begin) / (right.end - right.begin) - 1.0]]))
+                apart = np.abs(x[0] @ present(right.c) - exact.ring.rows(np.array([[-1.0]]))[0] @ present(each.c))
+                assert (apart <= each.rho + right.rho + 1e-12 * exact.peaks).all(), size
+
+
+# Solutions, parameters ------------------------------------------------------------------------------------------------
+
+
+def test_inputs_of_a_solution_are_compared_with_the_proved_ones() -> None:
+    assert sc.certify(sc.solve(OVERHEAD)).verdict == "proved"
+    stepped = sc.solve(OVERHEAD, sc.Projected(), sc.BackwardEuler(), step=0.01)
+    certificate = sc.certify(stepped)
+    assert certificate.verdict == "refuted"
+    error = np.abs(stepped["F"] - truth(OVERHEAD, stepped.t)["F"]).max()
+    assert certificate.error_bounds["F"].at_instants == pytest.approx(error, rel=1e-6)
+
+
+def test_limits_hold_for_all_parameters_of_a_box_or_are_refuted_with_one() -> None:
+    t, masses = np.linspace(0.0, 20.0, 2001), np.linspace(50.0, 150.0, 21)
+    peak = max(np.abs(truth(CRANE.with_parameters(load_mass=m), t)["M_b"]).max() for m in masses)
+    box = {"load_mass": (50.0, 150.0)}
+    kept = sc.certify(CRANE, limits={"M_b": 1.001 * peak}, parameters=box)
+    assert kept.verdict == "proved", kept
+    for mass in (50.0, 83.0, 150.0):
+        low, high = kept.tube(t)["M_b"].T
+        exact = truth(CRANE.with_parameters(load_mass=mass), t)["M_b"]
+        assert (low <= exact).all()
+        assert (exact <= high).all()
+    broken = sc.certify(CRANE, limits={"M_b": 0.95 * peak}, parameters=box)
+    assert broken.verdict == "refuted"
+    assert "load_mass = " in str(broken)
+
+
+def test_what_cannot_be_certified_is_told() -> None:
+    internal = sc.certify(sc.scenes.mass_on_car())
+    assert internal.verdict == "undecided"
+    assert "internal dynamics" in str(internal)
+    with pytest.raises(sc.InvalidSetting, match="no parameter mass; there are"):
+        sc.certify(OVERHEAD, parameters={"mass": (1.0, 2.0)})
+    with pytest.raises(sc.InvalidSetting, match="must run from a lower to a higher"):
+        sc.certify(OVERHEAD, parameters={"load_mass": (2.0, 1.0)})
+
+
+def test_a_mass_that_is_negative_on_a_motion_is_refuted() -> None:
+    problem = Problem.of(OVERHEAD)
+    shown = Proof(problem, {}, 1e-8).run()
+    assert mass_statement([shown]).verdict == "proved"
+    system = problem.system
+    worse = replace(system, mass=system.mass - 60.0 * ca.diag(ca.vertcat(0, 0, system.q[2], 0)))
+    shown.__dict__["equations"] = replace(
+        equations_of(problem.resolved, False, ()), array=replace(problem.array, system=worse)
+    )
+    assert mass_statement([shown]).verdict == "refuted"
+
+
+def test_nothing_is_known_of_times_far_from_the_path() -> None:
+    tube = sc.certify(OVERHEAD).tube([-9.0, 1.0, 9.0])["F"]
+    assert np.isfinite(tube).all(axis=1).tolist() == [False, True, False]
+
+
+def test_a_certificate_is_short_in_print_and_has_a_plot() -> None:
+    certificate = sc.certify(OVERHEAD)
+    assert repr(certificate).startswith("<Certificate of overhead_crane: proved, ")
+    figure = certificate.plot(["F"])
+    assert len(figure.axes[0].lines) == 2

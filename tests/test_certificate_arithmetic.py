@@ -1,0 +1,175 @@
+"""Chebyshev models against ball arithmetic of 200 bits: no value of an operation lies outside its enclosure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+
+import casadi as ca
+import numpy as np
+import pytest
+from flint import arb, ctx
+
+from servocore.certificate import products
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
+from servocore.certificate.products import convolved
+from servocore.certificate.walk import walk_of
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.machine_code import built
+
+DEGREES = [(10,), (6, 2), (0,), (3, 2, 1)]
+Exact = Callable[..., arb]
+
+
+@pytest.fixture(autouse=True)
+def _precision() -> object:
+    kept, ctx.prec = ctx.prec, 200
+    yield
+    ctx.prec = kept
+
+
+def chebyshev_values(x: float, degree: int) -> list[arb]:
+    """T_0 ... T_degree at a double, exactly but for 200 bits."""
+    values = [arb(1), arb(x)]
+    while len(values) <= degree:
+        values.append(2 * arb(x) * values[-1] - values[-2])
+    return values[: degree + 1]
+
+
+def exact_value(ring: Arithmetic, c: Array, point: Array) -> arb:
+    each = [chebyshev_values(float(x), d) for x, d in zip(point, ring.degrees, strict=True)]
+    basis = reduce(lambda a, b: [x * y for x in a for y in b], each)
+    return sum((arb(float(k)) * t for k, t in zip(c, basis, strict=True)), arb(0))
+
+
+def random_model(rng: np.random.Generator, ring: Arithmetic, count: int, positive: bool = False) -> Model:
+    """Models of any smoothness and size; positive ones vary by less than their middle."""
+    terms = len(ring.nodes)
+    decay = 10.0 ** rng.uniform(-3.0, -0.2, count)
+    orders = np.indices([d + 1 for d in ring.degrees]).reshape(len(ring.degrees), -1).sum(axis=0)
+    size = 10.0 ** rng.uniform(-3.0, 3.0, count)
+    c = rng.normal(size=(terms, count)) * decay ** orders[:, None]
+    if positive:
+        c[0] = np.abs(c[1:]).sum(axis=0) * rng.uniform(1.05, 3.0, count) + rng.uniform(0.1, 1.0, count)
+    else:
+        size = np.minimum(size, 5.0)  # arguments of exp, and turns of angles, stay moderate
+    r = size * rng.choice([0.0, 1e-12, 1e-6], count)
+    return (c * size)[:, :, None], r[:, None]
+
+
+OPERATIONS: dict[str, tuple[int, bool, Callable[..., Model], Exact]] = {
+    "sum": (2, False, lambda ring, a, b: ring.sum(a, b), lambda a, b: a + b),
+    "difference": (2, False, lambda ring, a, b: ring.sum(a, b, -1.0), lambda a, b: a - b),
+    "product": (2, False, lambda ring, a, b: ring.product(a, b), lambda a, b: a * b),
+    "quotient": (2, True, lambda ring, a, b: ring.quotient(a, b), lambda a, b: a / b),
+    "root": (1, True, lambda ring, a: ring.root(a), lambda a: a.sqrt()),
+    "sine": (1, False, lambda ring, a: ring.sine_and_cosine(a)[0], lambda a: a.sin()),
+    "cosine": (1, False, lambda ring, a: ring.sine_and_cosine(a)[1], lambda a: a.cos()),
+    "exponential": (1, False, lambda ring, a: ring.exponential(a), lambda a: a.exp()),
+    "logarithm": (1, True, lambda ring, a: ring.logarithm(a), lambda a: a.log()),
+    "angle": (2, True, lambda ring, a, b: ring.angle(a, b), arb.atan2),
+    "first half": (1, False, lambda ring, a: ring.halved(a, 0)[0], lambda a: a),
+}
+
+
+def require_inside(name: str, degrees: tuple[int, ...], count: int, seed: int) -> None:
+    """Functions within their models, at random points: the exact result is within the radius of the polynomial."""
+    rng, ring = np.random.default_rng(seed), arithmetic(degrees)
+    arguments, positive, operation, exact = OPERATIONS[name]
+    models = [random_model(rng, ring, count, positive) for _ in range(arguments)]
+    c, r = operation(ring, *models)
+    assert np.isfinite(r).mean() > 0.9
+    for k in range(count):
+        point = rng.uniform(-1.0, 1.0, len(degrees)) if k % 4 else rng.choice([-1.0, 1.0], len(degrees))
+        before = point.copy()
+        if name == "first half":
+            before[0] = (point[0] - 1.0) / 2.0
+        at = [before if name == "first half" else point for _ in models]
+        shifts = rng.choice([-1.0, 1.0], len(models))
+        values = [
+            exact_value(ring, a[:, k, 0], x) + arb(float(radius[k, 0])) * arb(float(s))
+            for (a, radius), x, s in zip(models, at, shifts, strict=True)
+        ]
+        off = abs(exact(*values) - exact_value(ring, c[:, k, 0], point))
+        assert not off > arb(float(r[k, 0])), (name, k, off, r[k, 0])
+
+
+@pytest.mark.parametrize("degrees", DEGREES, ids=str)
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_no_result_lies_outside_its_model(name: str, degrees: tuple[int, ...]) -> None:
+    require_inside(name, degrees, 12, 1)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("degrees", DEGREES, ids=str)
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_no_result_of_a_hundred_thousand_lies_outside_its_model(name: str, degrees: tuple[int, ...]) -> None:
+    require_inside(name, degrees, 100_000 // (len(OPERATIONS) * len(DEGREES)) + 1, 2)
+
+
+@pytest.mark.parametrize("degrees", DEGREES, ids=str)
+def test_spans_hold_all_values(degrees: tuple[int, ...]) -> None:
+    rng, ring = np.random.default_rng(3), arithmetic(degrees)
+    c, r = random_model(rng, ring, 200)
+    low, high = ring.span((c, r))
+    values = np.einsum("nt,tk->nk", ring.rows(rng.uniform(-1.0, 1.0, (500, len(degrees)))), c[:, :, 0])
+    assert (values + r[:, 0] <= high[:, 0] + 1e-12).all()
+    assert (values - r[:, 0] >= low[:, 0] - 1e-12).all()
+    widths = np.ptp(values, axis=0) + 2.0 * r[:, 0]
+    assert np.median((high - low)[:, 0] / np.maximum(widths, 1e-300)) < 2.5 if any(degrees) else True
+
+
+@pytest.mark.parametrize("degrees", DEGREES, ids=str)
+def test_machine_code_and_numpy_multiply_alike(degrees: tuple[int, ...]) -> None:
+    rng, terms = np.random.default_rng(4), len(arithmetic(degrees).nodes)
+    a, b = rng.normal(size=(2, terms, 7, 5))
+    code = products.machine_code()
+    build = code._make()
+    assert build is not None
+    built(build)
+    run = code._load(built(build))
+    table, full = products._table(degrees), int(np.prod([2 * d + 1 for d in degrees]))
+    results = np.empty((full, 7, 5))
+    share = 0.5 ** sum(d > 0 for d in degrees)
+    run(terms, table.shape[1], full, table.ctypes.data, share, 35, a.ctypes.data, b.ctypes.data, results.ctypes.data)
+    np.testing.assert_allclose(results, products._in_numpy(degrees, a, b), rtol=0.0, atol=1e-12)
+    assert convolved(degrees, a, b).shape == results.shape
+
+
+EXPRESSIONS: dict[str, tuple[Callable[[ca.SX], ca.SX], Exact]] = {
+    "tanh": (ca.tanh, lambda x: x.tanh()),
+    "asin": (ca.asin, lambda x: x.asin()),
+    "acos": (ca.acos, lambda x: x.acos()),
+    "atan": (ca.atan, lambda x: x.atan()),
+    "cosh": (ca.cosh, lambda x: x.cosh()),
+    "tan": (ca.tan, lambda x: x.tan()),
+    "power": (lambda x: (2 + x) ** 3.5, lambda x: (2 + x) ** arb(3.5)),
+    "whole power": (lambda x: (2 + x) ** -3, lambda x: (2 + x) ** -3),
+    "absolute value": (lambda x: ca.fabs(x - 2), lambda x: abs(x - 2)),
+    "larger": (lambda x: ca.fmax(x, 3), lambda x: arb(3) + 0 * x),
+    "choice": (lambda x: ca.if_else(x < 2, x, 5), lambda x: x),
+    "number": (lambda x: x / 3 + ca.sin(ca.SX(0.1)) * x, lambda x: x / 3 + arb(0.1).sin() * x),
+    "sign": (lambda x: ca.sign(x - 2) + ca.floor(x / 10 + 0.5), lambda x: 0 * x - 1),
+}
+
+
+@pytest.mark.parametrize("name", EXPRESSIONS)
+def test_expressions_are_enclosed_by_the_operations_they_consist_of(name: str) -> None:
+    written, exact = EXPRESSIONS[name]
+    ring, x = arithmetic((10,)), ca.SX.sym("x")
+    c = np.zeros((11, 1, 1))
+    c[:3, 0, 0] = 0.1, 0.4, 0.05
+    found, radius = walk_of(written(x), x)(ring, (c, np.zeros((1, 1))))
+    assert radius[0, 0] < 1e-4
+    for point in np.linspace(-1.0, 1.0, 21):
+        value = exact(exact_value(ring, c[:, 0, 0], np.array([point])))
+        assert not abs(value - exact_value(ring, found[:, 0, 0], np.array([point]))) > arb(float(radius[0, 0]))
+
+
+@pytest.mark.parametrize("written", [ca.fabs, ca.sign, lambda x: ca.if_else(x > 0, 1, 2), lambda x: 1 / x,
+                                     ca.log, lambda x: ca.fmod(x, 2.0)])  # fmt: skip
+def test_nothing_bounds_a_kink_or_a_pole_inside(written: Callable[[ca.SX], ca.SX]) -> None:
+    ring, x = arithmetic((10,)), ca.SX.sym("x")
+    c = np.zeros((11, 1, 1))
+    c[1] = 1.0
+    assert np.isinf(walk_of(written(x), x)(ring, (c, np.zeros((1, 1))))[1]).all()
