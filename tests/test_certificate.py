@@ -13,11 +13,13 @@ from present import present
 
 import servocore as sc
 from servocore.certificate import proof
+from servocore.certificate.certify import Certificate
 from servocore.certificate.equations import equations_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import mass_statement
 from servocore.problem import Problem
 from servocore.references.profiles import DEGREE5, DEGREE7
+from servocore.references.rest_to_rest import RestToRest
 
 FLAT = [
     (name, model)
@@ -33,7 +35,7 @@ def truth(scene: sc.Scene, t: np.ndarray) -> dict[str, np.ndarray]:
     return exact(scene.reference.jet(t, scene.closed_form_order), scene.parameter_values())
 
 
-def require_truth_inside(scene: sc.Scene, certificate: sc.Certificate, seed: int = 0) -> None:
+def require_truth_inside(scene: sc.Scene, certificate: Certificate, seed: int = 0) -> None:
     """Closed forms in double precision are off by round-off themselves."""
     path = scene.reference
     t = np.random.default_rng(seed).uniform(path.start_time, path.end_time, 60)
@@ -56,9 +58,10 @@ def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name:
 
 def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
     path = scene.reference
-    ends = np.array([path.start, path.end])  # type: ignore[attr-defined]  # a RestToRest
-    moved = ends + rng.uniform(-0.3, 0.3, ends.shape) * np.maximum(np.abs(ends[1] - ends[0]), 0.1)
-    way = sc.rest_to_rest(*moved, path.duration * rng.uniform(0.7, 1.5), path.profile)  # type: ignore[attr-defined]
+    assert isinstance(path, RestToRest)
+    ends = np.array([path.start, path.end])
+    start, end = ends + rng.uniform(-0.3, 0.3, ends.shape) * np.maximum(np.abs(ends[1] - ends[0]), 0.1)
+    way = sc.rest_to_rest(start, end, path.duration * rng.uniform(0.7, 1.5), path.profile)
     values = {k: v * rng.uniform(0.7, 1.4) for k, v in scene.parameter_values().items() if k != "gravity"}
     return scene.with_reference(way).with_parameters(**values)
 

@@ -212,7 +212,7 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
             decision = decided(quantities, k, limit.bound, limit.upper)
             if decision.at is None:
                 least, most = quantities.bounded(k)
-                sentence, time = f"it stays from {limit.told(least)} to {limit.told(most)}", None
+                sentence, time = f"it stays from {limit.with_unit(least)} to {limit.with_unit(most)}", None
             else:
                 sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
             statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))
@@ -231,8 +231,8 @@ def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:
     off = abs(decision.value - bound)
     why = f", {limit.reason}" if limit.reason else ""
     return (
-        f"{verb} {limit.told(decision.value)} at t = {decision.at[0]:.6g} s{given}, {limit.told(off)} from the bound"
-        f" of {limit.told(bound)}{why}"
+        f"{verb} {limit.with_unit(decision.value)} at t = {decision.at[0]:.6g} s{given}, {limit.with_unit(off)} from"
+        f" the bound of {limit.with_unit(bound)}{why}"
     )
 
 
