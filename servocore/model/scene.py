@@ -12,7 +12,8 @@ from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
-from servocore.references.base import Reference, require_consistent
+from servocore.references.base import Reference
+from servocore.references.consistency import require_consistent
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Factory of a model. Equal factories share one model; one without a hash makes a new one every time."""
