@@ -99,11 +99,13 @@ QUADROTOR = sc.scenes.quadrotor_with_load()
 def line(
     scene: sc.Scene, start: tuple[float, ...], end: tuple[float, ...], duration: float, **more: object
 ) -> sc.Scene:
-    return scene.with_reference(sc.rest_to_rest(start, end, duration, **more))  # type: ignore[arg-type]
+    return scene.with_reference(sc.rest_to_rest(start, end, duration, **more))  # type: ignore[arg-type]  # of rest_to_rest
 
 
 def spiked() -> sc.Scene:
-    return line(QUADROTOR, QUADROTOR.reference.start, (5.91, 2.15), 1.71, profile=QUADROTOR.reference.profile)  # type: ignore[attr-defined]
+    path = QUADROTOR.reference
+    assert isinstance(path, RestToRest)
+    return line(QUADROTOR, tuple(path.start), (5.91, 2.15), 1.71, profile=path.profile)
 
 
 BAD: dict[str, tuple[Callable[[], sc.Scene], str]] = {

@@ -38,7 +38,7 @@ def cause_of(proof: Proof, each: Interval) -> str:
 
 
 def _slack(proof: Proof, each: Interval) -> str:
-    """Return what comes to its lower bound near an interval: a force in a rope, or a distance that the scene needs."""
+    """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
     problem, system = proof.problem, proof.problem.system
     bounded = [(q.name, 0.0, q.wrong_sign, Named(q.name)(system)) for q in system.observables if q.positive]
     bounded += [

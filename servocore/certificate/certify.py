@@ -38,7 +38,7 @@ _SAMPLES = 401  # of a plot
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """What is proved of a motion, at all times of a run and for all parameters of a box.
+    """Statements proved for a motion, at all times of a run and for all parameters of a box.
 
     Attributes
     ----------
@@ -266,5 +266,5 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
                 verdict, time = "undecided", proof.intervals[places[0]].end
                 sentence = f"not decided at t = {time:.6g} s that the motion goes on as it was before"
             break
-        statements.append(Statement(what, verdict, begin, end, sentence, time))  # type: ignore[arg-type]
+        statements.append(Statement(what, verdict, begin, end, sentence, time))  # type: ignore[arg-type]  # one of three
     return statements

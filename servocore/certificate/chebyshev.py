@@ -151,7 +151,7 @@ class Arithmetic:
 
         T_i T_j = (T_(i+j) + T_|i-j|)/2. A coefficient of the product is a sum of at most N = prod(2 d + 1) products of
         two coefficients, added up in any order: all of them together are off by at most (N + 2) units of
-        |a|_1 |b|_1 (Higham, *Accuracy and Stability*, section 3.1). What lies beyond the degree goes into the radius,
+        |a|_1 |b|_1 (Higham, *Accuracy and Stability*, section 3.1). Terms beyond the degree go into the radius,
         and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
         full = convolved(self.degrees, a[0], b[0])

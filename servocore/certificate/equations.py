@@ -174,7 +174,7 @@ def _raised(array: DerivativeArray) -> DerivativeArray:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Unknowns of equations at instants, in plain floating point: what a proof is tried around.
+    """Unknowns of equations at instants, in plain floating point: centres of the enclosures.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ class Answers:
 
     @cached_property
     def magnitudes(self) -> Array:
-        """What counts as small of each unknown: 1e-6 of its nominal magnitude within the duration of the path."""
+        """Negligible size of each unknown: 1e-6 of its nominal magnitude within the duration of the path."""
         array, duration = self.problem.array, self.problem.reference.duration
         unknowns = self.equations.array.unknowns
         return np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in unknowns])

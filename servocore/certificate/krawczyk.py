@@ -73,7 +73,7 @@ def _joined(x: Array, r: Array, given: Model) -> Model:
 
 
 def _tests(ring: Arithmetic, equations: Equations, residual: Model, jacobian: Model) -> list[tuple[Array, ...]]:
-    """Return what the test takes of the blocks of each stage: all blocks of one size are worked on together."""
+    """Return the arrays of the test for the blocks of each stage: all blocks of one size are handled together."""
     sizes = [stage.rows.shape[1] for stage in equations.stages]
     found = dict[int, tuple[Array, ...]]()
     for size in set(sizes):

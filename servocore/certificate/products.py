@@ -93,7 +93,7 @@ def machine_code() -> JustInTime[_Run]:
         run = getattr(ctypes.CDLL(str(library)), _NAME)
         some, many = ctypes.c_long, ctypes.c_void_p
         run.restype, run.argtypes = None, [some, some, some, many, ctypes.c_double, some, many, many, many]
-        return run  # type: ignore[no-any-return]
+        return run  # type: ignore[no-any-return]  # ctypes finds functions by name
 
     return JustInTime(make, load)
 

@@ -122,7 +122,7 @@ class Proof:
 
     @cached_property
     def answers(self) -> Answers:
-        """What gives approximations."""
+        """The source of approximate solutions."""
         return Answers(self.problem, self.equations)
 
     @cached_property
@@ -229,7 +229,7 @@ class Proof:
         return np.where(np.isfinite(c), c, np.nan)
 
     def first_reach(self, fresh: Sequence[Interval]) -> Array:
-        """Return D (unknowns, intervals) to begin with: what curvature leaves falls with the square of the width."""
+        """Return D (unknowns, intervals) to begin with: the effect of curvature falls with the square of the width."""
         widths = np.array([0.25 ** max(each.depth, 0) for each in fresh])
         return np.asarray(_REACH * self.peaks[:, None] * np.maximum(widths, 1e-6))
 
@@ -297,7 +297,7 @@ class Proof:
         pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
         for k, (a, b) in enumerate(pairs, 1):
             if not a.proved or (not b.guessed and not b.proved):
-                continue  # the branch is lost: what comes later is answered from the guess
+                continue  # the branch is lost: later answers come from the guess
             if b.proved and self._joint(a, b) in {"one branch", "inputs jump"}:
                 continue
             if b.proved and not b.guessed:

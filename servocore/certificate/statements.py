@@ -183,7 +183,7 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
 
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...], rates: bool) -> Walk:
-    """Return what limits compare, or its rates, as a walk."""
+    """Return the limited quantities, or their rates, as a walk."""
     return equations.walk([limit.on(equations.array.system) for limit in limits], rates)
 
 

@@ -1,7 +1,7 @@
 """Enclosures of CasADi expressions: their operations carried out on Chebyshev models, many at once.
 
-Operations of one kind whose arguments are known are carried out together, over all boxes. What depends on numbers
-alone is computed once, as balls. Operations with a kink or a jump are enclosed where their argument stays on one side
+Operations of one kind with known arguments are carried out together, over all boxes. Operations on numbers alone are
+computed once, as balls. Operations with a kink or a jump are enclosed where their argument stays on one side
 of it; elsewhere their radius is infinite, and nothing that depends on them is proved.
 """
 
