@@ -266,7 +266,7 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
                 continue
             if open_:
                 verdict, time = "undecided", open_[0].begin
-                sentence = cause_of(proof, open_[0])
+                sentence = cause_of(proof, open_)
             elif "motion jumps" in joints:
                 verdict, time = "refuted", proof.intervals[places[0]].end
                 sentence = f"coordinates or velocities jump at t = {time:.6g} s: the path is too rough there"

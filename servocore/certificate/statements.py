@@ -306,17 +306,20 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
     every, scale = enclosed(proofs, walk), np.array(proofs[0].problem.system.coordinates.nominal)
     for part, first, last in zip(parts, ends, ends[1:], strict=False):
         some = replace(every, c=every.c[:, first:last], r=every.r[first:last])
+        known = np.isfinite(some.r).all(axis=0)  # halves of others are not known either
+        unknown, some = some.of(~known), some.of(known)
         for k in range(_MASS_HALVINGS):
+            if not 0 < len(some.low) < _MOST:
+                break
             some = some.halved() if k else some
             good, least = _definite(some, scale[part], _LIGHT)
             if (least < -_NEGATIVE).any() and ((least := _definite(some, scale[part], _HEAVY)[1]) < -_NEGATIVE).any():
                 time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
                 return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
             some = some.of(~good)
-            if not len(some.low):
-                break
-        else:
-            time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
+        if len(some.low) or len(unknown.low):
+            first_box = some if len(some.low) else unknown
+            time = float(first_box.low[0, 0] + first_box.high[0, 0]) / 2.0
             text = f"not decided near t = {time:.6g} s"
             return Statement(what, "undecided", path.start_time, path.end_time, text, time)
     return Statement(what, "proved", path.start_time, path.end_time, "")
