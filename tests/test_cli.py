@@ -233,7 +233,9 @@ class TestFeedforward:
             r" effects not included\)",
             told[6],
         )
-        proved = r"  certificate: proved: one regular motion at all times from 0 s to 20 s, inputs within \d\.\de-1[0-4] .*"
+        proved = (
+            r"  certificate: proved: one regular motion at all times from 0 s to 20 s, inputs within \d\.\de-1[0-4] .*"
+        )
         assert re.fullmatch(proved, told[7])
         assert len(told) == 8  # the path of a line is exact
 

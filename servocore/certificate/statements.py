@@ -306,7 +306,7 @@ def mass_statement(proofs: Sequence[Proof]) -> Statement:
     every, scale = enclosed(proofs, walk), np.array(proofs[0].problem.system.coordinates.nominal)
     for part, first, last in zip(parts, ends, ends[1:], strict=False):
         some = replace(every, c=every.c[:, first:last], r=every.r[first:last])
-        known = np.isfinite(some.r).all(axis=0)  # halves of others are not known either
+        known = np.asarray(np.isfinite(some.r).all(axis=0))  # halves of others are not known either
         unknown, some = some.of(~known), some.of(known)
         for k in range(_MASS_HALVINGS):
             if not 0 < len(some.low) < _MOST:

@@ -121,7 +121,7 @@ class StateSelection(Stepped):
         try:
             state, _ = first_state(problem, program, step)
         except InconsistentStart:
-            # States were chosen where nothing is symmetric; at the start, a stretched linkage say, others may be needed.
+            # States were chosen where nothing is symmetric: where a linkage starts stretched, others may be needed.
             formulation = _states_at_start(problem, formulation)
             program = program_of(problem, formulation, self.method, self.native, len(times))
             state, _ = first_state(problem, program, step)
