@@ -15,6 +15,7 @@ from thinned import thinned
 
 import servocore as sc
 from servocore.references.profiles import DEGREE5, DEGREE9
+from servocore.references.rest_to_rest import RestToRest
 
 CRANE, OVERHEAD, GANTRY, BOOM = (
     sc.scenes.REGISTRY[name]() for name in ("rotary_crane", "overhead_crane", "gantry_crane", "boom_crane")
@@ -24,6 +25,12 @@ FAMILIES: dict[str, tuple[Family, str]] = {}
 """A family makes a right or a bad scene by chance; beside it the causes that are true of the bad ones."""
 
 ARM = 1.0  # m, of both links
+
+
+def one_of(rng: np.random.Generator, *scenes: sc.Scene) -> tuple[sc.Scene, RestToRest]:
+    scene = scenes[rng.integers(len(scenes))]
+    assert isinstance(scene.reference, RestToRest)
+    return scene, scene.reference
 
 
 def family(cause: str) -> Callable[[Family], Family]:
@@ -50,11 +57,9 @@ def slack_ropes(rng: np.random.Generator, bad: bool) -> sc.Scene:
     drop, way = rng.uniform(1.0, 4.0), rng.uniform(0.0, 3.0)
     share = rng.uniform(1.05, 2.0) if bad else rng.uniform(0.2, 0.5)
     duration = float(np.sqrt(9.3721 * drop / (share * 9.81)))  # s'' of that law is 9.37 at most
-    scene = rng.choice([OVERHEAD, GANTRY])
-    start, end = (0.0, -1.0), (way, -1.0 - drop)
-    if scene is GANTRY:
-        start, end = (0.0, 0.0, -1.0), (way, 0.5, -1.0 - drop)
-    return line(scene, start, end, duration, profile=DEGREE9)
+    scene, path = one_of(rng, OVERHEAD, GANTRY)
+    aside = (0.0,) * (path.dimension - 2)
+    return line(scene, (0.0, *aside, -1.0), (way, *aside, -1.0 - drop), duration, profile=DEGREE9)
 
 
 @family("branches meet|kink")
@@ -98,7 +103,7 @@ def out_of_reach(rng: np.random.Generator, bad: bool) -> sc.Scene:
     return reaching(rng, rng.uniform(2.01, 3.0) if bad else rng.uniform(1.4, 1.9))
 
 
-@family("mass matrix|singular")
+@family("negative at t")
 def negative_masses(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """The tip of the arm weighs -cos of the elbow's angle: negative once it is stretched to less than a right angle."""
     return reaching(rng, rng.uniform(1.6, 1.9) if bad else rng.uniform(0.7, 1.2), -1.0)
@@ -107,20 +112,20 @@ def negative_masses(rng: np.random.Generator, bad: bool) -> sc.Scene:
 @family("too rough")
 def rough_paths(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """Laws that start with a jump of the third derivative: too few for cranes, enough with one that starts smoothly."""
-    scene = rng.choice([OVERHEAD, GANTRY, BOOM, CRANE, QUADROTOR])
-    path = scene.reference
-    ends = np.array([path.start, path.end]) + rng.uniform(-0.1, 0.1, (2, path.dimension))
-    return line(scene, *ends, path.duration * rng.uniform(1.0, 1.5), profile=DEGREE5 if bad else path.profile)
+    scene, path = one_of(rng, OVERHEAD, GANTRY, BOOM, CRANE, QUADROTOR)
+    start, end = np.array([path.start, path.end]) + rng.uniform(-0.1, 0.1, (2, path.dimension))
+    duration = path.duration * rng.uniform(1.0, 1.5)
+    return line(scene, tuple(start), tuple(end), duration, profile=DEGREE5 if bad else path.profile)
 
 
 @family("between instants")
 def spikes(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """Lines on which the thrust of a quadrotor turns fast between two of 201 instants, by the closed form."""
-    start = np.asarray(QUADROTOR.reference.start)
+    _, path = one_of(rng, QUADROTOR)
     while True:
         sharp = rng.uniform(1.6, 1.8) if bad else rng.uniform(2.5, 4.0)
-        way = (start[0] + rng.uniform(5.0, 7.0), start[1] + rng.uniform(1.0, 3.0))
-        scene = line(QUADROTOR, tuple(start), way, sharp, profile=QUADROTOR.reference.profile)
+        way = (path.start[0] + rng.uniform(5.0, 7.0), path.start[1] + rng.uniform(1.0, 3.0))
+        scene = line(QUADROTOR, path.start, way, sharp, profile=path.profile)
         most = [np.abs(truth(scene, np.linspace(0.0, sharp, n))["M"]).max() for n in (201, 40_001)]
         if (most[1] > 2.1 * most[0]) == bad:
             return scene
@@ -129,14 +134,14 @@ def spikes(rng: np.random.Generator, bad: bool) -> sc.Scene:
 @family("limit of ")
 def narrow_limits(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """Limits a billionth below the largest value between 100,001 instants, or a millionth above it."""
-    scene = rng.choice([OVERHEAD, GANTRY, CRANE, QUADROTOR])
+    scene, path = one_of(rng, OVERHEAD, GANTRY, CRANE, QUADROTOR)
     scene = scene.with_parameters(load_mass=scene.parameter_values()["load_mass"] * rng.uniform(0.7, 1.4))
-    path = scene.reference
     values = truth(scene, np.linspace(path.start_time, path.end_time, 100_001))
     name = rng.choice([each.name for each in scene.model().inputs])
     low, high = values[name].min(), values[name].max()
     size = max(abs(low), abs(high)) * (-1e-9 if bad else 1e-6)
-    return scene.with_limits(**{name: (low - size, high + size)})
+    limited: sc.Scene = scene.with_limits(**{name: (low - size, high + size)})
+    return limited
 
 
 @pytest.mark.parametrize(

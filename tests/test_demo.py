@@ -71,7 +71,7 @@ class TestDemo:
         assert re.search(r"the scheme of the paper .*step of 0\.2 s its M_b is off by 4\d\.\d %", paper)
         text = (done.folder / "report.html").read_text(encoding="utf-8")
         said = ("numerical residual of the inputs", "scheme of the paper, step", "By default the inputs are computed",
-                "For comparison, the scheme of the paper", certificate)  # fmt: skip
+                "For comparison, the scheme of the paper", certificate[:40])  # fmt: skip
         assert sorted(text.index(each) for each in said) == [text.index(each) for each in said]
         assert text.index(said[0]) < text.index("scheme of the paper")
 

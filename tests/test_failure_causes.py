@@ -371,9 +371,8 @@ def test_friction_that_is_smooth_but_steep_ends_soon(slip: float) -> None:
 def test_a_rope_that_goes_slack_is_told_with_the_time_and_a_duration_that_would_do(name: str) -> None:
     """Without the limits of the scene, by the rope's length alone: 1.2 g downwards at the peak of degree 9."""
     crane = replace(scene(name), limits=())
-    start = np.array(crane.reference.start)
-    start[-1], end = -1.5, start + 0.3 * (np.arange(len(start)) == 0)
-    end[-1] = -2.5
+    aside = (0.0,) * (crane.reference.dimension - 2)
+    start, end = (0.0, *aside, -1.5), (0.3, *aside, -2.5)
 
     def falling(duration: float) -> sc.Scene:
         return crane.with_reference(sc.rest_to_rest(start, end, duration))
