@@ -112,7 +112,7 @@ class Proof:
     @cached_property
     def equations(self) -> Equations:
         """The equations."""
-        return equations_of(self.problem.resolved, self.raised, tuple(self.boxed))
+        return equations_of(self.problem.resolved, self.raised)
 
     @cached_property
     def ring(self) -> Arithmetic:
