@@ -21,7 +21,7 @@ from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, nominal
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+from servocore.structure.inversion import inversion
 
 Places = npt.NDArray[np.intp]
 
@@ -129,24 +129,15 @@ class Answers:
 
     def from_guess(self, t: Array, p: Array) -> Array:
         """Return the unknowns (size, N) at instants with parameters (n_p, N), from the model's guess; NaN for none."""
-        inverse, jets = inversion(self.problem.array), self._jets(t, self.problem.array.reference_order)
-        (found,), left = _at_points(inverse.guess, jets, p), np.arange(len(t))
-        if inverse.expression is not None:
-            candidate, _, residual = _at_points(inverse.expression, jets, p)
-            good = residual.max(axis=0) < LARGEST_RESIDUAL
-            found, left = np.where(good, candidate, found), np.flatnonzero(~good)
-        if len(left):
-            found[:, left] = self._searched(jets[left], p[:, left], found[:, left])
-        return self._completed(found, t, p)
+        jets = self._jets(t, self.problem.array.reference_order)
+        found, _, residual = _at_points(inversion(self.problem.array).function, jets, p)
+        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
 
     def from_near(self, t: Array, p: Array, guess: Array) -> Array:
         """Return the same by Newton's method from guesses (size, N)."""
         jets = self._jets(t, self.problem.array.reference_order)
-        return self._completed(self._searched(jets, p, guess[self._own]), t, p)
-
-    def _searched(self, jets: Array, p: Array, guess: Array) -> Array:
-        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess)
-        return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
+        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess[self._own])
+        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
 
     @cached_property
     def _own(self) -> list[int]:

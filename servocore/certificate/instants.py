@@ -156,11 +156,13 @@ def at_times(proof: Proof, t: Array) -> Model:
     elsewhere = np.abs(position) > 1.0 + 1e-9
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
-    c = np.stack([each.c for each in some if each.c is not None], axis=2)
-    shaped = c.reshape(basis.shape[1], -1, *c.shape[1:])
-    x = np.einsum("ni,ijkn->jkn", basis, shaped)
+    c = np.stack([each.c for each in proof.intervals if each.c is not None])
+    terms, unknowns = basis.shape[1], c.shape[2]
+    shaped = c.reshape(len(c), terms, -1)
+    x = (basis[:, None] @ shaped[numbers]).reshape(len(t), -1, unknowns).transpose(1, 2, 0)
     late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
-    noise = np.einsum("i,ijkn->kn", np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped)) * late
+    share = (np.arange(terms) ** 2.0 + 12.0) @ np.abs(shaped)
+    noise = share.reshape(len(c), -1, unknowns).sum(axis=1)[numbers].T * late
     bad = elsewhere | ~np.isfinite(x).all(axis=(0, 1))
     rho = np.stack([each.rho for each in some], axis=1) + noise
     x, rho = np.where(bad, 0.0, x), np.where(bad, np.inf, rho)

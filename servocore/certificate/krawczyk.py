@@ -14,6 +14,7 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import casadi as ca
@@ -45,12 +46,18 @@ class Sums:
     rows: Places
     columns: Places
 
+    @cached_property
+    def first(self) -> Places:
+        """Where rows begin."""
+        return np.flatnonzero(np.diff(self.rows, prepend=-1))
+
     def __call__(self, entries: Array, x: Array) -> Array:
         """Return the product of the matrix with `entries` (N, boxes) and vectors (columns, boxes)."""
+        if len(self.first) == len(x):
+            return np.asarray(np.add.reduceat(entries * x[self.columns], self.first, axis=0))
         product = np.zeros_like(x)
         if len(self.rows):
-            first = np.flatnonzero(np.diff(self.rows, prepend=-1))
-            product[self.rows[first]] = np.add.reduceat(entries * x[self.columns], first, axis=0)
+            product[self.rows[self.first]] = np.add.reduceat(entries * x[self.columns], self.first, axis=0)
         return product
 
 
@@ -64,10 +71,10 @@ class Blocks:
         Equations and unknowns in the order of the form.
     ends : list of int
         Where blocks end, and where the first begins.
-    entries : list of ndarray of int, shape (blocks, size, size)
-        For each size of blocks, places among the entries of the Jacobian; one behind the last where there is none.
-    where : list of ndarray of int, shape (blocks, size, size)
-        Places of the entries of these blocks one behind the other.
+    inside, own : ndarray of int
+        Places, among the entries of all blocks, of those that the Jacobian has, and theirs in the Jacobian.
+    where : list of (int, ndarray of int)
+        Sizes of blocks, and the places of the entries of those of a size, row by row.
     within : Sums
         The blocks.
     beside : Sums
@@ -81,8 +88,9 @@ class Blocks:
     rows: Places
     columns: Places
     ends: list[int]
-    entries: list[Places]
-    where: list[Places]
+    inside: Places
+    own: Places
+    where: list[tuple[int, Places]]
     within: Sums
     beside: Sums
     others: Places
@@ -111,10 +119,10 @@ def blocks_of(equations: Equations) -> Blocks:
     at, column = np.nonzero(same)
     number = np.full((size, size), -1)
     number[at, column] = np.arange(len(at))
-    grouped: dict[int, list[slice]] = {}
+    grouped: dict[int, list[Places]] = {}
     for a, b in pairwise(ends):
-        grouped.setdefault(b - a, []).append(slice(a, b))
-    entries, where = ([np.stack([each[k, k] for k in some]) for some in grouped.values()] for each in (entry, number))
+        grouped.setdefault(b - a, []).append(number[a:b, a:b].ravel())
+    within, inside = entry[at, column], np.flatnonzero(entry[at, column] < none)
     beside = np.nonzero(~same & (entry < none))
     Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(at)), ("J", none), ("r", size)))
     # The form is lower triangular: the first block depends on no other.
@@ -127,7 +135,10 @@ def blocks_of(equations: Equations) -> Blocks:
         tests.append(ca.vec(ca.densify(ca.SX.eye(b - a) - ca.mtimes(inverse, own)).T))
         shifts.append(ca.mtimes(inverse, r[rows[a:b].tolist()]))
     test = walk_of(ca.vertcat(*tests, *shifts), ca.vertcat(Y, J, r))
-    return Blocks(rows, columns, ends, entries, where, Sums(at, column), Sums(*beside), entry[beside], test)
+    where = [(length, np.concatenate(some)) for length, some in grouped.items()]
+    return Blocks(
+        rows, columns, ends, inside, within[inside], where, Sums(at, column), Sums(*beside), entry[beside], test
+    )
 
 
 def radii(
@@ -179,20 +190,22 @@ def joined(a: Model, b: Model) -> Model:
 
 def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
     """Return coefficients (terms, entries, boxes) of interpolated inverses of the blocks; any will do."""
-    values = np.concatenate([ring.values(c), np.zeros((len(c), 1, c.shape[2]))], axis=1)
-    found = np.empty((len(c), len(blocks.within.rows), c.shape[2]))
-    for entries, where in zip(blocks.entries, blocks.where, strict=True):
-        matrices = np.moveaxis(values[:, entries], -1, 2)
-        size = matrices.shape[-1]
+    terms, _, boxes = c.shape
+    values = np.zeros((terms, len(blocks.within.rows), boxes))
+    values[:, blocks.inside] = ring.values(c[:, blocks.own])
+    found = np.empty_like(values)
+    for size, where in blocks.where:
+        matrices = values[:, where]
         if size == 1:
-            inverses = 1.0 / matrices
-        else:
-            matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
-            try:
-                inverses = np.linalg.inv(matrices)
-            except np.linalg.LinAlgError:
-                inverses = np.linalg.pinv(matrices)
-        found[:, where] = np.moveaxis(inverses, 2, -1)
+            found[:, where] = 1.0 / matrices
+            continue
+        matrices = np.moveaxis(matrices.reshape(terms, -1, size, size, boxes), -1, 2)
+        matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
+        try:
+            inverses = np.linalg.inv(matrices)
+        except np.linalg.LinAlgError:
+            inverses = np.linalg.pinv(matrices)
+        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(terms, -1, boxes)
     found = ring.interpolated(found)
     return np.where(np.isfinite(found), found, 0.0)
 

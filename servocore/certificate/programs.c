@@ -72,23 +72,23 @@ static void multiply(long terms, long targets, long full, const long *table, con
     }
 }
 
-/* sizes: terms, targets, coefficients of a product, steps, inputs, outputs, places, boxes. */
-void sc_programs(const long *sizes, const long *table, const long *kept, const long *steps, const long *read,
-                 const long *inputs, const long *written, const long *outputs, double *models, double *scratch,
-                 double rounding)
+/* Steps have an operation, the slot of the result and those of the arguments. Inputs are read from places among the
+   models, an array (rows, places, boxes), to slots, and outputs are written back. */
+void sc_programs(long terms, long targets, long full, const long *table, const long *kept, long count, long reads,
+                 long writes, const long *steps, const long *read, const long *inputs, const long *written,
+                 const long *outputs, long places, long boxes, double *models, double *scratch, double rounding)
 {
-    long terms = sizes[0], targets = sizes[1], full = sizes[2], places = sizes[6], boxes = sizes[7];
     long rows = terms + 1, size = rows * LANES;
     double *results = scratch, *slots = scratch + full * LANES;
     for (long first = 0; first < boxes; first += LANES) {
         long lanes = boxes - first < LANES ? boxes - first : LANES;
-        for (long n = 0; n < sizes[4]; ++n)
+        for (long n = 0; n < reads; ++n)
             for (long k = 0; k < rows; ++k) {
                 const double *from = models + (k * places + inputs[n]) * boxes + first;
                 double *to = slots + read[n] * size + k * LANES;
                 EACH to[l] = l < lanes ? from[l] : 0.0;
             }
-        for (long n = 0; n < sizes[3]; ++n) {
+        for (long n = 0; n < count; ++n) {
             const long *step = steps + 4 * n;
             double *to = slots + step[1] * size, *a = slots + step[2] * size, *b = slots + step[3] * size;
             if (step[0] < 2)
@@ -96,7 +96,7 @@ void sc_programs(const long *sizes, const long *table, const long *kept, const l
             else
                 multiply(terms, targets, full, table, kept, rounding, a, b, results, to);
         }
-        for (long n = 0; n < sizes[5]; ++n)
+        for (long n = 0; n < writes; ++n)
             for (long k = 0; k < rows; ++k) {
                 const double *from = slots + written[n] * size + k * LANES;
                 double *to = models + (k * places + outputs[n]) * boxes + first;

@@ -77,6 +77,12 @@ class Multiplication:
         return np.where(within, np.cumsum(within) - 1, -1)
 
     @cached_property
+    def addresses(self) -> tuple[int, ...]:
+        """Number of terms, of results of a pair and of coefficients of a product, and where the tables are."""
+        sizes = prod(d + 1 for d in self.degrees), self.places.shape[1], len(self.kept)
+        return *sizes, self.places.ctypes.data, self.kept.ctypes.data
+
+    @cached_property
     def rounding(self) -> float:
         """Bound of the rounding errors of a product, as a share of |a|_1 |b|_1.
 
@@ -161,7 +167,7 @@ class Program:
         return [(operation, np.array(members, dtype=np.intp).T) for (_, operation), members in sorted(grouped.items())]
 
     @cached_property
-    def slots(self) -> tuple[Places, Places, Places, int]:
+    def slots(self) -> tuple[list[Places], int]:
         """Steps, inputs and outputs with places that are used again, and how many of them there are."""
         last = {place: at for at, (_, *places) in enumerate(self.steps.tolist()) for place in places}
         last |= dict.fromkeys(self.outputs.tolist(), len(self.steps))
@@ -174,10 +180,15 @@ class Program:
             slot[result] = free.pop()
             found.append([operation, slot[result], *(slot[each] for each in arguments)])
             free += {slot[each] for each in (result, *arguments) if last[each] == at}
-        read, written = (
-            np.array([slot[each] for each in some.tolist()], dtype=np.intp) for some in (self.inputs, self.outputs)
-        )
-        return np.array(found, dtype=np.intp).reshape(-1, 4), read, written, count
+        both = ([slot[each] for each in some.tolist()] for some in (self.inputs, self.outputs))
+        return [np.array(each, dtype=np.intp) for each in (found, *both)], count
+
+    @cached_property
+    def addresses(self) -> tuple[tuple[int, ...], int]:
+        """How many steps, inputs and outputs there are, and where they are; how many places they need."""
+        (steps, read, written), count = self.slots
+        arrays = (steps, read, self.inputs, written, self.outputs)
+        return (len(steps), len(read), len(written), *(each.ctypes.data for each in arrays)), count
 
     def __call__(self, degrees: tuple[int, ...], models: Array) -> None:
         """Carry the steps out on models (terms + 1, places, boxes), radii below the coefficients; results in place."""
@@ -196,12 +207,9 @@ class Program:
                 )
             models[:] = work[:, : models.shape[1]]
             return
-        tables, (steps, read, written, count) = multiplication(degrees), self.slots
+        tables, (own, count) = multiplication(degrees), self.addresses
         scratch = np.empty((count * len(models) + len(tables.kept)) * _LANES)
-        sizes = np.array([len(models) - 1, tables.places.shape[1], len(tables.kept), len(steps), len(read),
-                          len(written), models.shape[1], models.shape[2]], dtype=np.intp)  # fmt: skip
-        arrays = (sizes, tables.places, tables.kept, steps, read, self.inputs, written, self.outputs, models, scratch)
-        run(*(each.ctypes.data for each in arrays), tables.rounding)
+        run(*tables.addresses, *own, *models.shape[1:], models.ctypes.data, scratch.ctypes.data, tables.rounding)
 
 
 @made_once
@@ -215,7 +223,11 @@ def machine_code() -> JustInTime[_Run]:
 
     def load(library: Path) -> _Run:
         run = ctypes.CDLL(str(library)).sc_programs
-        run.restype, run.argtypes = None, [*[ctypes.c_void_p] * 10, ctypes.c_double]
+        some, many = ctypes.c_long, ctypes.c_void_p
+        run.restype, run.argtypes = None, [
+            some, some, some, many, many, some, some, some, many, many, many, many, many, some, some, many, many,
+            ctypes.c_double,
+        ]  # fmt: skip
         return run
 
     return JustInTime(make, load)
