@@ -20,7 +20,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, magnitude, norm
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.programs import UP, Places
 from servocore.certificate.walk import Walk, walk_of
@@ -31,6 +31,7 @@ _ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
 _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
 _ITERATIONS = 60
+_INVERTED = 4  # degree in time of approximate inverses
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +125,14 @@ def blocks_of(equations: Equations) -> Blocks:
         grouped.setdefault(b - a, []).append(number[a:b, a:b].ravel())
     within, inside = entry[at, column], np.flatnonzero(entry[at, column] < none)
     beside = np.nonzero(~same & (entry < none))
-    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(at)), ("J", none), ("r", size)))
+    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(at)), ("J", len(inside)), ("r", size)))
     # The form is lower triangular: the first block depends on no other.
     tests, shifts = [ca.SX(0, 1)], [ca.SX(0, 1)]
     for a, b in pairwise(ends):
         inverse = ca.reshape(Y[number[a:b, a:b].ravel().tolist()], b - a, b - a).T
         own = ca.SX(b - a, b - a)
         for i, k in zip(*np.nonzero(entry[a:b, a:b] < none), strict=True):
-            own[int(i), int(k)] = J[int(entry[a + i, a + k])]
+            own[int(i), int(k)] = J[int(np.searchsorted(inside, number[a + i, a + k]))]
         tests.append(ca.vec(ca.densify(ca.SX.eye(b - a) - ca.mtimes(inverse, own)).T))
         shifts.append(ca.mtimes(inverse, r[rows[a:b].tolist()]))
     test = walk_of(ca.vertcat(*tests, *shifts), ca.vertcat(Y, J, r))
@@ -172,42 +173,44 @@ def radii(
     wide = np.where(equations.curved[:, None], D, 0.0)
     residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given))
     jacobian = equations.jacobian(ring, joined((x, wide), given))
-    Y = _inverses(blocks, ring, jacobian[0])
-    c, r = blocks.test(ring, joined(joined((Y, np.zeros(Y.shape[1:])), jacobian), residual))
-    found = magnitude((c, r))
+    own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
+    Y = _inverses(blocks, ring, own[0])
+    found = magnitude(blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual)))
     A, Z = found[: Y.shape[1]], np.maximum(found[Y.shape[1] :], _LEAST * sizes[blocks.columns, None])
-    rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, magnitude(jacobian)[blocks.others])
+    beside = magnitude((jacobian[0][:, blocks.others], jacobian[1][blocks.others]))
+    rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, beside)
     first = np.array(blocks.ends)[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
     proved, unsorted = holds.all(axis=0), np.empty_like(rho)
     unsorted[blocks.columns] = np.where(proved, rho, np.inf)
     return unsorted, np.where(proved, -1, blocks.columns[first])
 
 
-def joined(a: Model, b: Model) -> Model:
-    """Return the models of both, one after the other."""
-    return np.concatenate([a[0], b[0]], axis=1), np.concatenate([a[1], b[1]])
+def joined(*some: Model) -> Model:
+    """Return models one after the other."""
+    return np.concatenate([c for c, _ in some], axis=1), np.concatenate([r for _, r in some])
 
 
 def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
-    """Return coefficients (terms, entries, boxes) of interpolated inverses of the blocks; any will do."""
-    terms, _, boxes = c.shape
-    values = np.zeros((terms, len(blocks.within.rows), boxes))
-    values[:, blocks.inside] = ring.values(c[:, blocks.own])
+    """Return coefficients (terms, entries, boxes) of inverses of the blocks, interpolated at few nodes: any will do."""
+    coarse, (terms, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), c.shape
+    nodes = len(coarse.nodes)
+    values = np.zeros((nodes, len(blocks.within.rows), boxes))
+    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ c.reshape(terms, -1)).reshape(nodes, -1, boxes)
     found = np.empty_like(values)
     for size, where in blocks.where:
-        matrices = values[:, where]
         if size == 1:
-            found[:, where] = 1.0 / matrices
+            found[:, where] = 1.0 / values[:, where]
             continue
-        matrices = np.moveaxis(matrices.reshape(terms, -1, size, size, boxes), -1, 2)
+        matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
         matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
         try:
             inverses = np.linalg.inv(matrices)
         except np.linalg.LinAlgError:
             inverses = np.linalg.pinv(matrices)
-        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(terms, -1, boxes)
-    found = ring.interpolated(found)
-    return np.where(np.isfinite(found), found, 0.0)
+        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
+    Y = np.zeros((terms, *found.shape[1:]))
+    Y[:nodes] = coarse.interpolated(found)
+    return np.where(np.isfinite(Y), Y, 0.0)
 
 
 def _fixed(blocks: Blocks, A: Array, Z: Array, Y: Array, J: Array) -> tuple[Array, Array]:

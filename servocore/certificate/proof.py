@@ -28,9 +28,10 @@ _DEGREE = 10
 _FIRST = 8  # intervals of a path to begin with, each piece of it one at the least
 _OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
+_NARROW = 0.05  # of the tolerance
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
-_COARSE, _LESS = 5.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
+_COARSE, _LESS = 40.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
 _AHEAD = 6  # intervals that are followed before they are proved
 _MOST = 1200  # intervals
 _AT_ONCE = 48
@@ -97,7 +98,7 @@ class Proof:
     boxed : dict of int to (float, float)
         Intervals of parameters by number.
     tolerance : float
-        Radius of the inputs at which no interval is halved any more, of their peaks.
+        Of the inputs, of their peaks: their enclosures are narrower.
     raised : bool
         Whether rates are enclosed too.
     """
@@ -176,9 +177,14 @@ class Proof:
         last = norm(c.reshape(_DEGREE + 1, -1, *c.shape[1:])[-2:].reshape(-1, *c.shape[1:]))
         most = (last / self.peaks[:, None])[self._curved_or_input].max(axis=0)
         depth = np.array([each.depth for each in fresh])
-        halvings = np.ceil(np.log(most / (_COARSE * min(max(self.tolerance, 1e-11), 1e-7))) / -np.log(_LESS))
+        halvings = np.ceil(np.log(most / (_COARSE * np.clip(self.narrow, 1e-12, 1e-8))) / -np.log(_LESS))
         known = np.where(np.isfinite(halvings), halvings, 0.0)
         return [int(each) for each in np.clip(known, 0.0, np.maximum(_GUESSED - depth, 0))]
+
+    @property
+    def narrow(self) -> float:
+        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
+        return self.tolerance if self.boxed else _NARROW * self.tolerance
 
     @cached_property
     def _curved_or_input(self) -> npt.NDArray[np.bool_]:
@@ -190,7 +196,7 @@ class Proof:
     def _too_wide(self, each: Interval) -> bool:
         """Whether an interval is not proved well enough, and halves may help."""
         relative = self.relative_radius(each)
-        enough = each.proved and (relative <= self.tolerance or relative > each.before / 2.0)
+        enough = each.proved and (relative <= self.narrow or relative > each.before / 2.0)
         return not enough and each.depth < (_DEEPEST if each.proved or each.source else _GUESSED)
 
     def relative_radius(self, each: Interval) -> float:
@@ -240,7 +246,7 @@ class Proof:
 
     def first_reach(self, fresh: Sequence[Interval]) -> Array:
         """Return D (unknowns, intervals) to begin with: the effect of curvature falls with the square of the width."""
-        widths = np.array([0.25 ** max(each.depth, 0) for each in fresh])
+        widths = np.array([0.5 ** max(each.depth, 0) for each in fresh])
         return np.asarray(_REACH * self.peaks[:, None] * np.maximum(widths, 1e-6))
 
     def given(self, some: Sequence[Interval]) -> Model:
