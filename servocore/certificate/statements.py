@@ -339,8 +339,7 @@ def _indefinite(proofs: Sequence[Proof], coupled: tuple[int, ...], tries: int) -
 
 def _definite(some: Enclosed, n: int, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
     """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
-    low, high = some.ring.span((some.c, some.r))
-    middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
+    middle, radius = some.c[0], (norm(some.c[1:]) + some.r) * (1.0 + 1e-12)
     boxes = middle.shape[1]
     M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) for each in (middle, radius))
     rows = (len(middle) - n * n) // n
