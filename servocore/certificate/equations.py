@@ -18,10 +18,11 @@ from servocore.certificate.chebyshev import Arithmetic, Model
 from servocore.certificate.walk import Walk, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, nominal
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import Inversion, inversion
 
 Places = npt.NDArray[np.intp]
 
@@ -129,8 +130,9 @@ class Answers:
 
     def from_guess(self, t: Array, p: Array) -> Array:
         """Return the unknowns (size, N) at instants with parameters (n_p, N), from the model's guess; NaN for none."""
-        jets = self._jets(t, self.problem.array.reference_order)
-        found, _, residual = _at_points(inversion(self.problem.array).function, jets, p)
+        array = self.problem.array
+        inverse = _in_machine_code(array).best(len(t)) or inversion(array)
+        found, _, residual = _at_points(inverse.function, self._jets(t, array.reference_order), p)
         return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
 
     def from_near(self, t: Array, p: Array, guess: Array) -> Array:
@@ -188,6 +190,12 @@ class Answers:
             if higher == order + 1 and before is not None:
                 guess[k] += (x[k] - before[0][k]) * step / before[1]
         return guess
+
+
+@made_once
+def _in_machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
+    """Return the inversion in machine code, once it is worth it."""
+    return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
 
 
 def _solved(matrices: Array, right: Array) -> Array:
