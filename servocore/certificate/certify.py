@@ -258,15 +258,15 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
         ("one motion, regular at all times", ()), ("one branch from the beginning to the end", ("apart", "not proved")),
         ("path smooth enough for the motion", ("motion jumps",)),
     ):  # fmt: skip
-        verdict, sentence, time = "proved", "", None
+        verdict: Verdict = "proved"
+        sentence, time = "", None
         for proof in proofs:
             open_ = unproved(proof) if not joints else []
             places = [k for k, joint in enumerate(proof.joints) if joint in joints]
             if not open_ and not places:
                 continue
             if open_:
-                verdict, time = "undecided", open_[0].begin
-                sentence = cause_of(proof, open_)
+                verdict, time, sentence = cause_of(proof, open_)
             elif "motion jumps" in joints:
                 verdict, time = "refuted", proof.intervals[places[0]].end
                 sentence = f"coordinates or velocities jump at t = {time:.6g} s: the path is too rough there"
@@ -274,5 +274,5 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
                 verdict, time = "undecided", proof.intervals[places[0]].end
                 sentence = f"not decided at t = {time:.6g} s that the motion goes on as it was before"
             break
-        statements.append(Statement(what, verdict, begin, end, sentence, time))  # type: ignore[arg-type]  # one of three
+        statements.append(Statement(what, verdict, begin, end, sentence, time))
     return statements
