@@ -111,11 +111,11 @@ def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
     """Return enclosures of the results of a walk on all intervals within the path."""
     ring, parts, corners = proofs[0].ring, list[Model](), list[list[tuple[float, ...]]]()
     for proof in proofs:
-        some = [each for each in proof.intervals if not each.outside]
-        boxes = list(proof.boxed.values())
-        for k in range(0, len(some), _AT_ONCE):
-            parts.append(walk(ring, proof.models(some[k : k + _AT_ONCE])))
-        for each in some:
+        inner, boxes = [k for k, each in enumerate(proof.intervals) if not each.outside], list(proof.boxed.values())
+        for k in range(0, len(inner), _AT_ONCE):
+            c, r = (part[..., inner[k : k + _AT_ONCE]] for part in proof.enclosures)
+            parts.append(walk(ring, (c, r)))
+        for each in (proof.intervals[k] for k in inner):
             corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
     c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
     ends = np.array(corners)
