@@ -10,7 +10,8 @@ import numpy as np
 from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import Verdict, known
-from servocore.model.limits import Named
+from servocore.model.limits import Named, reported_quantities
+from servocore.numerics.step_operations import KINKS, holds_any
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-3  # of the duration
@@ -23,9 +24,10 @@ def cause_of(proof: Proof, unproved: Sequence[Interval]) -> tuple[Verdict, float
     Without a cause on the first interval an interval without a solution explains more: where not even the beginning is
     proved, the magnitudes of the unknowns are those of a singularity later on.
     """
-    first, jump = unproved[0], _jump(proof)
-    if jump is not None:
-        return "refuted", *jump
+    first, found = unproved[0], switchings(proof)
+    for time, sentence in found:
+        if sentence:
+            return "refuted", time, sentence
     unsolved = [each for each in unproved if not _is_solved(each)]
     if first is proof.intervals[0] and unsolved and not (_is_solved(first) and _is_kinked(proof, first)):
         first = unsolved[0]
@@ -37,35 +39,42 @@ def _is_solved(each: Interval) -> bool:
 
 
 def _is_kinked(proof: Proof, each: Interval) -> bool:
-    """Whether an interval has no enclosure of the Jacobian even at its polynomials: kinks, jumps, poles."""
-    assert each.c is not None
+    """Whether equations with kinks or jumps, or their Jacobian, have no enclosure even at the polynomials."""
+    if each.c is None or not holds_any(proof.equations.array.residual, KINKS):
+        return False
     (c, r), x = proof.given([each]), each.c[:, :, None]
     arguments = np.concatenate([x, c], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), r])
-    return not np.isfinite(proof.equations.jacobian(proof.ring, arguments)[1]).all()
+    walks = proof.equations.residual, proof.equations.jacobian
+    return not all(np.isfinite(walk(proof.ring, arguments)[1]).all() for walk in walks)
 
 
-def _jump(proof: Proof) -> tuple[float, str] | None:
-    """Return when a coordinate or velocity jumps across short intervals without a proof, and between which values.
+def switchings(proof: Proof) -> list[tuple[float, str]]:
+    """Return when equations with kinks or jumps switch, each with a coordinate or velocity that jumps, if one does.
 
-    Both ends are proved; the change between them is many times what the rates at both could explain.
+    That is across short intervals without a proof between two with one. A jump is many times the change that the rates
+    at both ends could explain.
     """
-    array, order = proof.equations.array, proof.intervals
+    array, order, found = proof.equations.array, proof.intervals, list[tuple[float, str]]()
     proved = [each for each in order if each.proved and not proof.boxed]
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
     for a, b in pairwise(proved):
-        gap = b.begin - a.end
+        gap, between = b.begin - a.end, order[order.index(a) + 1]
         if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
             continue
+        if not (_is_solved(between) and _is_kinked(proof, between)):
+            continue
         left, right = a.c.sum(axis=0), (-1.0) ** np.arange(len(b.c)) @ b.c
+        jumps = ""
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
             rate = place[j, derivative + 1]
             explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate])) + a.rho[k] + b.rho[k]
-            if abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
+            if not jumps and abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
                 what = "the velocity of " * derivative + array.names[j].removeprefix("q.")
-                sentence = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
-                return a.end, f"{sentence}: the equations have a kink or a jump there"
-    return None
+                jumps = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
+                jumps += ": the equations have a kink or a jump there"
+        found.append((a.end, jumps))
+    return found
 
 
 def _sentence(proof: Proof, each: Interval) -> str:
@@ -87,11 +96,12 @@ def _sentence(proof: Proof, each: Interval) -> str:
 def _slack(proof: Proof, each: Interval) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
     problem, system = proof.problem, proof.problem.system
-    bounded = [(q.name, 0.0, q.wrong_sign, Named(q.name)(system)) for q in system.observables if q.positive]
-    bounded += [
+    bounded = [
         (limit.quantity, limit.bound, limit.reason, limit.on(system))
         for limit in problem.limits if limit.of_path and known(proof.equations, limit)
     ]  # fmt: skip
+    signed = [each for each in reported_quantities(system).values() if each.positive]
+    bounded += [(each.name, 0.0, each.wrong_sign, Named(each.name)(system)) for each in signed]
     reach = _NEAR * problem.reference.duration
     near = [
         k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.causes import cause_of
+from servocore.certificate.causes import cause_of, switchings
 from servocore.certificate.instants import ErrorBound, Instants, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
@@ -180,6 +180,8 @@ def certify(
     begin, end = path.start_time, path.end_time
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
+        if solution is not None and solution.error.largest is not None:
+            text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
         return Certificate(
             problem.name, (Statement("one motion", "undecided", begin, end, text),), {}, np.zeros((0, 2))
         )
@@ -194,7 +196,8 @@ def certify(
     statements = [*_motion_statements(proofs)]
     intervals = np.array([(each.begin, each.end) for each in proofs[0].intervals if not each.outside])
     jumps = sorted({a.end for proof in proofs for a, joint in zip(proof.intervals, proof.joints, strict=False)
-                    if joint == "inputs jump"})  # fmt: skip
+                    if joint == "inputs jump"}
+                   | {time for proof in proofs for time, sentence in switchings(proof) if not sentence})  # fmt: skip
     instants = Instants(proofs, solution)
     bounds: dict[str, ErrorBound] = {}
     if all(each.proved for proof in proofs for each in proof.intervals):
@@ -203,7 +206,7 @@ def certify(
     statements += limit_statements(proofs, wanted, lambda limit: f"{LIMIT}{limit.quantity}")
     signs = [
         Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
-        for each in system.observables
+        for each in reported_quantities(system).values()
         if each.positive
     ]
     statements += limit_statements(proofs, signs, lambda limit: f"{limit.quantity} positive")

@@ -130,7 +130,7 @@ def unknowns_at(proof: Proof, t: Array) -> Model:
     a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    models = proof.models(proof.intervals)
+    models = proof.enclosures
     count = len(proof.peaks)
     c, rho = np.moveaxis(models[0][:, :count], 2, 0), models[1][:count, numbers]
     shaped = c.reshape(len(ends), basis.shape[1], -1)

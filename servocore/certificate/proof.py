@@ -136,9 +136,10 @@ class Proof:
     def run(self) -> Proof:
         """Prove what can be proved."""
         self.intervals = self._first_intervals()
-        while len(self.intervals) <= _MOST and (self._tested() or self._followed()):
-            pass
-        self.joints = self._joints()
+        while self._tested() or self._followed():
+            if len(self.intervals) > _MOST:
+                self.joints = self._joints()
+                break
         return self
 
     def _first_intervals(self) -> list[Interval]:
@@ -277,6 +278,11 @@ class Proof:
         rho = np.stack([each.rho if each.proved else unbounded for each in some], axis=1)
         return joined((x, rho), self.given(some))
 
+    @cached_property
+    def enclosures(self) -> Model:
+        """The same on all intervals, once they are final."""
+        return self.models(self.intervals)
+
     # Joints ---------------------------------------------------------------------------------------------------------
 
     def _joints(self) -> list[Joint]:
@@ -312,9 +318,9 @@ class Proof:
 
         From the beginning on; before the first interval that is proved at all, backwards from that.
         """
-        joints = self._joints()
+        self.joints = self._joints()
         for k, (a, b) in enumerate(pairwise(self.intervals), 1):
-            joint = joints[k - 1]
+            joint = self.joints[k - 1]
             if not a.proved or (b.source and not b.proved):
                 continue  # the branch is lost: later answers come from the guess
             if joint in {"one branch", "inputs jump"}:
