@@ -199,6 +199,14 @@ def test_inputs_of_a_solution_are_compared_with_the_proved_ones() -> None:
     assert certificate.error_bounds["F"].at_instants == pytest.approx(error, rel=1e-6)
 
 
+def test_a_solve_refuses_what_its_certificate_refutes_and_warns_of_what_it_leaves_undecided() -> None:
+    assert sc.solve(OVERHEAD.with_limits(F=511.0), certify=True).t[-1] == 3.0
+    with pytest.raises(sc.InvalidReference, match="certificate is refuted: inputs within 0.05 of their peaks"):
+        sc.solve(OVERHEAD, sc.Projected(), sc.BackwardEuler(), step=0.05, certify=True)
+    with pytest.warns(sc.ServocoreWarning, match="certificate is undecided: one motion .*inputs within"):
+        sc.solve(sc.scenes.mass_on_car(), certify=True)
+
+
 def test_limits_hold_for_all_parameters_of_a_box_or_are_refuted_with_one() -> None:
     t, masses = np.linspace(0.0, 20.0, 2001), np.linspace(50.0, 150.0, 21)
     peak = max(np.abs(truth(CRANE.with_parameters(load_mass=m), t)["M_b"]).max() for m in masses)
