@@ -171,6 +171,7 @@ def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path: Path, m
     (tmp_path / "path.csv").write_text(sc.path_to_csv(path))
     result = CliRunner().invoke(app, ["ssp", "-o", "out", "--targets", "host", "--reference", "path.csv"])
     assert result.exit_code == 0, result.output
+    assert "certificate: proved: one regular motion at all times from 0 s to 20 s" in result.stderr
     assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == [
         *(f"{name}.fmu" for name in KINDS), "Crane.ssp",
     ]  # fmt: skip
