@@ -77,7 +77,7 @@ def sanitized(name: str, fmi: int, compiler: list[str], folder: Path) -> str:
     source.mkdir()
     for file, text in fmu_sources(model, fmi).items():
         (source / file).write_text(text, encoding="utf-8")
-    options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-I."]
+    options = ["-std=c99", "-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX", "-g", "-O1" if FULL else "-O0", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-I."]
     build = [*compiler, *options, *SANITIZERS, *compiled_files(model, fmi), "-o", str(library), "-lm"]
     built = subprocess.run(build, cwd=source, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":

@@ -165,7 +165,7 @@ MISTAKES = [
 
 
 def told(host: Host, mistake: Mistake) -> str:
-    """Return the first sentence that a host hears, without where it was found; a PythonFMU has no other sign of most."""
+    """Return the first sentence that a host hears, without where it was found: all that PythonFMUs tell of most."""
     calls = [
         *(lambda name=name, value=value: host.set(**{name: value}) for name, value in mistake.settings.items()),
         lambda: host.fmu.setupExperiment(startTime=mistake.start, stopTime=mistake.stop),

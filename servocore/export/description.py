@@ -139,6 +139,7 @@ def build_description(model: NativeModel) -> bytes:
     sources = _add(configuration, "SourceFileSet", language="C99")
     for name in compiled_files(model, 3):
         _add(sources, "SourceFile", name=name)
+    _add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
     return xml_document(root)
 
 

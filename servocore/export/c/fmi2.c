@@ -1,8 +1,11 @@
 /* FMI 2.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a number; those of choices
    follow after the last one. */
 
-#include "fmi2Functions.h"
 #include "model.h"
+#if !defined(FMI2_OVERRIDE_FUNCTION_PREFIX) && !defined(FMI2_FUNCTION_PREFIX)
+#define FMI2_FUNCTION_PREFIX FUNCTION_PREFIX
+#endif
+#include "fmi2Functions.h"
 #include KERNEL
 
 static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};

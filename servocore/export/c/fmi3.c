@@ -1,8 +1,11 @@
 /* FMI 3.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a variable among ARRAYS;
    those of choices, and of the time, follow after the last one. */
 
-#include "fmi3Functions.h"
 #include "model.h"
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX FUNCTION_PREFIX
+#endif
+#include "fmi3Functions.h"
 #include KERNEL
 
 #define TIME (N_ARRAYS + N_CHOICES)
