@@ -127,7 +127,7 @@ def _export_inverse(
         if file is not None and products.cross_check:
             progress("solving")
             solution = solve(scene, Reduced(), METHOD, step=scene.reference.duration / STEPS, model=model)
-            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem)
+            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem, fmi)
             results |= {file.parent / name: text for name, text in texts.items()}
         if file is not None:
             fmu = export_fmu(scene, made / file.name, fmi=fmi, model=model, targets=targets, progress=progress)
