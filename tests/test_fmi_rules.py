@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from native_fmu import FULL, Native, exported
+from fmpy import read_model_description
+from fmpy.ssp.ssd import validate_tree
+from lxml import etree
+from native_fmu import FULL, Native, exported, native_file
 
+import servocore as sc
 from servocore.export.sources import compiled_files, fmu_sources
+from servocore.export.system import Element, structure, wires_by_name
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -81,3 +87,62 @@ def test_models_are_linked_into_one_program(
             assert host.start().step(0.0, 0.1)
             assert float(found) == pytest.approx(host.values()[0], rel=1e-12, abs=1e-12)
         assert np.isfinite(float(found))
+
+
+# Start values --------------------------------------------------------------------------------------------------------
+
+CRANE = sc.scenes.rotary_crane()
+
+
+@pytest.mark.parametrize(
+    ("start", "sentence"),
+    [
+        ({"load_mass": -5.0}, r"load_mass = -5 kg is outside its range \[0.001, 1e\+09\] kg"),
+        ({"load.position[2]": np.nan}, r"load.position\[2\] = nan m is not a finite number"),
+        ({"gravity": "earth"}, "gravity = 'earth' m/s2 is not a finite number"),
+        ({"load_mas": 5.0}, "rotary_crane has no input or parameter 'load_mas' to start with; there are load.position"),
+        ({"M_b": 5.0}, "no input or parameter 'M_b'"),
+        ({"input_time": "middle"}, "input_time = 'middle' is unknown; it may be start, end"),
+    ],
+)
+def test_start_values_that_an_fmu_would_refuse_are_refused_by_the_export(
+    start: dict[str, float | str], sentence: str, tmp_path: Path
+) -> None:
+    with pytest.raises(sc.InvalidSetting, match=sentence):
+        sc.export_fmu(CRANE, tmp_path / "crane.fmu", start=start, targets="none")
+    assert not list(tmp_path.iterdir())
+
+
+def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path) -> None:
+    """Also where a host cannot set enumerations."""
+    options = sc.PlantOptions(start={"wind[2]": 3.0, "hold": "zero_order"})
+    made = [
+        sc.export_fmu(CRANE, tmp_path / "a.fmu", start={"load_mass": 140.0, "input_time": "end"}, targets="none"),
+        sc.export_plant(CRANE, tmp_path / "b.fmu", options, targets="none"),
+        sc.export_trajectory(
+            CRANE, tmp_path / "c.fmu", sc.TrajectoryOptions(start={"duration": 9.0}, profile="degree13"), targets="none"
+        ),
+    ]
+    found = [{each.name: each.start for each in read_model_description(str(file)).modelVariables} for file in made]
+    assert (found[0]["load_mass"], found[0]["input_time"]) == ("140.0", "2")
+    assert (found[1]["wind"], found[1]["hold"]) == ("0.0 3.0 0.0", "2")
+    assert (found[2]["duration"], found[2]["profile"]) == ("9.0", "2")
+    with pytest.raises(sc.InvalidSetting, match="duration = -1 s is outside its range"):
+        sc.export_trajectory(CRANE, tmp_path / "c.fmu", sc.TrajectoryOptions(start={"duration": -1.0}), targets="none")
+    with pytest.raises(sc.InvalidSetting, match="no input or parameter 'winds'"):
+        sc.export_plant(CRANE, tmp_path / "b.fmu", sc.PlantOptions(start={"winds": 1.0}), targets="none")
+
+
+# Systems -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_system_is_valid_and_declares_its_units() -> None:
+    """SSP 1.0, 5.1.3: the name of a unit must match a Unit entry of the top element; schemas do not see it."""
+    kinds = ("trajectory", "loop", "plant")
+    elements = [Element(kind, kind, native_file(f"rotary_crane {kind}", 2).read_bytes()) for kind in kinds]
+    root = ET.fromstring(structure("system", elements, wires_by_name(elements), 20.0))
+    validate_tree(etree.fromstring(ET.tostring(root)), "SystemStructureDescription.xsd")
+    names = [unit.attrib["name"] for unit in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Unit")]
+    used = {real.attrib["unit"] for real in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Real")}
+    assert used <= set(names)
+    assert len(names) == len(set(names))

@@ -54,7 +54,7 @@ def native_fmu(
     path : Reference, optional
         The path in the trajectory.
     starts : mapping of str to float or str
-        Start values of variables in place of defaults; names that the FMU does not have are ignored.
+        Start values of variables in place of defaults, parameters of the crane among them.
     targets : str, optional
         Platforms, as `sc.export_fmu` takes them.
     progress : callable
@@ -69,7 +69,8 @@ def native_fmu(
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
-            sc.export_trajectory(crane, file, _trajectory(path, starts, deferred_refusals), **common)
+            own = {name: value for name, value in starts.items() if name not in crane.parameter_values()}
+            sc.export_trajectory(crane, file, _trajectory(path, own, deferred_refusals), **common)
         elif kind is CRANE_PLANT:
             sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
         else:
@@ -82,7 +83,7 @@ def native_fmu(
 def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryOptions:
     profile = starts.get("profile")
     named = None if profile in (None, FROM_FILE) else str(profile)
-    numbers = {name: float(value) for name, value in starts.items() if not isinstance(value, str)}
+    numbers = {name: float(value) for name, value in starts.items() if name != "profile"}
     return sc.TrajectoryOptions(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
 
 

@@ -11,9 +11,7 @@ STEPS = 1000
 """Communication steps of the run."""
 
 
-def cross_check_files(
-    scene: Scene, model: InverseModel, solution: Solution, stem: str, fmi: int
-) -> dict[str, str]:
+def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str, fmi: int) -> dict[str, str]:
     """Return inputs along a scene's path, the results of a solution, and the options of a run, by file name.
 
     Inputs have the times of their instants: a run with `input_time` = start extrapolates them over each step, and

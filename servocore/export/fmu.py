@@ -17,7 +17,6 @@ from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
-from servocore.export.variables import with_item, with_starts
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
 
@@ -79,7 +78,7 @@ def export_fmu(
     InvalidReference
         If the scene's own path breaks its limits.
     InvalidSetting
-        If there is no compiler, a platform is unknown, or the file cannot be written.
+        If there is no compiler, a platform is unknown, the file cannot be written, or a start value is impossible.
 
     Examples
     --------
@@ -93,13 +92,8 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    if start is not None:
-        made = replace(
-            made,
-            variables=tuple(with_starts(each, start) for each in made.variables),
-            choices=tuple(with_item(each, start) for each in made.choices),
-        )
-    return written(replace(made, deferred_refusals=deferred_refusals), path, fmi, targets, progress)
+    made = replace(made.with_starts(start or {}), deferred_refusals=deferred_refusals)
+    return written(made, path, fmi, targets, progress)
 
 
 def export_plant(

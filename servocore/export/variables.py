@@ -296,22 +296,23 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
 
 
-def with_item(choice: Choice, start_values: Mapping[str, float | str]) -> Choice:
-    """Return a choice with the item among start values as default; raises `InvalidSetting` if there is no such item."""
-    names, item = [name for name, _ in choice.items], start_values.get(choice.name)
-    if item is None:
-        return choice
+def with_item(choice: Choice, item: float | str) -> Choice:
+    """Return a choice with another default item; raises `InvalidSetting` if there is no such item."""
+    names = [name for name, _ in choice.items]
     if item not in names:
         raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
     return replace(choice, start=names.index(str(item)) + 1)
 
 
-def with_starts(variable: Variable, start_values: Mapping[str, float | str]) -> Variable:
-    """Return a variable with start values by the names of its numbers."""
-    if not variable.starts:
-        return variable
-    values = zip(variable.scalar_names, variable.starts, strict=True)
-    return replace(variable, starts=tuple(float(start_values.get(name, value)) for name, value in values))
+def with_start(variable: Variable, k: int, value: float | str) -> Variable:
+    """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
+    name, unit = variable.scalar_names[k], "" if variable.unit == "1" else f" {variable.unit}"
+    if isinstance(value, str) or not math.isfinite(value):
+        raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
+    if not variable.low <= value <= variable.high:
+        bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
+        raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
+    return replace(variable, starts=(*variable.starts[:k], float(value), *variable.starts[k + 1 :]))
 
 
 def _setting(
