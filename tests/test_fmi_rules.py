@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
+import zipfile
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -136,13 +138,50 @@ def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path
 # Systems -------------------------------------------------------------------------------------------------------------
 
 
+def crane_elements() -> list[Element]:
+    kinds = ("trajectory", "loop", "plant")
+    return [Element(kind, kind, native_file(f"rotary_crane {kind}", 2).read_bytes()) for kind in kinds]
+
+
 def test_a_system_is_valid_and_declares_its_units() -> None:
     """SSP 1.0, 5.1.3: the name of a unit must match a Unit entry of the top element; schemas do not see it."""
-    kinds = ("trajectory", "loop", "plant")
-    elements = [Element(kind, kind, native_file(f"rotary_crane {kind}", 2).read_bytes()) for kind in kinds]
+    elements = crane_elements()
     root = ET.fromstring(structure("system", elements, wires_by_name(elements), 20.0))
     validate_tree(etree.fromstring(ET.tostring(root)), "SystemStructureDescription.xsd")
     names = [unit.attrib["name"] for unit in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Unit")]
     used = {real.attrib["unit"] for real in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Real")}
     assert used <= set(names)
     assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", ["rotary_crane loop", "rotary_crane", "mass_on_car", "cars plant"])
+def test_outputs_list_the_inputs_of_their_derivatives_and_no_others(name: str, fmi: int) -> None:
+    """No declared feedthrough where setting an input changes no output; those with derivatives list their inputs."""
+    description = read_model_description(str(native_file(name, fmi)))
+    text = zipfile.ZipFile(native_file(name, fmi)).read("modelDescription.xml")
+    offers = b"providesDirectionalDerivative" in text
+    assert offers == exported(name).differentiable
+    assert any(each.dependencies for each in description.outputs) == offers
+    with Native(name, fmi) as host:
+        assert host.start().step(0.0, 0.01)
+        before, told = host.values(), host.get(*host.inputs) + 1e-3
+        host.tell(told)
+        assert (host.values() == before).all()
+
+
+def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
+    elements = crane_elements()
+    wires = [*wires_by_name(elements), (("plant", "phi"), ("loop", "measured.phi"))]
+    edges: dict[tuple[str, str], set[tuple[str, str]]] = {}
+    for source, sink in wires:
+        edges.setdefault(source, set()).add(sink)
+    for element in elements:
+        for output in read_model_description(io.BytesIO(element.fmu)).outputs:
+            for each in output.dependencies or ():
+                edges.setdefault((element.name, each.name), set()).add((element.name, output.variable.name))
+    reached = {node: set(after) for node, after in edges.items()}
+    for _ in reached:
+        for after in reached.values():
+            after |= {end for node in list(after) for end in edges.get(node, ())}
+    assert not [node for node, after in reached.items() if node in after]

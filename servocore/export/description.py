@@ -82,6 +82,11 @@ def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
         _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
 
 
+# Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
+# (FMI 3.0.2, 2.4.8): models with directional derivatives, which are those of the last step, list its inputs, others
+# none, so that they declare no algebraic loop.
+
+
 def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
@@ -89,7 +94,7 @@ def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
         used = [k for k, each in enumerate(model.depends[row]) if each]
         count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
         first = [k for k in used if k < count]
-        for parent, on in ((outputs, used), (initial, [*first, *parameters])):
+        for parent, on in ((outputs, used if model.differentiable else ()), (initial, [*first, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
 
@@ -125,7 +130,8 @@ def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
     for output in model.of("output"):
         rows = slice(row, row := row + (output.size or 1))
         used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
-        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies([*used, *time]))
+        listed = [*(used if model.differentiable else ()), *time]
+        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(listed))
         first = [k for k in used if model.variables[k].place < model.numbers("input") - model.measured]
         unknowns.append((numbers[id(output)], [*first, *parameters, *time]))
     for number, on in unknowns:

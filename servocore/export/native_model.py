@@ -155,7 +155,9 @@ class NativeModel:
                 choices[named[name]] = with_item(choices[named[name]], value)
             else:
                 known = ", ".join((*places, *named))
-                raise InvalidSetting(f"{self.title} has no input or parameter {name!r} to start with; there are {known}")
+                raise InvalidSetting(
+                    f"{self.title} has no input or parameter {name!r} to start with; there are {known}"
+                )
         return replace(self, variables=tuple(variables), choices=tuple(choices))
 
     def source(self) -> tuple[str, str]:
