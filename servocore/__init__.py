@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         ServocoreError as ServocoreError,
         ServocoreWarning as ServocoreWarning,
     )
+    from servocore.export.about import About as About
     from servocore.export.estimates import SampledEstimates as SampledEstimates
     from servocore.export.feedback import SampledFeedback as SampledFeedback
     from servocore.export.fmu import (

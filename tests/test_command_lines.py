@@ -102,6 +102,7 @@ OPTIONS = {
     "--targets": Option({"servocore export", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
     "--c": Option(of_servocore({"export"}), "source", Path("source")),
+    "--about": Option(of_servocore({"export"}), "vendor.toml", Path("vendor.toml")),
     "--wasm": Option(of_servocore({"export"}), "crane.wasm", Path("crane.wasm")),
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),

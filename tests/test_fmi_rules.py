@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import subprocess
 import zipfile
 from pathlib import Path
@@ -10,16 +11,19 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from command_lines import CommandLine
 from fmpy import read_model_description
 from fmpy.ssp.ssd import validate_tree
 from lxml import etree
 from native_fmu import FULL, Native, exported, native_file
 
 import servocore as sc
+from servocore.cli.commands import app
 from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.system import Element, structure, wires_by_name
 
 pytestmark = pytest.mark.usefixtures("compiler")
+run = CommandLine(app, "servocore")
 
 # Sources -------------------------------------------------------------------------------------------------------------
 
@@ -185,3 +189,106 @@ def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
         for after in reached.values():
             after |= {end for node in list(after) for end in edges.get(node, ())}
     assert not [node for node, after in reached.items() if node in after]
+
+
+# About ---------------------------------------------------------------------------------------------------------------
+
+VENDOR = """
+version = "4.2"
+author = "Jane Doe"
+company = "ACME"
+license = "proprietary"
+license_text = "terms.txt"
+copyright = "Copyright 2026 ACME */"
+description = "A component of ACME"
+icon = "icon.png"
+documentation = "page.html"
+[annotations."com.acme"]
+order = "17"
+[defaults]
+"""
+
+
+@pytest.fixture
+def vendor(tmp_path: Path) -> Path:
+    """Return a folder with a vendor's files."""
+    contents = {
+        "terms.txt": b"All rights reserved.",
+        "icon.png": b"\x89PNG and so on",
+        "page.html": b"<html>ACME</html>",
+    }
+    for name, content in (contents | {"vendor.toml": VENDOR.encode()}).items():
+        (tmp_path / name).write_bytes(content)
+    return tmp_path
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("kind", "default"), [((), "input_time"), (("--plant",), "hold"), (("--trajectory",), "profile")]
+)
+def test_a_vendor_s_words_stand_in_description_sources_and_documentation(
+    kind: tuple[str, ...], default: str, fmi: int, vendor: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(vendor)
+    (vendor / "vendor.toml").write_text(VENDOR + f'{default} = "{LAST[default]}"\n')
+    line = ("export", "mass_on_car", *kind, "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--about", "vendor.toml")
+    assert run(*line).exit_code == 0
+    with zipfile.ZipFile("x.fmu") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    root = ET.fromstring(members["modelDescription.xml"])
+    wanted = {"version": "4.2", "author": "Jane Doe, ACME", "license": "proprietary",
+              "copyright": "Copyright 2026 ACME */", "description": "A component of ACME"}  # fmt: skip
+    assert {name: root.get(name) for name in wanted} == wanted
+    assert str(root.get("generationTool")).startswith("servocore ")
+    assert root.get("generationDateAndTime")
+    assert [(each.get("name"), each.get("value")) for each in root.iter("Entry")] == [("order", "17")]
+    described = read_model_description("x.fmu", validate=True)  # against the schemas of FMI
+    assert [each.start for each in described.modelVariables if each.name == default] != ["1"]
+    ours = [text for name, text in members.items() if name.startswith("sources/") and "fmi/" not in name
+            and name.endswith((".c", ".h")) and not re.search(r"fmi[23][A-Z]", name)]  # fmt: skip
+    assert all(text.startswith(b"/* Copyright 2026 ACME * /. Licence: proprietary.") for text in ours)
+    assert len(ours) > 4
+    assert members["documentation/index.html"] == b"<html>ACME</html>"
+    assert b"mass_on_car" in members["documentation/model.html"]
+    assert members["documentation/licenses/license.txt"] == b"All rights reserved."
+    assert members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] == b"\x89PNG and so on"
+
+
+LAST = {"input_time": "end", "hold": "zero_order", "profile": "degree13"}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("licence = 'MIT'", "there is no key 'licence'; there are version, author, company, license"),
+        ("version = 3", "version must be a text, not 3"),
+        ("icon = 'none.png'", "icon none.png cannot be read: No such file or directory"),
+        ("icon = 'terms.txt'", "icon = 'terms.txt' must end with .png or .svg"),
+        ("icon = 'page.png'", "page.png is no PNG picture"),
+        ("icon = 'icon.svg'", "FMI 2 has PNG icons only"),
+        ("annotations = 3", "annotations are a table for each tool"),
+        ("[defaults]\ninput_time = 'middle'", "input_time = 'middle' is unknown; it may be start, end"),
+        ("[defaults]\nthe_time = 'end'", "no input or parameter 'the_time'"),
+    ],
+)
+def test_what_a_vendor_cannot_say_is_refused(
+    text: str, sentence: str, vendor: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(vendor)
+    for name in ("page.png", "icon.svg"):
+        (vendor / name).write_text("<svg/>")
+    (vendor / "vendor.toml").write_text(text)
+    line = ("export", "cars", "-o", "x.fmu", "--fmi", "2", "--targets", "none", "--about", "vendor.toml")
+    run.assert_refused(run(*line), sentence)
+    assert not (vendor / "x.fmu").exists()
+
+
+@pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("rotary_crane plant", 3)])
+def test_without_a_vendor_the_project_s_own_words_stand(name: str, fmi: int) -> None:
+    with zipfile.ZipFile(native_file(name, fmi)) as archive:
+        root = ET.fromstring(archive.read("modelDescription.xml"))
+        assert archive.read("sources/instance.h").startswith(
+            b"/* Copyright (c) 2026 the servocore authors. Licence: MIT."
+        )
+    assert (root.get("author"), root.get("license")) == ("The authors of servocore", "MIT")
+    assert root.get("version") in str(root.get("generationTool"))

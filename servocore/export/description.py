@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree as ET
 
+from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
 from servocore.export.variables import INTERNAL_STEP, Choice, Variable
 from servocore.files import xml_document
 
-_TOOL = "servocore"
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"mm": 1e3},
     "rad": {"deg": 57.295779513082323},
@@ -44,7 +44,8 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
     root = ET.Element(
         "fmiModelDescription",
         {"fmiVersion": f"{fmi}.0", "modelName": model.title, "guid" if fmi == 2 else "instantiationToken": token,
-         "description": model.description, "generationTool": _TOOL, **naming},
+         "description": model.about.description or model.description, **model.about.attributes,
+         "generationTool": tool(), **naming},
     )  # fmt: skip
     abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
     simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
@@ -60,9 +61,23 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
         _items(_add(kind, "Enumeration") if fmi == 2 else kind, choice)
     _categories(root)
     _experiment(root, model)
+    if fmi == 2:
+        _annotations(root, model, fmi)
     (_fmi2_variables if fmi == 2 else _fmi3_variables)(_add(root, "ModelVariables"), model)
     (_fmi2_structure if fmi == 2 else _fmi3_structure)(_add(root, "ModelStructure"), model)
+    if fmi == 3:
+        _annotations(root, model, fmi)
     return xml_document(root)
+
+
+def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
+    if not model.about.annotations:
+        return
+    parent = _add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
+    for name, values in model.about.annotations.items():
+        each = _add(parent, "Tool", name=name) if fmi == 2 else _add(parent, "Annotation", type=name)
+        for key, value in values.items():
+            _add(each, "Entry", name=key, value=str(value))
 
 
 def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
+from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.description import build_description, model_description, terminals
 from servocore.export.estimates import SampledEstimates
@@ -36,6 +37,7 @@ def export_fmu(
     routes: SteppedRoutes | None = None,
     start: Mapping[str, float | str] | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -63,6 +65,8 @@ def export_fmu(
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
     deferred_refusals : bool, optional
         Whether values are checked when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
+    about : About, optional
+        Origin and rights of the component, and default items of choices.
     progress : callable
         Called with a phrase for every stage.
 
@@ -93,7 +97,7 @@ def export_fmu(
     if routes is not None:
         made = with_routes(made, scene, routes)
     made = replace(made.with_starts(start or {}), deferred_refusals=deferred_refusals)
-    return written(made, path, fmi, targets, progress)
+    return written(_described(made, about), path, fmi, targets, progress)
 
 
 def export_plant(
@@ -105,6 +109,7 @@ def export_plant(
     model: str | None = None,
     targets: str | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the forward dynamics of a scene as a native FMU for co-simulation: a plant with the scene's inputs.
@@ -125,6 +130,8 @@ def export_plant(
         As of `export_fmu`.
     deferred_refusals : bool, optional
         As of `export_fmu`.
+    about : About, optional
+        As of `export_fmu`.
     progress : callable, optional
         As of `export_fmu`.
 
@@ -143,9 +150,8 @@ def export_plant(
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
     progress("compiling the forward dynamics")
-    return written(
-        replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals), path, fmi, targets, progress
-    )
+    made = replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals)
+    return written(_described(made, about), path, fmi, targets, progress)
 
 
 def export_trajectory(
@@ -157,6 +163,7 @@ def export_trajectory(
     model: str | None = None,
     targets: str | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write a generator of paths for a scene as a native FMU: lines by a time law, or a built-in path.
@@ -177,6 +184,8 @@ def export_trajectory(
         As of `export_fmu`.
     deferred_refusals : bool, optional
         As of `export_fmu`.
+    about : About, optional
+        As of `export_fmu`.
     progress : callable, optional
         As of `export_fmu`.
 
@@ -195,7 +204,12 @@ def export_trajectory(
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
     made = replace(trajectory_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(made, path, fmi, targets, progress)
+    return written(_described(made, about), path, fmi, targets, progress)
+
+
+def _described(model: NativeModel, about: About | None) -> NativeModel:
+    about = about or About()
+    return replace(model.with_starts(about.defaults), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
@@ -209,6 +223,7 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
 def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
     file, names = Path(path), chosen_targets(targets, fmi)
+    model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, progress, model.more_sources)
     write_together({file: zipped(contents(model, fmi, sources, built, names))})
@@ -239,4 +254,6 @@ def contents(
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(model)
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
-    return members
+    if model.about.documentation is not None:
+        members["documentation/model.html"] = page.encode()
+    return members | model.about.files(fmi)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidSetting
+from servocore.export.about import About
 from servocore.export.c_functions import c_source
 from servocore.export.variables import Causality, Choice, Variable, with_item, with_start
 from servocore.model.quantity import Quantity
@@ -93,6 +94,8 @@ class NativeModel:
         Further C sources to compile, with their headers, by file name.
     deferred_refusals : bool
         Whether values are checked when they are used, since the host's setters cannot fail.
+    about : About
+        Origin and rights.
     """
 
     identifier: str
@@ -115,6 +118,7 @@ class NativeModel:
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
     deferred_refusals: bool = False
+    about: About = field(default_factory=About)
 
     @property
     def settings(self) -> tuple[Variable, ...]:

@@ -31,9 +31,9 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 
 def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return all C sources of an FMU by file name, FMI's own headers included."""
+    own = {**_core_sources(model, fmi), f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8")}
     return {
-        **_core_sources(model, fmi),
-        f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8"),
+        **{name: model.about.notice + text for name, text in own.items()},
         **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
     }
 
