@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 import subprocess
 import zipfile
 from pathlib import Path
@@ -13,12 +14,16 @@ import numpy as np
 import pytest
 from command_lines import CommandLine
 from fmpy import read_model_description
+from fmpy.fmi1 import FMICallException
 from fmpy.ssp.ssd import validate_tree
 from lxml import etree
-from native_fmu import FULL, Native, exported, native_file
+from native_fmu import FULL, Native, exported, native_file, path_of
+from present import present
 
 import servocore as sc
 from servocore.cli.commands import app
+from servocore.export import targets
+from servocore.export.c_source import c_files
 from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.system import Element, structure, wires_by_name
 
@@ -292,3 +297,94 @@ def test_without_a_vendor_the_project_s_own_words_stand(name: str, fmi: int) -> 
         )
     assert (root.get("author"), root.get("license")) == ("The authors of servocore", "MIT")
     assert root.get("version") in str(root.get("generationTool"))
+
+
+# Warnings of compilers -----------------------------------------------------------------------------------------------
+
+MODELS = [
+    "mass_on_car",
+    "rotary_crane plant",
+    "rotary_crane trajectory",
+    *(["rotary_crane loop", "limited"] if FULL else []),
+]
+STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only")
+LANGUAGES = {"C99": ("-std=c99", "-Wconversion"), "C11": ("-std=c11",), "C++17": ("-x", "c++", "-std=c++17")}
+
+
+def compilers() -> dict[str, list[str]]:
+    """Return the commands of gcc, and of clang, which is zig's, in `make native`."""
+    found = {"gcc": ["g++"]} if shutil.which("g++") else {}
+    return found | ({"clang": [*zig, "c++", "-Wno-deprecated"]} if FULL and (zig := targets.zig()) else {})
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("name", MODELS)
+def test_compilers_have_nothing_to_say_about_sources(name: str, language: str, tmp_path: Path) -> None:
+    for what in (2, 3, "c"):
+        if what == "c" and " " in name:
+            continue
+        model, folder = exported(name), tmp_path / str(what)
+        folder.mkdir()
+        sources = c_files(model) if what == "c" else fmu_sources(model, int(what))
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        files = [file for file in sources if file.endswith(".c")]
+        for command in compilers().values():
+            words = [*command, *(("-x", "c") if language != "C++17" else ()), *LANGUAGES[language], *STRICT]
+            for file in files:
+                done = subprocess.run([*words, file], cwd=folder, capture_output=True, text=True, check=False)
+                assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_state_with_a_count_of_steps_that_would_overflow_is_refused() -> None:
+    with Native("cars", 2) as host:
+        assert host.start().step(0.0, 0.1)
+        state, after = host.saved(), []
+        for value in (1, 2**63 - 1, -1):
+            (place,) = [k for k in range(0, 80, 8) if state[k : k + 8] == (1).to_bytes(8, "little") and k > 8 * 3]
+            after.append(state[:place] + value.to_bytes(8, "little", signed=True) + state[place + 8 :])
+        host.restore(after[0])
+        for wrong in after[1:]:
+            with pytest.raises(FMICallException):
+                host.restore(wrong)
+
+
+# Descriptions and pages ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", ["rotary_crane trajectory", "mass_on_car"])
+def test_outputs_depend_on_choices_at_the_start(name: str, fmi: int) -> None:
+    description = read_model_description(str(native_file(name, fmi)))
+    choices = {each.name for each in description.modelVariables if each.type == "Enumeration"}
+    for unknown in description.initialUnknowns:
+        assert choices <= {each.name for each in unknown.dependencies}
+
+
+@pytest.mark.parametrize("name", ["rotary_crane plant", "mass_on_car"])
+def test_the_page_tells_ranges_and_what_may_change(name: str) -> None:
+    with zipfile.ZipFile(native_file(name, 2)) as archive:
+        page = archive.read("documentation/index.html").decode()
+    rows = {row.split("</td>")[0].removeprefix("<td>"): row for row in page.split("<tr>") if row.startswith("<td>")}
+    for each in exported(name).of("parameter"):
+        row = rows[each.name + (f"[{each.size}]" if each.size else "")]
+        assert f"<td>{'fixed' if each.fixed else 'tunable'} parameter</td>" in row
+        assert f"{each.low:g} to {each.high:g}" in row or not np.isfinite([each.low, each.high]).all()
+    assert "Parameters may be changed at any time" not in page
+
+
+def test_rates_of_internal_states_are_described_as_rates() -> None:
+    texts = {each.name: each.description for each in exported("mass_on_car").variables}
+    assert texts["internal.s.velocity"].startswith("velocity of s")
+    assert texts["start.s.velocity"].startswith("added to the velocity of s")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_outputs_read_before_the_initialization_are_those_of_its_time(fmi: int) -> None:
+    """Read before the start, and in the initialization, of a run that does not begin at zero."""
+    name = "rotary_crane trajectory"
+    path = present(path_of("rotary_crane"))
+    with Native(name, fmi) as host:
+        host.values()
+        host.start(time=7.0)
+        np.testing.assert_allclose(host.values(), path.jet(7.0, 4).ravel(), atol=1e-9)

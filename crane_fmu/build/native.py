@@ -117,10 +117,10 @@ def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
     """Return the measured quantities with the sizes of vectors, in the order of the law's arguments."""
     units = {each.name: each.unit for each in crane.model().observables}
     motion = [(name, units[name]) for name in ("phi", "s", "l")]
-    rates = [(f"{name}_dot", f"{unit}/s") for name, unit in motion]
+    rates = [(f"{name}_dot", f"{unit}/s", f"rate of {name}") for name, unit in motion]
     load = [(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
-    scalars = [(sc.Quantity(*each, each[0]), None) for each in (*motion, *rates)]
-    return *scalars, *((sc.Quantity(*each), DIMENSION) for each in load)
+    scalars = [(name, unit, name) for name, unit in motion] + rates
+    return *((sc.Quantity(*each), None) for each in scalars), *((sc.Quantity(*each), DIMENSION) for each in load)
 
 
 def _judge() -> ca.Function:

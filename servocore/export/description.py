@@ -105,6 +105,8 @@ def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
 def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
+    count = sum(len(each.scalar_names) for each in model.variables)
+    parameters += range(count, count + len(model.choices))
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
         used = [k for k, each in enumerate(model.depends[row]) if each]
         count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
@@ -140,6 +142,7 @@ def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
     numbers = {id(variable): k for k, variable in enumerate(model.variables)}
     inputs = [numbers[id(variable)] for variable in model.of("input")]
     parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
+    parameters += range(len(numbers), len(numbers) + len(model.choices))
     time = [_time_reference(model)] if model.timed else []
     unknowns, row = [], 0
     for output in model.of("output"):

@@ -19,7 +19,7 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
 }
 
 #define REQUIRE(phases, call) \
-    Instance *instance = component; \
+    Instance *instance = (Instance *)component; \
     if (refused(instance, phases, call)) return fmi3Error
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
@@ -41,7 +41,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return new_instance(name, NULL, token, report, (void (*)(void))logger, environment);
 }
 
-void fmi3FreeInstance(fmi3Instance component) { free_instance(component); }
+void fmi3FreeInstance(fmi3Instance component) { free_instance((Instance *)component); }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
 {
@@ -297,6 +297,10 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance component, const fmi3ValueRefer
 }
 
 /* What there is not ---------------------------------------------------------------------------------------------------- */
+
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
 
 #define NOT_OFFERED(name, ...) \
     fmi3Status name(fmi3Instance component, __VA_ARGS__) \
