@@ -27,8 +27,9 @@ from servocore.errors import InvalidModel
 from servocore.numerics.components import IsomorphicParts, isomorphic_parts
 from servocore.numerics.elimination import (
     KnownValues,
-    dependence,
     is_linear,
+    nonlinear_rows,
+    own_slopes,
     small_inverse_times,
     substituted,
     symbolic_solution,
@@ -188,10 +189,16 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
     system, constants = _without_constants(system)
     for symbol, number in constants:
         known.add_explicit(symbol, number)
-    for block in _blocks(system, unrolled):
-        if unrolled and len(block[0]) > _MOST_UNROLLED:
-            raise _TooLargeError
-        _solve_block(known, _part(system, *block), unrolled)
+    for level in _levels(system, unrolled):
+        single = [block for block in level if len(block[0]) == 1]
+        others = [block for block in level if len(block[0]) > 1]
+        if len(single) > 1:
+            rest = _solve_single(known, _part(system, *(sum(places, []) for places in zip(*single, strict=True))))
+            single = [single[k] for k in rest]
+        for block in (*single, *others):
+            if unrolled and len(block[0]) > _MOST_UNROLLED:
+                raise _TooLargeError
+            _solve_block(known, _part(system, *block), unrolled)
     return known
 
 
@@ -224,24 +231,28 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     (unknown, number).
     """
     constants: list[tuple[ca.SX, ca.SX]] = []
-    while system.unknowns.numel():
-        jacobian = ca.jacobian(without_jumps(system.residual), system.unknowns)
-        pattern = dependence(jacobian)
+    while True:
+        rows, columns = (np.array(each, dtype=np.intp) for each in _dependence(system).get_triplet())
+        alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
+        held = system.residual[rows[alone].tolist()]
+        slopes = own_slopes(without_jumps(held), system.unknowns)
+        at_zero = ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel()))
         explicit: dict[int, tuple[int, ca.SX]] = {}
-        for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
-            j = int(pattern[i].argmax())
-            value = -ca.substitute(system.residual[i], system.unknowns[j], ca.SX(0)) / jacobian[i, j]
-            if jacobian[i, j].is_constant() and value.is_constant():
-                explicit.setdefault(j, (i, value))
+        for k, (i, j) in enumerate(zip(rows[alone].tolist(), columns[alone].tolist(), strict=True)):
+            if slopes[k].is_constant() and at_zero[k].is_constant():
+                explicit.setdefault(j, (i, -at_zero[k] / slopes[k]))
         if not explicit:
-            break
+            return system, constants
         numbers = [(system.unknowns[j], value) for j, (_, value) in explicit.items()]
         constants += numbers
-        kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in explicit.values()]).tolist()
-        kept = np.setdiff1d(range(len(pattern)), list(explicit)).tolist()
-        system = _part(system, kept_rows, kept)
+        every = range(system.unknowns.numel())
+        kept_rows = np.setdiff1d(every, [i for i, _ in explicit.values()]).tolist()
+        system = _part(system, kept_rows, np.setdiff1d(every, list(explicit)).tolist())
         system = replace(system, residual=substituted(numbers, system.residual)[0])
-    return system, constants
+
+
+def _dependence(system: SquareSystem) -> ca.Sparsity:
+    return ca.jacobian_sparsity(system.residual, system.unknowns)
 
 
 def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSystem:
@@ -255,19 +266,43 @@ def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSy
     )
 
 
-def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[int]]]:
-    """Return rows and columns of the diagonal blocks, in the order of solution."""
+def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], list[int]]]]:
+    """Return rows and columns of the diagonal blocks, level by level: a block depends on earlier levels alone."""
     if not system.unknowns.numel():
         return []
-    pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
+    pattern = _dependence(system)
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
     order = sorted if unrolled else list  # blocks of derivatives repeat: sorted, they share their minors
-    return [
-        (order(rows[row_starts[k] : row_starts[k + 1]]), order(columns[column_starts[k] : column_starts[k + 1]]))
-        for k in range(count)
-    ]
+    by_row, level_of = pattern.T, np.full(pattern.size2(), -1)  # -1 while an unknown is not solved
+    starts, held = by_row.colind(), np.array(by_row.row(), dtype=np.intp)
+    levels: list[list[tuple[list[int], list[int]]]] = []
+    for k in range(count):
+        block = rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]]
+        level = 1 + max(int(level_of[held[starts[i] : starts[i + 1]]].max()) for i in block[0])
+        level_of[block[1]] = level
+        levels += [[]] if level == len(levels) else []
+        levels[level].append((order(block[0]), order(block[1])))
+    return levels
+
+
+def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
+    """Solve rows with one unknown each that are linear in it, all at once; return the others.
+
+    Derivatives, substitutions and tests cost as much for one row of equations as for all of them: rows of
+    derivative arrays share most operations.
+    """
+    unknowns, residual = rows.unknowns, rows.residual
+    slopes = own_slopes(residual, unknowns)
+    nonlinear = nonlinear_rows(residual, unknowns, slopes)
+    linear = [k for k in range(unknowns.numel()) if k not in nonlinear]
+    if linear:
+        constant = ca.substitute(residual[linear], unknowns[linear], ca.SX.zeros(len(linear)))
+        slopes, constant = known.resolved(slopes[linear], constant)
+        known.add_explicit(unknowns[linear], -(constant / slopes))
+        known.linear_blocks += len(linear)
+    return sorted(nonlinear)
 
 
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
@@ -276,9 +311,7 @@ def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> Non
     linear = is_linear(residual, unknowns, jacobian)
     if linear and size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
-        solution = -small_inverse_times(jacobian, constant)
-        for k in range(size):
-            known.add_explicit(unknowns[k], solution[k])
+        known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
         known.linear_blocks += 1
         return
     known.evaluate_explicit()
