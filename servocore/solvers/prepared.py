@@ -16,6 +16,7 @@ from numbers import Integral
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import (
@@ -34,13 +35,15 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, call_of, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
-from servocore.solvers.fixed_step_loop import first_state, run_steps
+from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.solve import solve
+from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of
 
 _FEWEST, _GROWTH, _MOST = 4, 1.15, 2000  # elements that are tried
@@ -127,8 +130,11 @@ def prepare(
     if not problem.flat and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
     exact = solve(scene, *_TRUTH, model=model, start=start)
-    trial = _Trial(problem, program_of(problem, formulation, method), exact.t, exact.values, native)
-    return trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
+    trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
+    found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
+    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements)
+    run.error = found.error
+    return run
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,14 +142,13 @@ class _Trial:
     """Runs that are compared with exact inputs at so many instants."""
 
     problem: Problem
-    program: Program
+    route: FixedStep
     t: Array
     exact: Array
-    native: bool | None
 
     def run(self, elements: int) -> PreparedInversion:
-        """Prepare a run and measure its error."""
-        run = PreparedInversion(self.problem, self.program, elements, self.native)
+        """Prepare a run, interpreted, and measure its error."""
+        run = PreparedInversion(self.problem, self.route, elements)
         exact = self.exact[:, : len(run.inputs)]
         with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
             off = np.abs(run._read(run._own, self.t) - exact).max(axis=0)
@@ -163,27 +168,46 @@ class _Trial:
         if best is None or best.error > tolerance:
             least = "" if best is None else f", the error is {best.error:.2g} of the peaks with {best.elements}"
             raise IntegrationFailed(
-                f"{self.program.name}: no number of elements keeps a tolerance of {tolerance:g}{least}; take a method"
-                " with more stages, or a larger tolerance: errors of round-off grow as elements get shorter"
+                f"{self.problem.name}, {self.route.method.name}: no number of elements keeps a tolerance of"
+                f" {tolerance:g}{least}; take a method with more stages, or a larger tolerance: round-off grows"
+                " as elements get shorter"
             )
         return best
 
 
 @dataclass(frozen=True, eq=False)
 class _Whole:
-    """A whole run as one function: (state, gamma, h, p) -> (states after the steps, worst residual of each)."""
+    """A whole run as one function: (state, gamma, h, p) -> entries of the states at both ends of every step."""
 
     run: ca.Function
 
 
 @partial(made_once, most=_MOST_LOOPS)
-def _whole(step: ca.Function, elements: int) -> _Whole:
-    """Return so many steps as one function."""
+def _whole(program: Program, elements: int) -> _Whole:
+    """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
+    step, (_, entries) = program.step, _dense_output(program)
     state, h, p = (ca.MX.sym("argument", step.numel_in(k)) for k in (0, 2, 3))
     gamma = ca.MX.sym("gamma", step.size1_in(1), step.size2_in(1) * elements)
     loop = step.mapaccum("sc_elements", elements)
     after, _, worst = loop(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
-    return _Whole(ca.Function("sc_run", [state, gamma, h, p], [after, worst]))
+    verdict = _verdict(program).map(elements)(after, worst, ca.repmat(p, 1, elements))
+    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
+    return _Whole(ca.Function("sc_run", [state, gamma, h, p], [solved]))
+
+
+def _verdict(program: Program) -> ca.Function:
+    """Return (state, residual, p) -> zero, or NaN where a step is not solved or a quantity has a wrong sign."""
+    step, dae, system = program.discretization, program.dae, program.array.system
+    signs = ca.vertcat(ca.SX(0, 1), *[each for quantity, each in observed(system) if quantity.positive])
+    physical = [dae.physical[name] for name in ("q", "v", "lam", "u")]
+    signs = ca.substitute(signs, ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(*physical))
+    signs = ca.substitute(signs, ca.vertcat(dae.x, dae.z), ca.vertcat(step.x, step.z))
+    residual, positive = ca.SX.sym("residual"), ca.SX(1)
+    for sign in ca.vertsplit(signs) if signs.numel() else ():
+        if not ca.depends_on(sign, system.gamma):
+            positive = ca.logic_and(positive, sign > 0)
+    verdict = ca.if_else(ca.logic_and(positive, residual < np.inf), 0.0, np.nan)
+    return ca.Function("sc_verdict", [step.state, residual, system.p], [verdict])
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,19 +220,11 @@ class _Posed:
     h: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Instants between the elements: the column of states for each, and the weights of some of their entries."""
-
-    columns: npt.NDArray[np.intp]
-    weights: Array
-
-
 class PreparedInversion:
     """Inputs of a scene on a form, integrated by every call; made by `prepare`.
 
-    Calls make no checks besides convergence: `solve` checks a path and parameters. The path of a call may have another
-    duration, which is divided into as many elements.
+    Calls check convergence and, at the ends of steps, signs; `solve` checks a path and parameters. The path of a call
+    may have another duration, which is divided into as many elements.
 
     Attributes
     ----------
@@ -222,13 +238,15 @@ class PreparedInversion:
         The compiled form and method.
     """
 
-    def __init__(self, problem: Problem, program: Program, elements: int, native: bool | None) -> None:
+    def __init__(self, problem: Problem, route: FixedStep, elements: int) -> None:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
-        self.elements, self.program, self.error = elements, program, float("nan")
-        self._code = in_machine_code(_whole(program.step, elements), ("run",), program.name, native)
-        self._dense, self._entries = _dense_output(program)
+        self.elements, self.error = elements, float("nan")
+        self.program = program = program_of(problem, route.formulation, route.method)
+        self._interpreted = _whole(program, elements)
+        self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
+        self._route = route
         self._own = self._posed(problem)
-        self._known: dict[tuple[bytes, float, float], _Places] = {}
+        self._known: dict[tuple[bytes, float, float], csr_array] = {}
 
     def __call__(
         self,
@@ -259,7 +277,7 @@ class PreparedInversion:
         InvalidReference
             If a path does not fit or lacks derivatives, or a time lies outside it.
         InconsistentStart, IntegrationFailed
-            If no initial values are found, or a step is not solved.
+            If no initial values are found, a step is not solved, or a quantity has a sign that it must not have.
         """
         posed, times = self._own, numbers_of(t, "the times of inputs")
         if parameters or path is not None:
@@ -272,7 +290,7 @@ class PreparedInversion:
             )
         found = self._read(posed, times.ravel())
         if not np.isfinite(found).all():
-            run_steps(posed.problem, self.program, time_grid(reference, posed.h))  # names step, equation and causes
+            self._route.run(posed.problem, time_grid(reference, posed.h))  # names instant, quantity and causes
             raise IntegrationFailed(f"{self.program.name}: the inputs are not finite numbers")
         return found.reshape(*times.shape, len(self.inputs))
 
@@ -301,32 +319,28 @@ class PreparedInversion:
 
     def _read(self, posed: _Posed, t: Array) -> Array:
         """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
-        whole = self._code.best(self.elements) or _whole(self.program.step, self.elements)
-        after, worst = call_of(whole.run)(posed.first, posed.gamma, posed.h, posed.problem.p)
-        states = np.column_stack([posed.first, after.reshape(-1, self.elements, order="F")])[self._entries]
-        places = self._places(posed, t)
-        bad = ~np.isfinite(worst.ravel())
-        if bad.any():
-            states[:, 1 + int(bad.argmax()) :] = np.nan
-        found: Array = np.einsum("nij,jn->ni", places.weights, states[:, places.columns])
-        return found
+        whole = self._code.best(self.elements) or self._interpreted
+        (states,) = call_of(whole.run)(posed.first, posed.gamma, posed.h, posed.problem.p)
+        found: Array = self._weights(posed, t) @ states.ravel(order="F")
+        return found.reshape(len(t), len(self.inputs))
 
-    def _places(self, posed: _Posed, t: Array) -> _Places:
-        """Return where times lie; the last ones are kept, for callers often use the same table of times again."""
+    def _weights(self, posed: _Posed, t: Array) -> csr_array:
+        """Return the matrix from states to inputs; the last is kept: callers often use the same times again."""
         key = t.tobytes(), posed.h, posed.problem.reference.start_time
-        known = self._known.get(key)
-        if known is None:
+        if key not in self._known:
             place = (t - key[2]) / posed.h
-            columns = np.clip(np.ceil(place), 0, self.elements).astype(np.intp)
-            # The first state is that at the end of an element before the path.
-            fractions = np.where(columns > 0, place - columns + 1, 1.0)
-            (weights,) = mapped(self._dense, max(len(t), 1), (True, False))(
-                fractions[None] if len(t) else np.ones((1, 1)), posed.h
-            )
-            weights = weights.reshape(len(self.inputs), -1, len(self._entries)).transpose(1, 0, 2)[: len(t)]
-            known = _Places(columns, weights)
-            self._known = {key: known}
-        return known
+            step = np.clip(np.ceil(place), 0, self.elements).astype(np.int32)
+            # The first state is that at the end of a step before the path.
+            fractions = np.where(step > 0, place - step + 1, 1.0)
+            dense, entries = _dense_output(self.program)
+            rows = [call_of(dense)(fraction, posed.h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
+            size, count = len(self.inputs), len(entries)
+            columns = np.repeat(step * count, size)[:, None] + np.arange(count, dtype=np.int32)
+            values = np.array(rows).reshape(columns.shape)
+            ends = np.arange(len(values) + 1, dtype=np.int32) * count
+            shape = len(values), (self.elements + 1) * count
+            self._known = {key: csr_array((values.ravel(), columns.ravel(), ends), shape)}
+        return self._known[key]
 
 
 @made_once
