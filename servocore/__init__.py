@@ -106,6 +106,7 @@ if TYPE_CHECKING:
     from servocore.solvers.dynamic_inversion import DynamicInversion as DynamicInversion
     from servocore.solvers.energy_momentum import EnergyMomentum as EnergyMomentum
     from servocore.solvers.exact_inversion import ExactInversion as ExactInversion
+    from servocore.solvers.prepared import PreparedInversion as PreparedInversion, prepare as prepare
     from servocore.solvers.route import Adaptive as Adaptive, Route as Route
     from servocore.solvers.simulate import simulate as simulate
     from servocore.solvers.solve import solve as solve

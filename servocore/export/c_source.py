@@ -16,7 +16,7 @@ from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler, compile_in
-from servocore.numerics.square_systems import MAX_ITERATIONS
+from servocore.numerics.newton import MAX_ITERATIONS
 
 _NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
 _CALLED = ("quick", "begin", "advance")  # those of them that exist; only FMUs have derivatives
