@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.importers.assembly import Assembly, Mechanism
+from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
 from servocore.importers.tree import Tree
 from servocore.importers.urdf import read_urdf
@@ -31,7 +32,7 @@ _WAY = {"rad": 0.2, "m": 0.1}
 
 _DURATION = 2.0  # s, of the default path
 
-READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf}
+READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf}
 """Readers by the root element."""
 
 
