@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.importers.coordinates import MOTOR, Layout
-from servocore.importers.drives import Drive, chosen_drives, driven_joints, rotors
-from servocore.importers.options import Options
+from servocore.importers.coordinates import MOTOR, Layout, rope_of
+from servocore.importers.drives import Drive, chosen_drives, rotors
+from servocore.importers.options import Options, driven_joints
 from servocore.importers.outputs import rows_of_outputs
 from servocore.importers.tree import Closure, Tendon, Tree
 from servocore.model.quantity import Quantity
@@ -50,6 +50,13 @@ class Mechanism:
     def __call__(self) -> MechanicalSystem:
         """Return the model; raises `InvalidModel` or `InvalidSetting` if the choices do not fit the mechanism."""
         return Assembly(self.tree, self.options).system()
+
+    @property
+    def left_out(self) -> list[str]:
+        """Elements of the file that have no part in the model."""
+        taut = {f"range of tendon {name}" for name in self.options.taut}
+        own = [each for each in self.tree.left_out if each.partition(",")[0] not in taut]
+        return [*own, *Assembly(self.tree, self.options).layout.left_out]
 
 
 class Assembly:
@@ -108,6 +115,28 @@ class Assembly:
         if not self.options.outputs and not all(joints):
             raise self.tree.fault("outputs must be named, for not all inputs act on joints")
         return list(self.options.outputs) or joints
+
+    @property
+    def hint(self) -> str:
+        """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
+        tree, driven = self.tree, driven_joints(self.tree, self.options)
+        parents = {body.parent for body in tree.bodies}
+        hung = {
+            body.name: rope
+            for body in tree.bodies
+            if body.mass and body.name not in parents | {*self.options.points, *self.options.ropes}
+            if (rope := rope_of(tree, body.name, driven))
+        }
+        lines = [
+            f"if {name} hangs on a rope, ropes=['{name}'] replaces {', '.join(rope.dropped)} by its length,"
+            f" and points=['{name}'] makes it a point mass"
+            for name, rope in hung.items()
+        ]
+        rotors_on = {tree.frame(drive.rotor).body for drive in self.drives if drive.rotor}
+        for body in rotors_on:
+            wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
+            lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")
+        return "; ".join(lines)
 
     @cached_property
     def drives(self) -> list[Drive]:

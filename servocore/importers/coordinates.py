@@ -11,6 +11,7 @@ from itertools import takewhile
 import casadi as ca
 import numpy as np
 
+from servocore.errors import InvalidModel
 from servocore.importers.options import Options
 from servocore.importers.recursion import Motion, Place, Stage, stages_of
 from servocore.importers.tree import Body, Joint, Tree
@@ -25,6 +26,7 @@ MOTOR = ".motor"
 """Suffix of the coordinate of a motor."""
 
 _MEETS = 1e-9  # m between hinges of a rope
+_LIGHT = 1e-6  # of a load: bodies of a rope, which MJCF does not let be massless
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,13 @@ class Layout:
         whole, places = stages_of(tree)
         self.ropes = {body: _rope(tree, whole, places, tree.body[body], driven) for body in options.ropes}
         dropped = [name for rope in self.ropes.values() for name in rope.dropped]
+        light = {body: _light(tree, tree.body[body], driven) for body in options.points}
         without = [*options.points, *options.ropes, *(name for rope in self.ropes.values() for name in rope.without)]
+        without += [name for names in light.values() for name in names]
+        self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in light | self.ropes]
+        self.left_out += [
+            f"mass of {name}: the rope is massless" for name in dict.fromkeys(without) if name not in light | self.ropes
+        ]
         self.stages, self.places = stages_of(tree, without, dropped)
         self.joints = [joint for stage in self.stages for joint in stage.joints]
         self.moving = [joint for joint in self.joints if joint.name not in options.locked and not joint.mimic]
@@ -218,6 +226,24 @@ def _below(tree: Tree, top: Body) -> list[Body]:
     for body in tree.bodies:
         found += [body] if body.parent in [each.name for each in found] else []
     return found
+
+
+def _light(tree: Tree, load: Body, driven: frozenset[str]) -> list[str]:
+    """Return the bodies above a point mass, up to the next drive, whose mass is nothing beside its own."""
+    found, body = list[str](), load
+    while body.parent and not any(joint.name in driven and joint.kind != "slide" for joint in body.joints):
+        body = tree.body[body.parent]
+        found += [body.name] if body.mass < _LIGHT * load.mass else []
+    return found
+
+
+def rope_of(tree: Tree, body: str, driven: frozenset[str]) -> Rope | None:
+    """Return the rope that can stand for the free hinges above a body; None if there is none."""
+    stages, places = stages_of(tree)
+    try:
+        return _rope(tree, stages, places, tree.body[body], driven)
+    except InvalidModel:
+        return None
 
 
 def _at_zero(stages: list[Stage]) -> list[Place]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -12,9 +12,9 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
-from servocore.importers.options import Options
+from servocore.importers.options import driven_joints
 from servocore.importers.recursion import Place
-from servocore.importers.tree import Actuator, Tree
+from servocore.importers.tree import Actuator
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 
@@ -45,6 +45,8 @@ class Drive:
         Quantities as functions of the input.
     wrench : (str, int), optional
         Body and number of the component of a wrench on it.
+    rotor : str
+        Frame on which a force along an axis acts; empty for others.
     """
 
     quantity: Quantity
@@ -53,14 +55,7 @@ class Drive:
     bounds: Mapping[str, Bounds] = field(default_factory=dict)
     observed: Mapping[Quantity, Callable[[ca.SX], ca.SX]] = field(default_factory=dict)
     wrench: tuple[str, int] | None = None
-
-
-def driven_joints(tree: Tree, options: Options) -> frozenset[str]:
-    """Return the joints that have a drive."""
-    on = [actuator.on for actuator in tree.actuators if actuator.kind == "joint"]
-    if not tree.actuators:
-        on = [name for name, joint in tree.joints.items() if joint.kind != "ball" and not joint.mimic]
-    return frozenset(name for name in on if name not in options.passive and name not in options.locked)
+    rotor: str = ""
 
 
 def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
@@ -110,7 +105,8 @@ def _drive(name: str, layout: Layout, assembly: Assembly) -> Drive:
     size = float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
     power = layout.motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
     unit = ("force", "N") if gear[:3].any() else ("torque", "N.m")
-    return _of(Quantity(f"{name}.{unit[0]}", unit[1]), power, actuator, size, ca.SX(0), ca.SX(0))
+    drive = _of(Quantity(f"{name}.{unit[0]}", unit[1]), power, actuator, size, ca.SX(0), ca.SX(0))
+    return replace(drive, rotor=actuator.on)
 
 
 def _on_joint(name: str, layout: Layout) -> Drive:

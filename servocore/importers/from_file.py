@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from servocore.importers.assembly import Assembly, Mechanism
 from servocore.importers.mjcf import read_mjcf
@@ -31,6 +30,7 @@ _WAY = {"rad": 0.2, "m": 0.1}
 """Length of the default path of an output."""
 
 _DURATION = 2.0  # s, of the default path
+_SHARE = 0.2  # of the range of an output, at most
 
 READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf}
 """Readers by the root element."""
@@ -152,20 +152,24 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
         Path of the outputs; a short line from the posture when not given.
     """
     assembly, factory = Assembly(tree, options), Mechanism(tree, options)
-    scene = Scene(
-        tree.name,
-        {"file": factory},
-        reference or rest_to_rest((0.0,), (1.0,), _DURATION),
-        drawing=_Drawing(tree, options),
-    )
-    system = scene.model()
+    limits = limits_of(assembly) if options.limits else ()
+    system = factory()
     if reference is None:
-        home = np.array(system.home)
-        target = [x + _WAY.get(each.unit, 0.1) for x, each in zip(home, system.outputs, strict=True)]
-        reference = rest_to_rest(tuple(home.tolist()), tuple(target), _DURATION, DEGREE13)
+        bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
+        target = [
+            _target(x, _WAY.get(each.unit, 0.1), *bounds.get(each.name, (-math.inf, math.inf)))
+            for x, each in zip(system.home, system.outputs, strict=True)
+        ]
+        reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
     return Scene(
-        tree.name, scene.models, reference, limits=limits_of(assembly) if options.limits else (), drawing=scene.drawing
+        tree.name, {"file": factory}, reference, limits=limits, drawing=_Drawing(tree, options), hint=assembly.hint
     )
+
+
+def _target(start: float, way: float, low: float, high: float) -> float:
+    """Return the end of the default path of an output, within its limits."""
+    way = min(way, _SHARE * (high - low))
+    return start + (way if start + 2 * way < high else -way)
 
 
 def limits_of(assembly: Assembly) -> tuple[Limit, ...]:

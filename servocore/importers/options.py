@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from servocore.errors import InvalidModel, InvalidSetting, require_kind, require_real
 from servocore.importers.tree import Tree
@@ -49,6 +50,14 @@ class Elastic:
                 raise InvalidSetting(f"the {name} of an elastic joint must be {sign} and finite, not {value:g}")
 
 
+def driven_joints(tree: Tree, options: Options) -> frozenset[str]:
+    """Return the joints that have a drive."""
+    on = [actuator.on for actuator in tree.actuators if actuator.kind == "joint"]
+    if not tree.actuators:
+        on = [name for name, joint in tree.joints.items() if joint.kind != "ball" and not joint.mimic]
+    return frozenset(name for name in on if name not in options.passive and name not in options.locked)
+
+
 @dataclass(frozen=True)
 class Options:
     """Arguments of `servocore.scenes.from_file`, which describes them."""
@@ -65,6 +74,45 @@ class Options:
     payload: Mapping[str, float] = field(default_factory=dict)
     gravity: Sequence[float] | None = None
     limits: bool = True
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], tree: Tree, source: str) -> Options:
+        """Return options from the settings of a TOML file, or of a command line.
+
+        Parameters
+        ----------
+        settings : mapping of str to object
+            The arguments of `servocore.scenes.from_file` by name. An elastic joint is a stiffness, or a table of
+            ``stiffness``, ``motor_inertia``, ``damping``; one stiffness is that of all driven joints. A setting
+            ``motor_inertia`` holds for all that state none.
+        tree : Tree
+            The mechanism.
+        source : str
+            Name of the settings in messages.
+
+        Raises
+        ------
+        InvalidSetting
+            If a name is unknown, or a value is of the wrong kind.
+        """
+        values = dict(settings)
+        motor, elastic = values.pop("motor_inertia", None), values.pop("elastic", {})
+        unknown = [name for name in values if name not in cls.__dataclass_fields__]
+        if unknown:
+            known = ", ".join([*cls.__dataclass_fields__, "motor_inertia"])
+            raise InvalidSetting(f"{source}: there is no setting {unknown[0]}; there are {known}")
+        if not isinstance(elastic, Mapping):
+            elastic = dict.fromkeys(
+                (name for name in tree.joints if name in driven_joints(tree, cls(**values))), elastic
+            )
+        joints = dict[str, Elastic]()
+        for name, value in elastic.items():
+            table = dict(value) if isinstance(value, Mapping) else {"stiffness": value}
+            if wrong := [key for key in table if key not in Elastic.__dataclass_fields__] or "stiffness" not in table:
+                what = "no stiffness" if wrong is True else f"an unknown value {wrong[0]}"
+                raise InvalidSetting(f"{source}: the elastic joint {name} has {what}")
+            joints[name] = Elastic(**{"motor_inertia": motor, **table})
+        return cls(elastic=joints, **values)
 
     def require_known(self, tree: Tree) -> None:
         """Raise `InvalidSetting` for a wrong kind of a value, or a name that the file does not have."""
