@@ -24,6 +24,7 @@ from servocore.numerics.compiled_calls import Array
 
 _UNPHYSICAL = 1e-3  # relative: CAD exports round inertias to three or four digits
 _NEGLIGIBLE = 1e-9  # kg m2
+_TINY = 1e-14  # of the largest entry of an inertia: zero but for round-off
 _ROUND_OFF = 1e-12  # of a direction or a place in m: files write pi with twelve digits
 
 
@@ -89,9 +90,9 @@ def _about(point: Array) -> Array:
     return np.asarray(point @ point * IDENTITY - np.outer(point, point))
 
 
-def sparse(values: Array) -> ca.SX:
-    """Return numbers as an expression without those that are round-off."""
-    rounded = np.where(np.abs(values) < _ROUND_OFF, 0.0, values)
+def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
+    """Return numbers as an expression without those that are smaller than the least one: round-off of zeros."""
+    rounded = np.where(np.abs(values) < least, 0.0, values)
     return ca.SX(ca.sparsify(ca.DM(rounded)))
 
 
@@ -176,7 +177,12 @@ class Motion:
     @cached_property
     def _inertias(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
         """Mass, first moment and inertia about the origin of every stage."""
-        found = [(ca.SX(stage.mass), sparse(stage.moment), sparse(stage.inertia)) for stage in self.stages]
+        found = []
+        for stage in self.stages:
+            moment, inertia = (
+                sparse(each, _TINY * np.abs(each).max(initial=0.0)) for each in (stage.moment, stage.inertia)
+            )
+            found.append((ca.SX(stage.mass), moment, inertia))
         for place, mass in self.loads:
             if place.stage >= 0:
                 m, c, J = found[place.stage]
