@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from servocore.formulations.original import Original as Original
     from servocore.formulations.projected import Projected as Projected
     from servocore.formulations.reduced import Reduced as Reduced
+    from servocore.importers.options import Elastic as Elastic
     from servocore.methods.backward_euler import BackwardEuler as BackwardEuler
     from servocore.methods.base import (
         Discretization as Discretization,

@@ -22,7 +22,13 @@ from servocore.files import write_together
 
 NAME = "crane-fmu"
 
-CRANE: dict[str, object] = {"scene": "rotary_crane"}
+CRANE: dict[str, object] = {
+    "scene": "rotary_crane",
+    "servo_output": (),
+    "elastic": (),
+    "motor_inertia": None,
+    "import_settings": None,
+}
 FMUS: dict[str, object] = {**CRANE, "model": None}
 """Fixed options of commands of the crane, and of its FMUs."""
 

@@ -68,7 +68,7 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
             "--tolerance belongs to --reference; the allowed tracking error is --deviation, as in"
             f" --deviation {path.tolerance}"
         )
-    scene, loops = chosen_scene(subject.scene), question.loops()
+    scene, loops = chosen_scene(subject.scene, subject.imported()), question.loops()
     declared = scene.effects.parameters
     given = {} if subject.parameters is None else read_parameters(subject.parameters, scene, declared.values())
     own = scene.model().parameters.names
