@@ -26,8 +26,8 @@ from servocore.model.units import in_unit
 CREEP = 0.01
 """w_0 in rad/s or m/s: rate of the input at which dry friction is 76 % of its full value, as of `friction`."""
 
-_SMOOTH = 2e-4  # of the highest speed and torque: corners of a torque-speed curve are rounded off so far, downwards
-_BEYOND = 0.01  # of the highest speed: so far above it the largest torque falls to zero
+_SMOOTH = 2e-3  # of the highest speed and torque: corners of a torque-speed curve are rounded off so far, downwards
+_BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls to zero
 _SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
 
 _MOST = 1e9
@@ -76,8 +76,8 @@ class Drive:
         Torque by current (N.m/A); the current is reported if it is given.
     torque_speed : sequence of (speed, torque)
         Corners of the curve of the largest torque (N.m) over the speed (rad/s), from speed 0 to the highest speed that
-        it allows: one per cent above, no torque is left. The torque in reserve is then reported. Corners are rounded
-        off downwards; at the end of the curve by one per cent of the torque.
+        it allows: five per cent above, no torque is left. The torque in reserve is then reported. Corners are rounded
+        off downwards, by the change of the slope times a thousandth of the highest speed: two per cent at the end.
     rated_torque : float or str, optional
         Continuous torque (N.m), which the duty compares with the effective one.
     rated_power : float or str, optional
