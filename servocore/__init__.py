@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from servocore.methods.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
     from servocore.methods.trapezoidal import Trapezoidal as Trapezoidal
     from servocore.model.drawing import Part as Part
+    from servocore.model.drives import Drive as Drive
     from servocore.model.generalize import generalize as generalize
     from servocore.model.limit_files import read_limits as read_limits
     from servocore.model.limits import Limit as Limit

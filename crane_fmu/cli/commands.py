@@ -29,8 +29,8 @@ CRANE: dict[str, object] = {
     "motor_inertia": None,
     "import_settings": None,
 }
-FMUS: dict[str, object] = {**CRANE, "model": None}
-"""Fixed options of commands of the crane, and of its FMUs."""
+FMUS: dict[str, object] = {**CRANE, "model": None, "drives": None}
+"""Fixed options of commands of the crane, and of its FMUs, whose feedback is designed for the crane without drives."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ app = CommandLine(
             "drive", drive,
             ("mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[1] --map y=load.r[2]"
              f" --map z=load.r[3] {_LINE} --duration 20",),
-            {**FMUS, "columns": None, "plot": None, "verbose": False},
+            {**CRANE, "model": None, "columns": None, "plot": None, "verbose": False},
         ),
         Command("demo", run_demo, ("-o out",), {"native": False}),
     ],

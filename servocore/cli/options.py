@@ -33,6 +33,7 @@ from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
+from servocore.model.drive_files import read_drives
 from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_parameters, read_table
@@ -77,6 +78,11 @@ class Subject:
         "--parameters", kind=FILE_READ, metavar="FILE.toml",
         help="Parameters in SI units, one line each, such as load_mass = 80.0; the others keep their defaults.",
     )  # fmt: skip
+    drives: Path | None = option(
+        "--drives", kind=FILE_READ, metavar="FILE.toml",
+        help="Motors and transmissions by the names of inputs, as in data sheets: a table [M_b] with ratio = 120,"
+        ' motor_inertia = "0.012 kg m^2", ...',
+    )  # fmt: skip
     model: str | None = option(
         "--model",
         kind=text("points"),
@@ -113,9 +119,14 @@ class Subject:
         }
         return settings | {name: value for name, value in given.items() if value not in ([], {}, None)}
 
+    def driven(self) -> Scene:
+        """Return the scene with its drives, with default parameters."""
+        scene = chosen_scene(self.scene, self.imported())
+        return scene if self.drives is None else scene.with_drives(**read_drives(self.drives))
+
     def chosen(self) -> Scene:
         """Return the scene with its parameters; raises `InvalidSetting` or `InvalidModel` if there is no such scene."""
-        scene = chosen_scene(self.scene, self.imported())
+        scene = self.driven()
         return scene.with_parameters(**self.changes(scene))
 
     def changes(self, scene: Scene) -> dict[str, float]:

@@ -35,6 +35,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
 from servocore.solvers.fixed_step_loop import Progress
+from servocore.solvers.results import with_energies
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.warm_start import unknowns_near
 from servocore.solvers.within_limits import (
@@ -126,7 +127,8 @@ def solve(
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
-    return replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    return with_energies(found)
 
 
 def _native_checks(route: Route, t: Array) -> bool | None:
