@@ -233,7 +233,7 @@ def test_a_mass_that_is_negative_on_a_motion_is_refuted() -> None:
     system = problem.system
     worse = replace(system, mass=system.mass - 60.0 * ca.diag(ca.vertcat(0, 0, system.q[2], 0)))
     shown.__dict__["equations"] = replace(
-        equations_of(problem.resolved, False, ()), array=replace(problem.array, system=worse)
+        equations_of(problem.resolved, False), array=replace(problem.array, system=worse)
     )
     assert mass_statement([shown]).verdict == "refuted"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import known
 from servocore.model.limits import Named
@@ -21,8 +22,7 @@ def cause_of(proof: Proof, each: Interval) -> str:
     if each.c is None or not np.isfinite(each.c).all():
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
     equations, array = proof.equations, proof.equations.array
-    blocks = [pair for stage in equations.stages for pair in zip(stage.rows, stage.columns, strict=True)]
-    first = next(rows for rows, columns in blocks if columns[0] == each.failed or each.failed < 0)
+    first = blocks_of(equations).around(max(each.failed, 0))
     names = array.signature.equations.equations
     rows = dict.fromkeys(names[array.rows[k][0]] for k in first)
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
