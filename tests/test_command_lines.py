@@ -111,6 +111,9 @@ OPTIONS = {
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
+    "--no-certify": Option(
+        of_both({"feedforward", "plan"}) | {"servocore export", "crane-fmu ssp", "crane-fmu demo"}, "", True
+    ),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
     "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from servocore.certificate.krawczyk import blocks_of
@@ -13,8 +15,14 @@ _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR = 0.05  # of the duration
 
 
-def cause_of(proof: Proof, each: Interval) -> str:
-    """Return a sentence on an interval that is not proved: where, in which equations, and why."""
+def cause_of(proof: Proof, unproved: Sequence[Interval]) -> str:
+    """Return a sentence on the first interval that is not proved: where, in which equations, and why.
+
+    Where not even the beginning is proved, the magnitudes of the unknowns are those of a singularity later on: that
+    explains more.
+    """
+    unsolved = [each for each in unproved if each.c is None or not np.isfinite(each.c).all()]
+    each = (unsolved or unproved)[0] if unproved[0] is proof.intervals[0] else unproved[0]
     at = f"not proved from t = {each.begin:.6g} s to {each.end:.6g} s"
     slack, given = _slack(proof, each), proof.given([each])
     if not np.isfinite(given[1]).all():

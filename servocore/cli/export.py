@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from tempfile import TemporaryDirectory
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress
 from servocore.cli.kinds import FILE, FILE_READ, FOLDER, Kind
-from servocore.cli.options import GivenPath, Platforms, Subject, output
+from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
 from servocore.errors import InvalidSetting, install, require_package
 from servocore.export.about import About
 from servocore.export.building import METHOD, inverse_model
@@ -83,13 +84,16 @@ class Products:
             raise InvalidSetting(f"name the file to write with -o FILE.fmu{more}")
 
 
-def export_scene(subject: Subject, path: GivenPath, products: Products, platforms: Platforms) -> None:
+def export_scene(
+    subject: Subject, path: GivenPath, products: Products, platforms: Platforms, certified: Certified
+) -> None:
     """Export the inverse model of a scene for tools without Python.
 
     The FMU is native: it needs no Python and no other library. Its inputs are the path and its derivatives up to the
     required order, its outputs the inputs of the mechanical system and the observables. Scenes with unstable internal
     dynamics are refused. With --plant the forward dynamics is exported, with --trajectory a trajectory generator for
-    the path of --reference, --waypoints or --from and --to. With --cross-check the run follows that path.
+    the path of --reference, --waypoints or --from and --to. With --cross-check the run follows that path. The verdict
+    of the certificate, a proof that the inputs hold at all times of that path, is printed on the error stream.
 
     Without --targets the FMU has libraries for all platforms if the package ziglang is installed, else for this
     machine.
@@ -118,6 +122,8 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
             )
         else:
             _export_inverse(path.along(scene, model), model, products, fmi, targets, about, progress)
+        progress("proving the inputs")
+        told = [] if products.plant else certified.line(path.along(scene, model), model)
     if file is not None:
         alone = "" if targets is not None or zig() else f"; for this machine only; for others {install('native')}"
         print(f"{file}: {kind}{scene.name}, FMI {fmi}{alone}")
@@ -125,6 +131,7 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
         print(f"{products.c}: C source of {scene.name}")
     if products.wasm is not None:
         print(f"{products.wasm}, {loader_beside(products.wasm)}: WebAssembly of {scene.name}")
+    print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
 
 
 def _export_inverse(

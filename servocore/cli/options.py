@@ -50,6 +50,7 @@ from servocore.references.profiles import (
 )
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
+from servocore.solution import Solution
 from servocore.solvers.route import Adaptive
 
 MOST_ROWS = 1e7
@@ -349,3 +350,27 @@ class Platforms:
         "--targets", kind=text(HOST), metavar="LIST",
         help=f"all, {HOST} (this machine), or some of {', '.join(TARGETS)}, separated by commas.",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The certificate of inputs that a command hands out: their proof for all times of the run."""
+
+    title: ClassVar[str] = "Certificate"
+
+    no_certify: bool = option("--no-certify", help="Skip the proof that the inputs hold at all times of the run.")
+
+    def line(
+        self, subject: Scene | Solution, model: str | None = None, *, tolerance: float = 1e-8, strict: bool = False
+    ) -> list[str]:
+        """Return the verdict in one line, none with --no-certify; `strict` raises an error where it is refuted."""
+        if self.no_certify:
+            return []
+        from servocore.certificate.certify import certify  # noqa: PLC0415 - most commands certify nothing
+        from servocore.certificate.required import require_certified  # noqa: PLC0415
+
+        if strict:
+            certificate = require_certified(subject, tolerance, model=model, warn=False)
+        else:
+            certificate = certify(subject, tolerance=tolerance, model=model)
+        return [f"  certificate: {certificate.summary}"]
