@@ -22,9 +22,15 @@ from servocore.files import write_together
 
 NAME = "crane-fmu"
 
-CRANE: dict[str, object] = {"scene": "rotary_crane"}
-FMUS: dict[str, object] = {**CRANE, "model": None}
-"""Fixed options of commands of the crane, and of its FMUs."""
+CRANE: dict[str, object] = {
+    "scene": "rotary_crane",
+    "servo_output": (),
+    "elastic": (),
+    "motor_inertia": None,
+    "import_settings": None,
+}
+FMUS: dict[str, object] = {**CRANE, "model": None, "drives": None}
+"""Fixed options of commands of the crane, and of its FMUs, whose feedback is designed for the crane without drives."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +181,7 @@ app = CommandLine(
             "drive", drive,
             ("mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[1] --map y=load.r[2]"
              f" --map z=load.r[3] {_LINE} --duration 20",),
-            {**FMUS, "columns": None, "plot": None, "verbose": False},
+            {**CRANE, "model": None, "columns": None, "plot": None, "verbose": False},
         ),
         Command("demo", run_demo, ("-o out",), {"native": False}),
     ],

@@ -35,6 +35,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
 from servocore.solvers.fixed_step_loop import Progress
+from servocore.solvers.results import with_energies
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.warm_start import unknowns_near
 from servocore.solvers.within_limits import (
@@ -130,7 +131,8 @@ def solve(
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
-    solution = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    solution = with_energies(found)
     if certify:
         from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
         from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
