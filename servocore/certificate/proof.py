@@ -306,15 +306,15 @@ class Proof:
         early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
         noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
-        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
         rates = [unknown not in self.problem.array.unknowns for unknown in self.equations.array.unknowns]
         free = np.array(rates) | ~self.equations.curved  # rates may jump, and others are unique wherever they are
+        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]]) | free[:, None]
         motion = self.equations.motion
         jumped = (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0)
         of_path = np.isin([each.end for each in self.intervals[:-1]], self.problem.reference.joints)
         both = proved[:-1] & proved[1:]
         kinds: list[tuple[npt.NDArray[np.bool_], Joint]] = [
-            (both & fits[:, ~free].all(axis=1).any(axis=0), "one branch"), (~both, "not proved"), (~of_path, "apart"),
+            (both & fits.all(axis=1).any(axis=0), "one branch"), (~both, "not proved"), (~of_path, "apart"),
             (jumped, "motion jumps"), (fits[:, motion].all(axis=1).max(axis=0), "inputs jump"),
             (np.ones_like(both), "apart"),
         ]  # fmt: skip
