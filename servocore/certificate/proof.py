@@ -172,7 +172,7 @@ class Proof:
         fresh = [each for each in self.intervals if not each.tested]
         for k in range(0, len(fresh), _AT_ONCE):
             self._prove(fresh[k : k + _AT_ONCE])
-        halved = [each for each in fresh if self._too_wide(each)]
+        halved = [each for k, each in enumerate(self.intervals) if self._too_wide(k)]
         self._replace(halved, [each.parts(relative=self.relative_radius(each)) for each in halved])
         return bool(halved)
 
@@ -203,11 +203,14 @@ class Proof:
         chosen[self.equations.inputs] = True
         return chosen
 
-    def _too_wide(self, each: Interval) -> bool:
-        """Whether an interval is not proved well enough, and halves may help."""
-        relative = self.relative_radius(each)
-        enough = each.proved and (relative <= self.narrow or relative > each.before / 2.0)
-        return not enough and each.depth < (_DEEPEST if each.proved or each.source else _GUESSED)
+    def _too_wide(self, k: int) -> bool:
+        """Whether an interval is not proved well enough, and halves may help: not where those beside it are lost."""
+        each, relative = self.intervals[k], self.relative_radius(self.intervals[k])
+        if each.proved:
+            return self.narrow < relative <= each.before / 2.0 and each.depth < _DEEPEST
+        if each.source:
+            return each.depth < _DEEPEST and self.intervals[k - each.source].proved
+        return each.depth < _GUESSED
 
     def relative_radius(self, each: Interval) -> float:
         """Return the largest radius of an input, of its peak; infinite if it is not proved."""
