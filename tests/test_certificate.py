@@ -201,9 +201,9 @@ def test_inputs_of_a_solution_are_compared_with_the_proved_ones() -> None:
 
 def test_a_solve_refuses_what_its_certificate_refutes_and_warns_of_what_it_leaves_undecided() -> None:
     assert sc.solve(OVERHEAD.with_limits(F=511.0), certify=True).t[-1] == 3.0
-    with pytest.raises(sc.InvalidReference, match="certificate is refuted: inputs within 0.05 of their peaks"):
+    with pytest.raises(sc.InvalidReference, match=r"certificate is refuted: inputs within 0\.05 of their peaks"):
         sc.solve(OVERHEAD, sc.Projected(), sc.BackwardEuler(), step=0.05, certify=True)
-    with pytest.warns(sc.ServocoreWarning, match="certificate is undecided: one motion .*inputs within"):
+    with pytest.warns(sc.ServocoreWarning, match=r"certificate is undecided: one motion .*inputs within"):
         sc.solve(sc.scenes.mass_on_car(), certify=True)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import cause_of, switchings
-from servocore.certificate.instants import ErrorBound, Instants, tube_of
+from servocore.certificate.instants import ErrorBound, compared, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
     LIMIT,
@@ -198,11 +198,10 @@ def certify(
     jumps = sorted({a.end for proof in proofs for a, joint in zip(proof.intervals, proof.joints, strict=False)
                     if joint == "inputs jump"}
                    | {time for proof in proofs for time, sentence in switchings(proof) if not sentence})  # fmt: skip
-    instants = Instants(proofs, solution)
     bounds: dict[str, ErrorBound] = {}
     if all(each.proved for proof in proofs for each in proof.intervals):
-        bounds = instants.bounds
-        statements += instants.statements(tolerance)
+        bounds, of_instants = compared(proofs, solution, tolerance)
+        statements += of_instants
     statements += limit_statements(proofs, wanted, lambda limit: f"{LIMIT}{limit.quantity}")
     signs = [
         Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
