@@ -41,9 +41,10 @@ torque_speed = [["0 rpm", "12 N m"], ["3000 rpm", 11], ["8000 rpm", 9]]
 rated_torque = "5 N m"
 rated_power = "1.5 kW"
 """
-QUANTITIES = {"motor_torque": "N.m", "motor_speed": "rad/s", "power": "W", "current": "A", "torque_reserve": "N.m"}
-OF_WINCH = {f"M_w.{name}": unit for name, unit in QUANTITIES.items()}
-REFLECTED = {"M_w": "winch_inertia", "M_b": "bridge_inertia", "F": "trolley_mass"}
+OF_WINCH = {"M_w.motor_torque": "N.m", "M_w.motor_speed": "rad/s", "M_w.power": "W", "M_w.current": "A"}
+OF_WINCH |= {"M_w.torque_reserve": "N.m"}
+REFLECTED = {"M_w": ("winch_inertia", 40**2 * 5e-4), "M_b": ("bridge_inertia", 90**2 * 0.012)}
+REFLECTED |= {"F": ("trolley_mass", (30 / 0.2) ** 2 * 1e-3)}
 LIKE = {  # drives whose inertia acts as that of a part, by crane; a trolley that moves with its bridge is no such part
     "rotary_crane": {"M_w": sc.Drive(20, 2, motor_inertia=5e-4), "M_b": sc.Drive(90, motor_inertia="120 kg cm^2")},
     "overhead_crane": {"M_w": sc.Drive(20, 2, motor_inertia=5e-4), "F": sc.Drive(30, 1, 0.2, motor_inertia=1e-3)},
@@ -55,8 +56,7 @@ LIKE = {  # drives whose inertia acts as that of a part, by crane; a trolley tha
 def test_a_crane_with_drives_is_the_crane_with_their_reflected_inertia(name: str) -> None:
     """To 1e-12 of the peaks, by every model."""
     bare = sc.scenes.REGISTRY[name]()
-    reflected = {"M_w": 40**2 * 5e-4, "M_b": 90**2 * 0.012, "F": (30 / 0.2) ** 2 * 1e-3}
-    parts = {REFLECTED[each]: reflected[each] for each in LIKE[name]}
+    parts = dict(REFLECTED[each] for each in LIKE[name])
     same = bare.with_parameters(**{part: bare.parameter_values()[part] + more for part, more in parts.items()})
     for model in bare.models:
         found = sc.solve(bare.with_drives(**LIKE[name]), step=bare.reference.duration / 40, model=model)
@@ -100,7 +100,7 @@ def test_smooth_torque_speed_curves_are_near_those_of_the_sheet_and_never_above(
     speed, most = ca.SX.sym("speed"), float(curve[-1][0])
     smooth = ca.Function("smooth", [speed], [largest_torque(sc.Drive(torque_speed=curve), speed)])
     at = np.linspace(-most, most, 4001)
-    sheet, found = np.interp(np.abs(at), *zip(*curve, strict=True)), np.asarray(smooth(at)).ravel()
+    sheet, found = np.interp(np.abs(at), *np.array(curve).T), np.asarray(smooth(at)).ravel()
     across, down = np.diff(np.array([*curve, (1.05 * most, 0.0)]), axis=0).T
     assert (found < sheet).all()
     assert (found > sheet - 1.1e-3 * most * np.abs(np.diff(down / across)).max()).all()
@@ -137,7 +137,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
 
 def test_a_certificate_proves_the_limits_of_the_motors() -> None:
     limits: dict[str, Bounds] = {"M_w.torque_reserve": (0.0, None), "M_w.motor_speed": "8000 rpm"}
-    limits |= {"M_w.power": "5 kW", "M_w.current": 12.0}
+    limits |= {"M_w.power": "5 kW", "M_w.current": 12.0, "M_w.motor_torque": "9 N m"}
     certificate = sc.certify(driven_crane(), limits)
     assert certificate.verdict == "proved"
     assert {each.what for each in certificate.statements} > {f"limit of {name}" for name in limits}
