@@ -189,14 +189,12 @@ def _negative(_: Arithmetic, a: Model) -> Model:
 
 
 def _tanh(ring: Arithmetic, a: Model) -> Model:
-    """Return tanh(a) = 1 - 2/(e^(2 a) + 1), or the interval of its values where that is narrower."""
+    """Return tanh(a) = 1 - 2/(e^(2 a) + 1); beyond 20 it is 1 but for 2 e^(-40) < 1e-17."""
     one, (low, high) = _number(ring, a, 1.0), ring.span(a)
     share = ring.quotient(_number(ring, a, 2.0), ring.sum(ring.exponential((2.0 * a[0], 2.0 * a[1])), one))
     c, r = ring.sum(one, share, -1.0)
-    least, most = np.tanh(low), np.tanh(high)
-    wide = (most - least) / 2.0 + 1e-15  # some units in the last place of 1
-    narrower = ~(r <= wide)
-    return np.where(narrower, ring.constant((least + most) / 2.0)[0], c), np.where(narrower, wide, r)
+    saturated = (low > 20.0) | (high < -20.0)
+    return np.where(saturated, ring.constant(np.sign(low))[0], c), np.where(saturated, 1e-17, r)
 
 
 def _steps(ring: Arithmetic, a: Model) -> Model:
