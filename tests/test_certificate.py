@@ -87,7 +87,7 @@ def test_few_random_paths_and_parameters_stay_undecided(name: str, model: str) -
         verdicts.append(certificate.verdict)
         if certificate.error_bounds and subject.closed_form is not None:
             require_truth_inside(subject, certificate, seed)
-    assert verdicts.count("undecided") <= 0.06 * len(verdicts), verdicts
+    assert verdicts.count("undecided") <= 0.03 * len(verdicts), verdicts
 
 
 # Bad cases ------------------------------------------------------------------------------------------------------------
@@ -233,7 +233,7 @@ def test_a_mass_that_is_negative_on_a_motion_is_refuted() -> None:
     system = problem.system
     worse = replace(system, mass=system.mass - 60.0 * ca.diag(ca.vertcat(0, 0, system.q[2], 0)))
     shown.__dict__["equations"] = replace(
-        equations_of(problem.resolved, False, ()), array=replace(problem.array, system=worse)
+        equations_of(problem.resolved, False), array=replace(problem.array, system=worse)
     )
     assert mass_statement([shown]).verdict == "refuted"
 

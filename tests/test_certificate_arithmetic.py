@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import reduce
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 from flint import arb, ctx
 
-from servocore.certificate import products
+from servocore.certificate import programs
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
-from servocore.certificate.products import convolved
 from servocore.certificate.walk import walk_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import built
@@ -61,12 +61,13 @@ OPERATIONS: dict[str, tuple[int, bool, Callable[..., Model], Exact]] = {
     "sum": (2, False, lambda ring, a, b: ring.sum(a, b), lambda a, b: a + b),
     "difference": (2, False, lambda ring, a, b: ring.sum(a, b, -1.0), lambda a, b: a - b),
     "product": (2, False, lambda ring, a, b: ring.product(a, b), lambda a, b: a * b),
-    "quotient": (2, True, lambda ring, a, b: ring.quotient(a, b), lambda a, b: a / b),
+    "inverse": (1, True, lambda ring, a: ring.inverse(a), lambda a: 1 / a),
     "root": (1, True, lambda ring, a: ring.root(a), lambda a: a.sqrt()),
     "sine": (1, False, lambda ring, a: ring.sine_and_cosine(a)[0], lambda a: a.sin()),
     "cosine": (1, False, lambda ring, a: ring.sine_and_cosine(a)[1], lambda a: a.cos()),
     "exponential": (1, False, lambda ring, a: ring.exponential(a), lambda a: a.exp()),
     "logarithm": (1, True, lambda ring, a: ring.logarithm(a), lambda a: a.log()),
+    "hyperbolic tangent": (1, False, lambda ring, a: ring.hyperbolic_tangent(a), lambda a: a.tanh()),
     "angle": (2, True, lambda ring, a, b: ring.angle(a, b), arb.atan2),
     "first half": (1, False, lambda ring, a: ring.halved(a, 0)[0], lambda a: a),
 }
@@ -120,20 +121,21 @@ def test_spans_hold_all_values(degrees: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("degrees", DEGREES, ids=str)
-def test_machine_code_and_numpy_multiply_alike(degrees: tuple[int, ...]) -> None:
-    rng, terms = np.random.default_rng(4), len(arithmetic(degrees).nodes)
-    a, b = rng.normal(size=(2, terms, 7, 5))
-    code = products.machine_code()
+def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, terms, places = np.random.default_rng(4), len(arithmetic(degrees).nodes), 9
+    steps = [(int(rng.integers(3)), 4 + k, *rng.integers(0, 4 + k, 2).tolist()) for k in range(places - 4)]
+    program = programs.program_of(steps, {6, 8})
+    models = np.zeros((terms + 1, places, 37))
+    models[:, :4] = np.abs(rng.normal(size=(terms + 1, 4, 37)))
+    code = programs.machine_code()
     build = code._make()
     assert build is not None
-    built(build)
-    run = code._load(built(build))
-    table, full = products._table(degrees), int(np.prod([2 * d + 1 for d in degrees]))
-    results = np.empty((full, 7, 5))
-    share = 0.5 ** sum(d > 0 for d in degrees)
-    run(terms, table.shape[1], full, table.ctypes.data, share, 35, a.ctypes.data, b.ctypes.data, results.ctypes.data)
-    np.testing.assert_allclose(results, products._in_numpy(degrees, a, b), rtol=0.0, atol=1e-12)
-    assert convolved(degrees, a, b).shape == results.shape
+    native, plain = models.copy(), models.copy()
+    for run, results in ((code._load(built(build)), native), (None, plain)):
+        monkeypatch.setattr(programs, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
+        program(degrees, results)
+    np.testing.assert_allclose(native[:, [6, 8]], plain[:, [6, 8]], rtol=1e-12, atol=1e-12)
+    assert (native[:, [5, 7]] == 0.0).all()
 
 
 EXPRESSIONS: dict[str, tuple[Callable[[ca.SX], ca.SX], Exact]] = {

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import known
 from servocore.model.limits import Named
@@ -12,8 +15,14 @@ _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR = 0.05  # of the duration
 
 
-def cause_of(proof: Proof, each: Interval) -> str:
-    """Return a sentence on an interval that is not proved: where, in which equations, and why."""
+def cause_of(proof: Proof, unproved: Sequence[Interval]) -> str:
+    """Return a sentence on the first interval that is not proved: where, in which equations, and why.
+
+    Where not even the beginning is proved, the magnitudes of the unknowns are those of a singularity later on: that
+    explains more.
+    """
+    unsolved = [each for each in unproved if each.c is None or not np.isfinite(each.c).all()]
+    each = (unsolved or unproved)[0] if unproved[0] is proof.intervals[0] else unproved[0]
     at = f"not proved from t = {each.begin:.6g} s to {each.end:.6g} s"
     slack, given = _slack(proof, each), proof.given([each])
     if not np.isfinite(given[1]).all():
@@ -21,8 +30,7 @@ def cause_of(proof: Proof, each: Interval) -> str:
     if each.c is None or not np.isfinite(each.c).all():
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
     equations, array = proof.equations, proof.equations.array
-    blocks = [pair for stage in equations.stages for pair in zip(stage.rows, stage.columns, strict=True)]
-    first = next(rows for rows, columns in blocks if columns[0] == each.failed or each.failed < 0)
+    first = blocks_of(equations).around(max(each.failed, 0))
     names = array.signature.equations.equations
     rows = dict.fromkeys(names[array.rows[k][0]] for k in first)
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"

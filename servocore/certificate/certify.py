@@ -13,11 +13,13 @@ from servocore.certificate.causes import cause_of
 from servocore.certificate.instants import ErrorBound, Instants, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
+    LIMIT,
     Statement,
     Verdict,
     left_out_statement,
     limit_statements,
     mass_statement,
+    summary_of,
     unproved,
 )
 from servocore.errors import InvalidSetting, require_kind
@@ -66,6 +68,12 @@ class Certificate:
         """Of all statements together: "refuted" if one is, else "undecided" if one is, else "proved"."""
         found = {statement.verdict for statement in self.statements}
         return next((each for each in ("refuted", "undecided") if each in found), "proved")
+
+    @property
+    def summary(self) -> str:
+        """The verdict in one line: what is proved, or what fails first."""
+        bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
+        return summary_of(self.verdict, self.statements, bound, self.jumps)
 
     def __repr__(self) -> str:
         lines = [f"<Certificate of {self.name}: {self.verdict}, {len(self.intervals)} intervals>"]
@@ -192,7 +200,7 @@ def certify(
     if all(each.proved for proof in proofs for each in proof.intervals):
         bounds = instants.bounds
         statements += instants.statements(tolerance)
-    statements += limit_statements(proofs, wanted, lambda limit: f"limit of {limit.quantity}")
+    statements += limit_statements(proofs, wanted, lambda limit: f"{LIMIT}{limit.quantity}")
     signs = [
         Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
         for each in system.observables
@@ -258,7 +266,7 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
                 continue
             if open_:
                 verdict, time = "undecided", open_[0].begin
-                sentence = cause_of(proof, open_[0])
+                sentence = cause_of(proof, open_)
             elif "motion jumps" in joints:
                 verdict, time = "refuted", proof.intervals[places[0]].end
                 sentence = f"coordinates or velocities jump at t = {time:.6g} s: the path is too rough there"

@@ -7,7 +7,7 @@ parameters. A model of degree 0 is a ball, and the operations are then ball arit
 Sums and products bound their rounding errors beforehand. Everything else is interpolated in plain floating point, and
 its distance from the function bounded afterwards, from an equation that the function satisfies: so no rounding of the
 interpolation matters (Brisebarre & Joldes, *Chebyshev interpolation polynomial-based tools for rigorous computing*,
-ISSAC 2010; Tucker, *Validated Numerics*, 2011, chapter 3). NumPy's sin, cos, arctan2, exp and log are trusted to 4 ulp.
+ISSAC 2010; Tucker, *Validated Numerics*, 2011, chapter 3). NumPy's sin, cos, exp and tanh are trusted to 4 ulp.
 """
 
 from __future__ import annotations
@@ -18,32 +18,25 @@ from functools import cached_property, reduce
 from math import prod
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.products import convolved
+from servocore.certificate.programs import TIMES, UNIT, UP, norm, program_of, summed
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
-UNIT = 2.3e-16
-"""Twice the unit roundoff of double precision: room for the rounding of the bounds themselves."""
+__all__ = ["UNIT", "Arithmetic", "Model", "arithmetic", "bounded", "magnitude", "norm"]
 
-_UP = 1.0 + 1e-14  # a radius is computed in some ten operations with non-negative terms
-_TINY = 1e-290  # underflow
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
+_EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
+_PRODUCT = program_of([(TIMES, 2, 0, 1)], {2})
 
 Model = tuple[Array, Array]
 """Coefficients (terms, count, boxes) and radii (count, boxes): `count` functions on each of a number of boxes."""
 
 
-def norm(c: Array) -> Array:
-    """Return the sum of the magnitudes of the coefficients: |T_k| <= 1, so no value is larger."""
-    return np.asarray(np.abs(c).sum(axis=0))
-
-
 def magnitude(a: Model) -> Array:
     """Return upper bounds of the magnitudes of models, shape (count, boxes)."""
-    return np.asarray((norm(a[0]) + a[1]) * _UP)
+    return np.asarray((norm(a[0]) + a[1]) * UP)
 
 
 @dataclass(frozen=True)
@@ -87,18 +80,16 @@ class Arithmetic:
         """
         counts = [4 * d + 1 for d in self.degrees]
         factor = prod(1.0 / np.cos(d * np.pi / (2 * m)) for d, m in zip(self.degrees, counts, strict=True))
-        return self.rows(_grid([_points(m) for m in counts])), factor * _UP
-
-    def _slopes(self, k: int) -> Array:
-        """Return the matrix from the coefficients of a polynomial to those of its derivative by variable k."""
-        d = self.degrees[k]
-        own = np.vstack([chebyshev.chebder(np.eye(d + 1)), np.zeros((1, d + 1))]) if d else np.zeros((1, 1))
-        return reduce(np.kron, [own if j == k else np.eye(e + 1) for j, e in enumerate(self.degrees)])
+        return self.rows(_grid([_points(m) for m in counts])), factor * UP
 
     @cached_property
     def derivatives(self) -> list[Array]:
         """Matrices of the derivative by each variable that a polynomial depends on; entries are whole numbers."""
         return [self._slopes(k) for k, d in enumerate(self.degrees) if d]
+
+    def _slopes(self, k: int) -> Array:
+        own = np.vstack([chebyshev.chebder(np.eye(self.degrees[k] + 1)), np.zeros((1, self.degrees[k] + 1))])
+        return reduce(np.kron, [own if j == k else np.eye(e + 1) for j, e in enumerate(self.degrees)])
 
     def constant(self, values: Array) -> Model:
         """Return models of constants, shape (count, boxes)."""
@@ -125,176 +116,136 @@ class Arithmetic:
         rest = norm(c[1:])
         sampled = _applied(matrix[:, 1:], c[1:])
         noise = (len(c) + 8) * UNIT * rest
-        above, below = ((np.maximum(sign * sampled, 0.0).max(axis=0)) for sign in (1.0, -1.0))
+        above, below = np.maximum(sampled.max(axis=0), 0.0), np.maximum(-sampled.min(axis=0), 0.0)
         # The rule is one of magnitudes: it is applied to the polynomial less the middle of its samples.
         half, middle = (above + below) / 2.0, (above - below) / 2.0
-        width = (factor * half + noise + r) * _UP + UNIT * np.abs(middle)
+        width = (factor * half + noise + r) * UP + UNIT * np.abs(middle)
         low, high = c[0] + middle - width, c[0] + middle + width
-        least = (rest + r) * _UP
+        least = (rest + r) * UP
         slack = 2.0 * UNIT * (np.abs(low) + np.abs(high))
         return np.maximum(low, c[0] - least) - slack, np.minimum(high, c[0] + least) + slack
 
     # Sums and products ----------------------------------------------------------------------------------------------
 
     def sum(self, a: Model, b: Model, sign: float = 1.0) -> Model:
-        """Return a + b, or a - b for `sign` -1: every coefficient is rounded once, by a unit of what results."""
-        c = a[0] + sign * b[0]
-        return c, (a[1] + b[1] + UNIT * norm(c)) * _UP
-
-    def scaled(self, a: Model, b: Model) -> Model:
-        """Return a times balls `b`, models of degree 0: every coefficient is rounded once."""
-        c, factor = a[0] * b[0], np.abs(b[0][0])
-        return c, (factor * a[1] + b[1] * (norm(a[0]) + a[1]) + UNIT * norm(c)) * _UP + _TINY * (norm(c) > 0)
+        """Return a + b, or a - b for `sign` -1."""
+        found = summed(_stacked(a), _stacked(b), sign)
+        return found[:-1], found[-1]
 
     def product(self, a: Model, b: Model) -> Model:
-        """Return a times b.
-
-        T_i T_j = (T_(i+j) + T_|i-j|)/2. A coefficient of the product is a sum of at most N = prod(2 d + 1) products of
-        two coefficients, added up in any order: all of them together are off by at most (N + 2) units of
-        |a|_1 |b|_1 (Higham, *Accuracy and Stability*, section 3.1). Terms beyond the degree go into the radius,
-        and so does (p + e)(q + f) - p q with |e|, |f| the radii.
-        """
-        full = convolved(self.degrees, a[0], b[0])
-        size_a, size_b = norm(a[0]), norm(b[0])
-        kept, beyond = self._within
-        rounding = (prod(2 * d + 1 for d in self.degrees) + 2) * UNIT / 2.0
-        crossed = size_a * b[1] + size_b * a[1] + a[1] * b[1]
-        r = (norm(full[beyond]) + rounding * size_a * size_b + crossed) * _UP
-        return full[kept], r + _TINY * (r > 0)
-
-    @cached_property
-    def _within(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Places, among the coefficients of a product, of those within the degree, and of those beyond."""
-        orders = np.indices([2 * d + 1 for d in self.degrees]).reshape(len(self.degrees), -1)
-        within = (orders <= np.array(self.degrees)[:, None]).all(axis=0)
-        return np.flatnonzero(within), np.flatnonzero(~within)
+        """Return a times b."""
+        c, r = a
+        models = np.empty((len(c) + 1, 3, r.size))
+        for place, (coefficients, radii) in enumerate((a, b)):
+            models[:-1, place], models[-1, place] = coefficients.reshape(len(c), -1), radii.ravel()
+        _PRODUCT(self.degrees, models)
+        return models[:-1, 2].reshape(c.shape), models[-1, 2].reshape(r.shape)
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------
 
-    def quotient(self, a: Model, b: Model) -> Model:
-        """Return a/b for b without a zero: |a/b - q| = |a - q b|/|b|."""
-        low, high = self.span(b)
-        least = np.maximum(low, -high)
-        good = least > 0.0
-        with np.errstate(all="ignore"):
-            q = _finite(self.interpolated(self.values(a[0]) / self.values(b[0])))
-            rest = self.sum(a, self.product((q, np.zeros_like(b[1])), b), -1.0)
-            return q, np.where(good, magnitude(rest) / least * _UP, np.inf)
+    def _tried(self, values: Array) -> Model:
+        """Return interpolants as models without a radius, zero for what is not finite: any polynomial may be tried."""
+        c = self.interpolated(values)
+        return np.where(np.isfinite(c).all(axis=0), c, 0.0), np.zeros(c.shape[1:])
+
+    def _off(self, ratio: Model) -> Array:
+        """Return e/(1 - e) for a bound e of |ratio - 1|: a bound of |1/ratio - 1| too, infinite unless e < 1."""
+        c = ratio[0].copy()
+        c[0] -= 1.0
+        e = magnitude((c, ratio[1] + UNIT * np.abs(ratio[0][0])))
+        return np.asarray(np.where(e < 1.0, e / np.where(e < 1.0, 1.0 - e, 1.0) * UP, np.inf))
+
+    def inverse(self, a: Model) -> Model:
+        """Return 1/a for a without a zero: with q a = 1 + d, it is q/(1 + d)."""
+        q = self._tried(1.0 / self.values(a[0]))
+        return q[0], norm(q[0]) * self._off(self.product(q, a)) * UP
 
     def root(self, a: Model) -> Model:
-        """Return the square root of a: |sqrt(a) - s| = |a - s^2|/(sqrt(a) + s) where a is positive.
+        """Return the square root of a: with q^2 a = 1 + d, q positive, it is q a (1 + d)^(-1/2).
 
-        Where it may come to zero, from 0 to the root of its upper bound, for values with which the root is defined.
+        Where a may come to zero, from 0 to the root of its upper bound, for values with which the root is defined.
         """
+        q = self._tried(1.0 / np.sqrt(self.values(a[0])))
+        s = self.product(q, a)
+        off = self._off(self.product(q, s))
+        return self._or_range((s[0], (s[1] + magnitude(s) * off) * UP), np.sqrt, a, 0.0)
+
+    def logarithm(self, a: Model) -> Model:
+        """Return log(a) for positive a: with a e^(-y) = 1 + d, it is y + log(1 + d)."""
+        y = self._tried(np.log(self.values(a[0])))
+        off = self._off(self.product(a, self.exponential((-y[0], y[1]))))
+        return self._or_range((y[0], off), np.log, a, 0.0)
+
+    def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model, lowest: float) -> Model:
+        """Return a model, or where that has the smaller radius the range of a function that rises from `lowest` on."""
         low, high = self.span(a)
-        with np.errstate(all="ignore"):
-            s = _finite(self.interpolated(np.sqrt(self.values(a[0]))))
-            exact = s, np.zeros_like(a[1])
-            rest = self.sum(a, self.product(exact, exact), -1.0)
-            least = np.sqrt(low) * (1 - UNIT) + np.maximum(self.span(exact)[0], 0.0)
-            half = np.sqrt(np.maximum(high, 0.0)) / 2.0
-        around = self.constant(half)[0]
-        good = low > 0.0
-        wide = np.where(high >= 0.0, half * (1.0 + 1e-14), np.inf)
-        return np.where(good, s, around), np.where(good, magnitude(rest) / np.where(good, least, 1.0) * _UP, wide)
+        least, most = function(np.maximum(low, lowest)), function(np.where(high >= lowest, high, np.nan))
+        half = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))
+        better = np.isfinite(half) & ~(found[1] <= half)
+        around = self.constant(np.where(better, (least + most) / 2.0, 0.0))[0]
+        return np.where(better, around, found[0]), np.where(better, half, bounded(found[1]))
 
-    def _along(self, *coefficients: Array, defect: Callable[..., Model]) -> Array:
-        """Return the sum over the variables of bounds of a defect, a model of polynomials and their derivatives.
+    def sine_and_cosine(self, a: Model) -> tuple[Model, Model]:
+        """Return sin(a) and cos(a): both change by at most the radius of a."""
+        v, (at, e) = self.values(a[0]), self._middle(a[0])
+        c, s = self._tried(np.cos(v)), self._tried(np.sin(v))
+        off = self._flowed(a[0], [(c, s, -1.0, np.cos(at)), (s, c, 1.0, np.sin(at))])
+        radius = (off + 2.0 * (e + _ULPS) + a[1]) * UP
+        return (s[0], radius), (c[0], radius.copy())
 
-        On the straight line from the middle of the box to a point, a quantity with these rates changes by at most
-        that. A derivative is a sum of products with whole numbers, `terms` at most: its rounding is its radius.
+    def exponential(self, a: Model) -> Model:
+        """Return e^a: within the box it grows by at most e^(2 R), with R the sum of all but the first coefficient."""
+        (at, e), rest = self._middle(a[0]), norm(a[0][1:])
+        y = self._tried(np.exp(self.values(a[0])))
+        off = self._flowed(a[0], [(y, y, 1.0, np.exp(at))]) + np.exp(at) * (np.expm1(2.0 * e) + _ULPS)
+        radius = np.exp(2.0 * rest) * off + np.exp(a[0][0] + rest) * np.expm1(a[1])
+        return y[0], bounded(radius * _EXPONENT)
+
+    def _flowed(self, p: Array, parts: list[tuple[Model, Model, float, Array]]) -> Array:
+        """Bound what polynomials y are off a solution of y' = p' L y, divided by the growth of such solutions.
+
+        Each part is y, the other one in L y and its sign, and the value in the middle of the box. From there to a point
+        on a straight line, an error grows by its rate and the defects y' - p' L y, whose bounds are added up over the
+        variables.
         """
-        total = np.zeros(coefficients[0].shape[1:])
-        for matrix in self.derivatives:
-            slopes = []
-            for c in coefficients:
-                d = _applied(matrix, c)
-                slopes.append((d, (len(c) + 2) * UNIT * _applied(np.abs(matrix).sum(axis=0)[None], np.abs(c))[0]))
-            total = total + magnitude(defect(*slopes))
-        return total
+        off = np.zeros(p.shape[1:])
+        for y, other, sign, begin in parts:
+            value, e = self._middle(y[0])
+            off = off + np.abs(value - begin) + e
+            for matrix in self.derivatives:
+                slope, change = self._derivative(matrix, p), self._derivative(matrix, y[0])
+                off = off + magnitude(self.sum(change, self.product(slope, other), -sign))
+        return off
+
+    def _derivative(self, matrix: Array, c: Array) -> Model:
+        """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
+        return _applied(matrix, c), (len(c) + 2) * UNIT * _applied(np.abs(matrix).sum(axis=0)[None], np.abs(c))[0]
 
     def _middle(self, c: Array) -> tuple[Array, Array]:
         """Return values in the middle of the box and bounds of their rounding errors."""
         row = self.rows(np.zeros((1, len(self.degrees))))
         return _applied(row, c)[0], (len(c) + 8) * UNIT * norm(c)
 
-    def sine_and_cosine(self, a: Model) -> tuple[Model, Model]:
-        """Return sin(a) and cos(a).
-
-        z = c + i s is e^(i p) but for its defect z' - i p' z: d/dt (z e^(-i p)) = (z' - i p' z) e^(-i p), of the same
-        magnitude. Sine and cosine then change by at most the radius of a.
-        """
-        p, r = a
-        argument = self.values(p)
-        s, c = self.interpolated(np.sin(argument)), self.interpolated(np.cos(argument))
-        zero = np.zeros_like(r)
-
-        def defect(slope: Model, of_s: Model, of_c: Model) -> Model:
-            first = self.sum(of_s, self.product(slope, (c, zero)), -1.0)
-            second = self.sum(of_c, self.product(slope, (s, zero)))
-            return np.concatenate([first[0], second[0]]), first[1] + second[1]
-
-        at, e = self._middle(p)
-        (s0, e_s), (c0, e_c) = self._middle(s), self._middle(c)
-        begin = np.abs(np.sin(at) - s0) + np.abs(np.cos(at) - c0) + e + e_s + e_c + 2 * _ULPS
-        radius = (r + begin + self._along(p, s, c, defect=defect)) * _UP
-        return (s, radius), (c, radius.copy())
-
-    def exponential(self, a: Model) -> Model:
-        """Return e^a: with y' - p' y the defect, |e^p - y| <= e^p (|1 - y e^(-p)| in the middle + |defect| e^(-p))."""
-        p, r = a
-        low, high = self.span((p, np.zeros_like(r)))
-        with np.errstate(all="ignore"):
-            y = _finite(self.interpolated(np.exp(self.values(p))))
-
-            def defect(slope: Model, of_y: Model) -> Model:
-                return self.sum(of_y, self.product(slope, (y, np.zeros_like(r))), -1.0)
-
-            (at, e), (y0, e_y) = self._middle(p), self._middle(y)
-            begin = np.exp(high - at) * (np.abs(np.exp(at) - y0) + e_y + (2 * e + _ULPS) * np.exp(at) * np.exp(e))
-            distance = begin + np.exp(high - low) * self._along(p, y, defect=defect)
-            radius = (distance + np.exp(high) * np.expm1(r) * np.exp(r)) * (1.0 + 4 * _ULPS)
-        return y, _bounded(radius)
-
-    def logarithm(self, a: Model) -> Model:
-        """Return log(a) for positive a: (y - log p)' = (y' p - p')/p."""
-        p, r = a
-        low, _ = self.span((p, np.zeros_like(r)))
-        with np.errstate(all="ignore"):
-            y = _finite(self.interpolated(np.log(self.values(p))))
-
-            def defect(slope: Model, of_y: Model) -> Model:
-                return self.sum(self.product(of_y, (p, np.zeros_like(r))), slope, -1.0)
-
-            (at, e), (y0, e_y) = self._middle(p), self._middle(y)
-            begin = np.abs(np.log(at) - y0) + e_y + e / low + _ULPS * (1.0 + np.abs(np.log(at)))
-            radius = (begin + (self._along(p, y, defect=defect) + r) / (low - r)) * _UP
-        return y, np.where(low - r > 0.0, _bounded(radius), np.inf)
+    def hyperbolic_tangent(self, a: Model) -> Model:
+        """Return tanh(a) = 1 - 2/(e^(2 a) + 1)."""
+        one = self.constant(np.ones_like(a[1]))
+        share = self.inverse(self.sum(self.exponential((2.0 * a[0], 2.0 * a[1])), one))
+        return self._or_range(self.sum(one, (2.0 * share[0], 2.0 * share[1]), -1.0), np.tanh, a, -np.inf)
 
     def angle(self, y: Model, x: Model) -> Model:
         """Return atan2(y, x) away from the negative x axis.
 
-        (a - atan2(y, x))' = (a' (x^2 + y^2) - (x y' - y x'))/(x^2 + y^2).
-        A displacement of (x, y) by its radii turns the angle by at most their sum over the least distance.
+        Turned back by an approximation b, (x, y) has the components x cos b + y sin b ahead and y cos b - x sin b
+        aside. Where the first is positive, the angle is off b by at most the second over the first: by whole turns
+        nowhere, as it is not at the nodes and goes on continuously.
         """
-        zero = np.zeros_like(x[1])
-        (low_x, high_x), (low_y, high_y) = self.span(x), self.span(y)
-        least = np.maximum(np.maximum(low_x, -high_x), np.maximum(low_y, -high_y))
-        good = (low_x > 0.0) | (low_y > 0.0) | (high_y < 0.0)
-        p, q = (x[0], zero), (y[0], zero)
-        with np.errstate(all="ignore"):
-            a = _finite(self.interpolated(np.arctan2(self.values(y[0]), self.values(x[0]))))
-            square = self.sum(self.product(p, p), self.product(q, q))
-
-            def defect(of_a: Model, of_x: Model, of_y: Model) -> Model:
-                turned = self.sum(self.product(p, of_y), self.product(q, of_x), -1.0)
-                return self.sum(self.product(of_a, square), turned, -1.0)
-
-            (x0, e_x), (y0, e_y), (a0, e_a) = self._middle(x[0]), self._middle(y[0]), self._middle(a)
-            begin = np.abs(np.arctan2(y0, x0) - a0) + e_a + 2 * (e_x + e_y) / least + 4 * _ULPS
-            along = self._along(a, x[0], y[0], defect=defect) / least**2
-            radius = (begin + along + (x[1] + y[1]) / least) * _UP
-        return a, np.where(good, _bounded(radius), np.inf)
+        (low_x, _), (low_y, high_y) = self.span(x), self.span(y)
+        b = self._tried(np.arctan2(self.values(y[0]), self.values(x[0])))
+        s, c = self.sine_and_cosine(b)
+        low, _ = self.span(self.sum(self.product(x, c), self.product(y, s)))
+        aside = magnitude(self.sum(self.product(y, c), self.product(x, s), -1.0))
+        good = ((low_x > 0.0) | (low_y > 0.0) | (high_y < 0.0)) & (low > 0.0)
+        return b[0], np.where(good, aside / np.where(good, low, 1.0) * UP, np.inf)
 
     # Boxes ----------------------------------------------------------------------------------------------------------
 
@@ -337,10 +288,11 @@ def _applied(matrix: Array, c: Array) -> Array:
     return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
 
 
-def _finite(c: Array) -> Array:
-    """Return coefficients with zero in the place of what is not finite: any polynomial may be tried."""
-    return np.asarray(np.where(np.isfinite(c).all(axis=0), c, 0.0))
+def _stacked(a: Model) -> Array:
+    """Return coefficients with the radii below them."""
+    return np.concatenate([a[0], a[1][None]])
 
 
-def _bounded(radius: Array) -> Array:
+def bounded(radius: Array) -> Array:
+    """Return radii with infinity in the place of what is not a number."""
     return np.asarray(np.where(np.isnan(radius), np.inf, radius))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -22,29 +21,9 @@ from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, nominal
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+from servocore.structure.inversion import inversion
 
 Places = npt.NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """Diagonal blocks of the Jacobian with equally many rows that depend on blocks of earlier stages alone.
-
-    Attributes
-    ----------
-    rows, columns : ndarray of int, shape (blocks, size)
-        Of the Jacobian.
-    entries : ndarray of int, shape (blocks, size, size)
-        Places among its entries; one behind the last where there is none.
-    beside : tuple of (ndarray of int, ndarray of int, ndarray of int)
-        Of what lies beside the blocks: the row, counted through all blocks, the column and the place among the entries.
-    """
-
-    rows: Places
-    columns: Places
-    entries: Places
-    beside: tuple[Places, Places, Places]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +38,18 @@ class Equations:
         Unknowns, path with its derivatives, parameters: the arguments of the walks.
     residual, jacobian : Walk
         Of the equations, and of the entries of their Jacobian.
-    stages : tuple of Stage
-        The diagonal blocks, in an order in which they can be solved.
+    pattern : casadi.Sparsity
+        Of the Jacobian.
     curved : ndarray of bool
         Unknowns that the Jacobian depends on.
-    numbers : tuple of int
-        Which of the symbols are parameters without an interval.
     """
 
     array: DerivativeArray
     symbols: ca.SX
     residual: Walk
     jacobian: Walk
-    stages: tuple[Stage, ...]
+    pattern: ca.Sparsity
     curved: npt.NDArray[np.bool_]
-    numbers: tuple[int, ...]
 
     @property
     def path_order(self) -> int:
@@ -98,54 +74,18 @@ class Equations:
         n = len(system.coordinates)
         old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
         (values,) = ca.substitute([ca.vertcat(ca.SX(0, 1), *expressions)], [old], [new])
-        return walk_of(time_derivative(values, y, system.gamma) if rates else values, self.symbols, self.numbers)
+        return walk_of(time_derivative(values, y, system.gamma) if rates else values, self.symbols)
 
 
 @made_once
-def equations_of(resolved: ResolvedSystem, raised: bool, boxed: tuple[int, ...]) -> Equations:
-    """Prepare the equations of a system; `raised` with the rates, `boxed` are the parameters with an interval."""
+def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
+    """Prepare the equations of a system; `raised` with the rates."""
     array = _raised(resolved.array) if raised else resolved.array
-    system = array.system
-    gamma = ca.vec(system.gamma[:, : array.reference_order + 1])
-    x = array.column(array.unknowns)
-    symbols = ca.vertcat(x, gamma, system.p)
-    first = x.numel() + gamma.numel()
-    numbers = tuple(first + k for k in range(system.p.numel()) if k not in boxed)
-    J = ca.jacobian(array.residual, x)
-    rows, columns = (np.array(each, dtype=np.intp) for each in J.sparsity().get_triplet())
+    x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
+    symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(array.residual, x)
     curved = np.zeros(x.numel(), dtype=bool)
     curved[np.array(ca.jacobian_sparsity(J.nz[:], x).get_col(), dtype=np.intp)] = True
-    return Equations(
-        array, symbols, walk_of(array.residual, symbols, numbers), walk_of(J.nz[:], symbols, numbers),
-        _stages(J.sparsity(), rows, columns), curved, numbers,
-    )  # fmt: skip
-
-
-def _stages(pattern: ca.Sparsity, rows: Places, columns: Places) -> tuple[Stage, ...]:
-    """Return the diagonal blocks in stages: those of one size that need the same number of others before them."""
-    size, none = pattern.size1(), len(rows)
-    entry = np.full((size, size), none, dtype=np.intp)
-    entry[rows, columns] = np.arange(none)
-    _, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
-    level = np.full(size, -1)  # of the block that determines an unknown
-    grouped: dict[tuple[int, int], list[tuple[Places, Places]]] = {}
-    # The form is lower triangular: the first block depends on no other.
-    for (a, b), (c, d) in zip(pairwise(row_ends), pairwise(column_ends), strict=True):
-        own = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
-        if len(own[0]):
-            its_level = 1 + level[(entry[own[0]] < none).any(axis=0)].max(initial=-1)
-            level[own[1]] = its_level
-            grouped.setdefault((int(its_level), len(own[0])), []).append(own)
-    stages = []
-    for _, members in sorted(grouped.items()):
-        its_rows, its_columns = (np.stack(each) for each in zip(*members, strict=True))
-        others = entry[its_rows].copy()
-        np.put_along_axis(others, its_columns[:, None, :].repeat(its_rows.shape[1], axis=1), none, axis=2)
-        others = others.reshape(-1, size)
-        at, column = np.nonzero(others < none)
-        within = entry[its_rows[:, :, None], its_columns[:, None, :]]
-        stages.append(Stage(its_rows, its_columns, within, (at, column, others[at, column])))
-    return tuple(stages)
+    return Equations(array, symbols, walk_of(array.residual, symbols), walk_of(J.nz[:], symbols), J.sparsity(), curved)
 
 
 @made_once
@@ -189,24 +129,15 @@ class Answers:
 
     def from_guess(self, t: Array, p: Array) -> Array:
         """Return the unknowns (size, N) at instants with parameters (n_p, N), from the model's guess; NaN for none."""
-        inverse, jets = inversion(self.problem.array), self._jets(t, self.problem.array.reference_order)
-        (found,), left = _at_points(inverse.guess, jets, p), np.arange(len(t))
-        if inverse.expression is not None:
-            candidate, _, residual = _at_points(inverse.expression, jets, p)
-            good = residual.max(axis=0) < LARGEST_RESIDUAL
-            found, left = np.where(good, candidate, found), np.flatnonzero(~good)
-        if len(left):
-            found[:, left] = self._searched(jets[left], p[:, left], found[:, left])
-        return self._completed(found, t, p)
+        jets = self._jets(t, self.problem.array.reference_order)
+        found, _, residual = _at_points(inversion(self.problem.array).function, jets, p)
+        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
 
     def from_near(self, t: Array, p: Array, guess: Array) -> Array:
         """Return the same by Newton's method from guesses (size, N)."""
         jets = self._jets(t, self.problem.array.reference_order)
-        return self._completed(self._searched(jets, p, guess[self._own]), t, p)
-
-    def _searched(self, jets: Array, p: Array, guess: Array) -> Array:
-        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess)
-        return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
+        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess[self._own])
+        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
 
     @cached_property
     def _own(self) -> list[int]:

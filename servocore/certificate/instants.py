@@ -10,7 +10,8 @@ import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, norm
 from servocore.certificate.equations import parameter_models, path_models
-from servocore.certificate.krawczyk import radii
+from servocore.certificate.krawczyk import joined
+from servocore.certificate.programs import UP
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import Statement, Verdict, limit_statements
 from servocore.model.limits import Limit, Named
@@ -20,7 +21,6 @@ from servocore.solution import Solution
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
-_NARROW = 1e-7  # of a peak: where an instant's solution is looked for
 
 
 @dataclass(frozen=True)
@@ -62,25 +62,9 @@ class Instants:
 
     @cached_property
     def enclosures(self) -> tuple[Array, Array]:
-        """Middle and radius of the inputs (inputs, N): by a proof at each instant, else by those of the intervals."""
-        proof = self.proofs[0]
-        places = proof.equations.inputs
-        c, r = at_times(proof, self.times)
-        middle, radius = c[0, places], (norm(c[1:]) + r)[places] * (1.0 + 1e-14)
-        if proof.boxed:
-            return middle, radius
-        ring, count = arithmetic((0,)), len(proof.equations.array.unknowns)
-        x = proof.answers.from_near(self.times, np.tile(proof.problem.p[:, None], len(self.times)), c[0, :count])
-        given = c[:1, count:], r[count:]
-        D = np.tile(_NARROW * proof.peaks[:, None], len(self.times))
-        rho, _ = radii(proof.equations, ring, np.where(np.isfinite(x), x, 0.0)[None], given, D, proof.peaks)
-        curved = proof.equations.curved
-        # The same solution as the interval's: it lies where that is the only one.
-        within = np.stack([proof.intervals[k].D for k in _interval_of(proof, self.times)], axis=1)
-        same = ((np.abs(x - c[0, :count]) + rho <= within) & (rho <= D))[curved].all(axis=0) & np.isfinite(rho).all(
-            axis=0
-        )
-        return np.where(same, x[places], middle), np.where(same, rho[places], radius)
+        """Middle and radius of the inputs (inputs, N)."""
+        (c, r), places = unknowns_at(self.proofs[0], self.times), self.proofs[0].equations.inputs
+        return c[0, places], (norm(c[1:]) + r)[places] * UP
 
     @cached_property
     def errors(self) -> tuple[Array, Array]:
@@ -139,40 +123,31 @@ class Instants:
         )
 
 
-def _interval_of(proof: Proof, t: Array) -> list[int]:
-    """Return the numbers of the intervals that times are in."""
+def unknowns_at(proof: Proof, t: Array) -> Model:
+    """Return the unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
     ends = np.array([each.end for each in proof.intervals])
-    numbers: list[int] = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1).tolist()
-    return numbers
-
-
-def at_times(proof: Proof, t: Array) -> Model:
-    """Return the arguments of walks at times (N,), polynomials in the parameters: one box each."""
-    ring = arithmetic((0, *proof.ring.degrees[1:]))
-    numbers = _interval_of(proof, t)
-    some = [proof.intervals[k] for k in numbers]
-    a, b = (np.array([getattr(each, name) for each in some]) for name in ("begin", "end"))
+    numbers = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1)
+    a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
-    elsewhere = np.abs(position) > 1.0 + 1e-9
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
+    models = proof.models(proof.intervals)
+    count = len(proof.peaks)
+    c, rho = np.moveaxis(models[0][:, :count], 2, 0), models[1][:count, numbers]
+    shaped = c.reshape(len(ends), basis.shape[1], -1)
+    x = (basis[:, None] @ shaped[numbers]).reshape(len(t), -1, count).transpose(1, 2, 0)
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
-    c = np.stack([each.c for each in some if each.c is not None], axis=2)
-    shaped = c.reshape(basis.shape[1], -1, *c.shape[1:])
-    x = np.einsum("ni,ijkn->jkn", basis, shaped)
     late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
-    noise = np.einsum("i,ijkn->kn", np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped)) * late
-    bad = elsewhere | ~np.isfinite(x).all(axis=(0, 1))
-    rho = np.stack([each.rho for each in some], axis=1) + noise
-    x, rho = np.where(bad, 0.0, x), np.where(bad, np.inf, rho)
-    path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
-    p = parameter_models(ring, proof.problem.p, proof.boxed, len(t))
-    return np.concatenate([x, path[0], p[0]], axis=1), np.concatenate([rho, path[1], p[1]])
+    share = (np.arange(basis.shape[1]) ** 2.0 + 12.0) @ np.abs(shaped)
+    noise = share.reshape(len(ends), -1, count).sum(axis=1)[numbers].T * late
+    return x, np.where(np.abs(position) > 1.0 + 1e-9, np.inf, rho + noise)
 
 
 def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring = arithmetic((0, *proof.ring.degrees[1:]))
     walk = proof.equations.walk([Named(name)(proof.problem.system) for name in names])
-    low, high = ring.span(walk(ring, at_times(proof, t)))
+    path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
+    given = joined(path, parameter_models(ring, proof.problem.p, proof.boxed, len(t)))
+    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t), given)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)

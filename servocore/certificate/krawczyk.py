@@ -13,14 +13,133 @@ J does not depend on need no D: the solution is unique whatever they are.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
-from servocore.certificate.equations import Equations, Places
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, norm
+from servocore.certificate.equations import Equations
+from servocore.certificate.programs import UP, Places
+from servocore.certificate.walk import Walk, walk_of
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 
-_ROOM = 1.0 + 1e-3  # radii are larger by that, so that the test holds with the rounding of its own sums
+_ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
+_ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
+_ITERATIONS = 60
+_INVERTED = 4  # degree in time of approximate inverses
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """A sparse matrix with entries that are given later, to multiply with.
+
+    Attributes
+    ----------
+    rows, columns : ndarray of int
+        Of the entries, sorted by rows.
+    """
+
+    rows: Places
+    columns: Places
+
+    @cached_property
+    def first(self) -> Places:
+        """Where rows begin."""
+        return np.flatnonzero(np.diff(self.rows, prepend=-1))
+
+    def __call__(self, entries: Array, x: Array) -> Array:
+        """Return the product of the matrix with `entries` (N, boxes) and vectors (columns, boxes)."""
+        if len(self.first) == len(x):
+            return np.asarray(np.add.reduceat(entries * x[self.columns], self.first, axis=0))
+        product = np.zeros_like(x)
+        if len(self.rows):
+            product[self.rows[self.first]] = np.add.reduceat(entries * x[self.columns], self.first, axis=0)
+        return product
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """The block triangular form of a Jacobian, with rows and columns in its order.
+
+    Attributes
+    ----------
+    rows, columns : ndarray of int
+        Equations and unknowns in the order of the form.
+    ends : list of int
+        Where blocks end, and where the first begins.
+    inside, own : ndarray of int
+        Places, among the entries of all blocks, of those that the Jacobian has, and theirs in the Jacobian.
+    where : list of (int, ndarray of int)
+        Sizes of blocks, and the places of the entries of those of a size, row by row.
+    within : Sums
+        The blocks.
+    beside : Sums
+        What lies beside them.
+    others : ndarray of int
+        Places of that among the entries of the Jacobian.
+    test : Walk
+        From the entries of Y, of J and of r to those of I - Y J, and of Y r.
+    """
+
+    rows: Places
+    columns: Places
+    ends: list[int]
+    inside: Places
+    own: Places
+    where: list[tuple[int, Places]]
+    within: Sums
+    beside: Sums
+    others: Places
+    test: Walk
+
+    def around(self, unknown: int) -> list[int]:
+        """Return the equations of the block that determines an unknown."""
+        position = int(np.flatnonzero(self.columns == unknown)[0])
+        a, b = next((a, b) for a, b in pairwise(self.ends) if a <= position < b)
+        return [int(each) for each in self.rows[a:b]]
+
+
+@made_once
+def blocks_of(equations: Equations) -> Blocks:
+    """Prepare the test of equations."""
+    pattern = equations.pattern
+    size, none = pattern.size1(), pattern.nnz()
+    _, row_order, column_order, ends, *_ = pattern.btf()
+    ends = sorted(set(ends))
+    rows, columns = (np.array(each, dtype=np.intp) for each in (row_order, column_order))
+    entry = np.full((size, size), none)
+    entry[tuple(np.array(each) for each in pattern.get_triplet())] = np.arange(none)
+    entry = entry[rows][:, columns]
+    block = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+    same = block[:, None] == block
+    at, column = np.nonzero(same)
+    number = np.full((size, size), -1)
+    number[at, column] = np.arange(len(at))
+    grouped: dict[int, list[Places]] = {}
+    for a, b in pairwise(ends):
+        grouped.setdefault(b - a, []).append(number[a:b, a:b].ravel())
+    within, inside = entry[at, column], np.flatnonzero(entry[at, column] < none)
+    beside = np.nonzero(~same & (entry < none))
+    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(at)), ("J", len(inside)), ("r", size)))
+    # The form is lower triangular: the first block depends on no other.
+    tests, shifts = [ca.SX(0, 1)], [ca.SX(0, 1)]
+    for a, b in pairwise(ends):
+        inverse = ca.reshape(Y[number[a:b, a:b].ravel().tolist()], b - a, b - a).T
+        own = ca.SX(b - a, b - a)
+        for i, k in zip(*np.nonzero(entry[a:b, a:b] < none), strict=True):
+            own[int(i), int(k)] = J[int(np.searchsorted(inside, number[a + i, a + k]))]
+        tests.append(ca.vec(ca.densify(ca.SX.eye(b - a) - ca.mtimes(inverse, own)).T))
+        shifts.append(ca.mtimes(inverse, r[rows[a:b].tolist()]))
+    test = walk_of(ca.vertcat(*tests, *shifts), ca.vertcat(Y, J, r))
+    where = [(length, np.concatenate(some)) for length, some in grouped.items()]
+    return Blocks(
+        rows, columns, ends, inside, within[inside], where, Sums(at, column), Sums(*beside), entry[beside], test
+    )
 
 
 def radii(
@@ -48,112 +167,60 @@ def radii(
     rho : ndarray, shape (unknowns, boxes)
         The radii, whether within D or not.
     failed : ndarray of int, shape (boxes,)
-        The first unknown that was not proved, in the order of the stages; -1 if all were.
+        The first unknown of the first block that was not proved; -1 if all were.
     """
+    blocks = blocks_of(equations)
     wide = np.where(equations.curved[:, None], D, 0.0)
-    residual = equations.residual(ring, _joined(x, np.zeros_like(wide), given))
-    jacobian = equations.jacobian(ring, _joined(x, wide, given))
-    weights = magnitude(jacobian)
-    rho, failed = np.full_like(wide, np.inf), np.full(x.shape[2], -1)
-    for stage, (A, inverse, own) in zip(equations.stages, _tests(ring, equations, residual, jacobian), strict=True):
-        at, column, entry = stage.beside
-        beside = np.zeros((own.shape[0] * own.shape[1], own.shape[2]))
-        np.add.at(beside, at, weights[entry] * rho[column])
-        Z = own + np.einsum("bijk,bjk->bik", inverse, beside.reshape(own.shape)) * _ROOM
-        Z = np.maximum(Z, _LEAST * sizes[stage.columns][:, :, None])
-        rho[stage.columns] = found = _fixed(A, Z)
-        bad = ~np.isfinite(found).all(axis=1)
-        first = stage.columns[bad.argmax(axis=0), 0]
-        failed = np.where((failed < 0) & bad.any(axis=0), first, failed)
-    return rho, failed
+    residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given))
+    jacobian = equations.jacobian(ring, joined((x, wide), given))
+    own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
+    Y = _inverses(blocks, ring, own[0])
+    found = magnitude(blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual)))
+    A, Z = found[: Y.shape[1]], np.maximum(found[Y.shape[1] :], _LEAST * sizes[blocks.columns, None])
+    beside = magnitude((jacobian[0][:, blocks.others], jacobian[1][blocks.others]))
+    rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, beside)
+    first = np.array(blocks.ends)[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
+    proved, unsorted = holds.all(axis=0), np.empty_like(rho)
+    unsorted[blocks.columns] = np.where(proved, rho, np.inf)
+    return unsorted, np.where(proved, -1, blocks.columns[first])
 
 
-def _joined(x: Array, r: Array, given: Model) -> Model:
-    return np.concatenate([x, given[0]], axis=1), np.concatenate([r, given[1]])
+def joined(*some: Model) -> Model:
+    """Return models one after the other."""
+    return np.concatenate([c for c, _ in some], axis=1), np.concatenate([r for _, r in some])
 
 
-def _tests(ring: Arithmetic, equations: Equations, residual: Model, jacobian: Model) -> list[tuple[Array, ...]]:
-    """Return the arrays of the test for the blocks of each stage: all blocks of one size are handled together."""
-    sizes = [stage.rows.shape[1] for stage in equations.stages]
-    found = dict[int, tuple[Array, ...]]()
-    for size in set(sizes):
-        same = [k for k, each in enumerate(sizes) if each == size]
-        rows, entries = (
-            np.concatenate([getattr(equations.stages[k], name) for k in same]) for name in ("rows", "entries")
-        )
-        ends = np.cumsum([len(equations.stages[k].rows) for k in same])[:-1]
-        parts = (np.split(part, ends) for part in _tested(ring, rows, entries, residual, jacobian))
-        found.update(zip(same, zip(*parts, strict=True), strict=True))
-    return [found[k] for k in range(len(sizes))]
+def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
+    """Return coefficients (terms, entries, boxes) of inverses of the blocks, interpolated at few nodes: any will do."""
+    coarse, (terms, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), c.shape
+    nodes = len(coarse.nodes)
+    values = np.zeros((nodes, len(blocks.within.rows), boxes))
+    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ c.reshape(terms, -1)).reshape(nodes, -1, boxes)
+    found = np.empty_like(values)
+    for size, where in blocks.where:
+        if size == 1:
+            found[:, where] = 1.0 / values[:, where]
+            continue
+        matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
+        matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
+        try:
+            inverses = np.linalg.inv(matrices)
+        except np.linalg.LinAlgError:
+            inverses = np.linalg.pinv(matrices)
+        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
+    Y = np.zeros((terms, *found.shape[1:]))
+    Y[:nodes] = coarse.interpolated(found)
+    return np.where(np.isfinite(Y), Y, 0.0)
 
 
-def _tested(
-    ring: Arithmetic, rows: Places, entries: Places, residual: Model, jacobian: Model
-) -> tuple[Array, Array, Array]:
-    """Return bounds of |I - Y J|, |Y| and |Y r| of blocks of one size, shape (blocks, size, ..., boxes)."""
-    size = rows.shape[1]
-    terms, boxes = len(residual[0]), residual[0].shape[2]
-    # One more entry, zero, for those that a block does not have.
-    c = np.concatenate([jacobian[0], np.zeros((terms, 1, boxes))], axis=1)[:, entries]
-    r = np.concatenate([jacobian[1], np.zeros((1, boxes))])[entries]
-    Y = _inverses(ring, c)
-    zero = np.zeros(Y.shape[1:])
-    # Y J and Y r as products of models: they cancel as polynomials, before magnitudes are taken.
-    YJ = [_product(ring, (Y[:, :, :, [k]], zero[:, :, [k]]), (c[:, :, [k]], r[:, [k]])) for k in range(size)]
-    b = residual[0][:, rows][:, :, None], residual[1][rows][:, None]
-    Yr = [_product(ring, (Y[:, :, :, k], zero[:, :, k]), (b[0][:, :, :, k], b[1][:, :, k])) for k in range(size)]
-    return _sum(YJ, np.eye(size)[None, :, :, None]), norm(Y) * (1.0 + 1e-14), _sum(Yr, 0.0)
-
-
-def _product(ring: Arithmetic, a: Model, b: Model) -> Model:
-    """Return products of models with more axes than one between terms and boxes."""
-    shape = np.broadcast_shapes(a[0].shape, b[0].shape)
-    left, right = (
-        (
-            np.broadcast_to(c, shape).reshape(shape[0], -1, shape[-1]),
-            np.broadcast_to(r, shape[1:]).reshape(-1, shape[-1]),
-        )
-        for c, r in (a, b)
-    )
-    found, radius = ring.product(left, right)
-    return found.reshape(shape), radius.reshape(shape[1:])
-
-
-def _sum(each: list[Model], constant: Array | float) -> Array:
-    """Return bounds of |constant - sum| of models: a sum of m terms is off by m units of all their coefficients."""
-    c = -np.sum([part[0] for part in each], axis=0)
-    c[0] += constant
-    noise = (len(each) + 1) * UNIT * np.sum([norm(part[0]) for part in each], axis=0)
-    return np.asarray(
-        (norm(c) + np.sum([part[1] for part in each], axis=0) + noise + UNIT * np.abs(constant)) * (1.0 + 1e-14)
-    )
-
-
-def _inverses(ring: Arithmetic, c: Array) -> Array:
-    """Return coefficients of interpolated inverses of matrices (terms, blocks, size, size, boxes); any will do."""
-    terms, count, size, _, boxes = c.shape
-    values = ring.values(c.reshape(terms, -1, boxes)).reshape(-1, count, size, size, boxes)
-    matrices = np.moveaxis(values, -1, 2)
-    matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
-    try:
-        found = np.linalg.inv(matrices)
-    except np.linalg.LinAlgError:
-        found = np.linalg.pinv(matrices)
-    lined = np.moveaxis(found, 2, -1).reshape(len(values), -1, boxes)
-    return ring.interpolated(np.asarray(lined, dtype=np.float64)).reshape(terms, count, size, size, boxes)
-
-
-def _fixed(A: Array, Z: Array) -> Array:
-    """Return rho (blocks, size, boxes) with A rho + Z <= rho, infinite where none is found."""
-    size = Z.shape[1]
-    good = np.asarray(np.isfinite(A).all(axis=(1, 2)) & np.isfinite(Z).all(axis=1))
-    matrices = np.where(good[..., None, None], np.eye(size) - _ROOM * np.moveaxis(A, 3, 1), np.eye(size))
-    right = _ROOM * np.moveaxis(Z, 2, 1)
-    try:
-        tried = right / matrices[..., 0] if size == 1 else np.linalg.solve(matrices, right[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        return np.full_like(Z, np.inf)
-    tried = np.moveaxis(tried, 1, 2)
-    image = np.einsum("bijk,bjk->bik", A, tried) + Z
-    holds = good[:, None] & (tried > 0.0).all(axis=1, keepdims=True)
-    return np.where(holds & (image * (1.0 + 1e-6) <= tried).all(axis=1, keepdims=True), tried, np.inf)
+def _fixed(blocks: Blocks, A: Array, Z: Array, Y: Array, J: Array) -> tuple[Array, Array]:
+    """Return rho (unknowns, boxes) with A rho + |Y| |J| rho + Z <= rho, by iteration, and where that holds."""
+    rho, holds = Z, np.zeros(Z.shape, dtype=bool)
+    for _ in range(_ITERATIONS):
+        image = blocks.within(A, rho) + blocks.within(Y, blocks.beside(J, rho)) + Z
+        holds = np.asarray((image * _ROUNDED <= rho) & np.isfinite(image))
+        settled = holds.all(axis=0) | ~np.isfinite(image).all(axis=0)
+        if settled.all():
+            break
+        rho = np.where(settled, rho, image * _ROOM)
+    return rho, holds

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, norm
 from servocore.certificate.equations import Answers, Equations, equations_of, parameter_models, path_models
-from servocore.certificate.krawczyk import radii
+from servocore.certificate.krawczyk import joined, radii
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 
@@ -27,8 +28,10 @@ _DEGREE = 10
 _FIRST = 8  # intervals of a path to begin with, each piece of it one at the least
 _OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
+_NARROW = 0.05  # of the tolerance
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
+_COARSE, _LESS = 40.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
 _AHEAD = 6  # intervals that are followed before they are proved
 _MOST = 1200  # intervals
 _AT_ONCE = 48
@@ -46,18 +49,18 @@ class Interval:
         How often it was halved.
     outside : bool
         Whether it lies before or behind the path.
-    guessed : bool
-        Whether answers come from the guess of the model, or from an interval beside it.
-    backwards : bool
-        Whether from the one behind it.
+    source : int
+        0 if answers come from the guess of the model, 1 from the interval before it, -1 from the one behind it.
     c : ndarray, shape (terms, unknowns)
         Polynomials.
+    given : Model
+        Of path and parameters.
     rho, D : ndarray, shape (unknowns,)
         Radii, and where the solution is the only one.
     failed : int
         The first unknown that was not proved; -1 for none.
-    tested : bool
-        Whether the test was done.
+    tested, proved : bool
+        Whether the test was done, and what it said.
     before : float
         Relative radius of the interval that it is a half of.
     """
@@ -66,24 +69,22 @@ class Interval:
     end: float
     depth: int = 0
     outside: bool = False
-    guessed: bool = True
-    backwards: bool = False
+    source: int = 0
     c: Array | None = None
+    given: Model | None = None
     rho: Array = field(default_factory=lambda: np.zeros(0))
     D: Array = field(default_factory=lambda: np.zeros(0))
     failed: int = -1
     tested: bool = False
     proved: bool = False
-    final: bool = False
     before: float = np.inf
 
-    def halves(self, relative: float = np.inf) -> list[Interval]:
-        """Return both halves, of which nothing is known."""
-        middle = (self.begin + self.end) / 2.0
-        ends = ((self.begin, middle), (middle, self.end))
-        return [
-            Interval(a, b, self.depth + 1, self.outside, self.guessed, self.backwards, before=relative) for a, b in ends
-        ]
+    def parts(self, halvings: int = 1, relative: float = np.inf) -> list[Interval]:
+        """Return its halves, or quarters and so on, of which nothing is known."""
+        if not halvings:
+            return [self]
+        ends, depth = np.linspace(self.begin, self.end, 2**halvings + 1).tolist(), self.depth + halvings
+        return [Interval(*each, depth, self.outside, self.source, before=relative) for each in pairwise(ends)]
 
 
 @dataclass(eq=False)
@@ -97,7 +98,7 @@ class Proof:
     boxed : dict of int to (float, float)
         Intervals of parameters by number.
     tolerance : float
-        Radius of the inputs at which no interval is halved any more, of their peaks.
+        Of the inputs, of their peaks: their enclosures are narrower.
     raised : bool
         Whether rates are enclosed too.
     """
@@ -112,7 +113,7 @@ class Proof:
     @cached_property
     def equations(self) -> Equations:
         """The equations."""
-        return equations_of(self.problem.resolved, self.raised, tuple(self.boxed))
+        return equations_of(self.problem.resolved, self.raised)
 
     @cached_property
     def ring(self) -> Arithmetic:
@@ -128,19 +129,16 @@ class Proof:
     @cached_property
     def peaks(self) -> Array:
         """Largest magnitude of each unknown at the first nodes, at least what counts as small, shape (unknowns,)."""
-        seen: Array = self.answers.magnitudes
-        for each in self.intervals:
-            if each.c is not None:
-                seen = np.fmax(seen, np.abs(self.ring.values(each.c[:, :, None])[:, :, 0]).max(axis=0))
-        return seen
+        values = self.ring.values(np.stack([each.c for each in self.intervals if each.c is not None], axis=2))
+        return np.asarray(np.fmax(self.answers.magnitudes, np.fmax.reduce(np.abs(values), axis=(0, 2))))
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def run(self) -> Proof:
         """Prove what can be proved."""
         self.intervals = self._first_intervals()
-        while len(self.intervals) <= _MOST and self._round():
+        while len(self.intervals) <= _MOST and (self._tested() or self._followed()):
             pass
-        self.joints = [self._joint(a, b) for a, b in zip(self.intervals, self.intervals[1:], strict=False)]
+        self.joints = self._joints()
         return self
 
     def _first_intervals(self) -> list[Interval]:
@@ -148,43 +146,61 @@ class Proof:
         ends = path.joints
         each = np.maximum(np.ceil(_FIRST * np.diff(ends) / path.duration - 1e-9), 1).astype(int)
         grid = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(ends[:-1], ends[1:], each, strict=True)]
-        times = np.array([*np.concatenate(grid), path.end_time])
         margin = _OUTSIDE * path.duration
-        inner = [Interval(a, b) for a, b in zip(times[:-1].tolist(), times[1:].tolist(), strict=True)]
+        inner = [Interval(a, b) for a, b in pairwise([*np.concatenate(grid).tolist(), path.end_time])]
         first = Interval(path.start_time - margin, path.start_time, outside=True)
         return [first, *inner, Interval(path.end_time, path.end_time + margin, outside=True)]
 
-    def _round(self) -> bool:
-        """Answer and test what is open, and see what to do next; return whether something is left to do."""
+    def _tested(self) -> bool:
+        """Answer and test what is open, and halve what is not proved well enough; return whether there was any."""
+        while fresh := [each for each in self.intervals if each.c is None and not each.source]:
+            self._answer_guessed(fresh)
+            self._replace(fresh, [each.parts(k) for each, k in zip(fresh, self._coarse(fresh), strict=True)])
+        for beside, own in (*pairwise(self.intervals), *pairwise(reversed(self.intervals))):
+            if own.c is None and own.source == (1 if beside.begin < own.begin else -1):
+                self._answer_from(beside, [own])
         fresh = [each for each in self.intervals if not each.tested]
-        if fresh:
-            pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
-            for a, b in pairs:
-                if b.c is None and not b.guessed and not b.backwards:
-                    self._answer_from(a, [b])
-            for a, b in reversed(pairs):
-                if a.c is None and a.backwards:
-                    self._answer_from(b, [a], late=False)
-            for k in range(0, len(fresh), _AT_ONCE):
-                self._prove(fresh[k : k + _AT_ONCE])
-            self.intervals = [part for each in self.intervals for part in self._refined(each)]
-            return True
-        return self._follow()
+        for k in range(0, len(fresh), _AT_ONCE):
+            self._prove(fresh[k : k + _AT_ONCE])
+        halved = [each for each in fresh if self._too_wide(each)]
+        self._replace(halved, [each.parts(relative=self.relative_radius(each)) for each in halved])
+        return bool(halved)
 
-    def _refined(self, each: Interval) -> list[Interval]:
-        """Return an interval, or its halves where it is not proved well enough and that may help."""
-        if each.final:
-            return [each]
+    def _replace(self, old: Sequence[Interval], new: Sequence[list[Interval]]) -> None:
+        """Put intervals in the places of others."""
+        parts = dict(zip(map(id, old), new, strict=True))
+        self.intervals = [part for each in self.intervals for part in parts.get(id(each), [each])]
+
+    def _coarse(self, fresh: Sequence[Interval]) -> list[int]:
+        """Return how many halvings answers need, as the last coefficients of their polynomials in time fall."""
+        c = np.stack([each.c for each in fresh if each.c is not None], axis=2)
+        last = norm(c.reshape(_DEGREE + 1, -1, *c.shape[1:])[-2:].reshape(-1, *c.shape[1:]))
+        most = (last / self.peaks[:, None])[self._curved_or_input].max(axis=0)
+        depth = np.array([each.depth for each in fresh])
+        halvings = np.ceil(np.log(most / (_COARSE * np.clip(self.narrow, 1e-12, 1e-8))) / -np.log(_LESS))
+        known = np.where(np.isfinite(halvings), halvings, 0.0)
+        return [int(each) for each in np.clip(known, 0.0, np.maximum(_GUESSED - depth, 0))]
+
+    @property
+    def narrow(self) -> float:
+        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
+        return self.tolerance if self.boxed else _NARROW * self.tolerance
+
+    @cached_property
+    def _curved_or_input(self) -> npt.NDArray[np.bool_]:
+        """Unknowns that the test depends on, and those that it is for."""
+        chosen = self.equations.curved & (self.peaks > self.answers.magnitudes)
+        chosen[self.equations.inputs] = True
+        return chosen
+
+    def _too_wide(self, each: Interval) -> bool:
+        """Whether an interval is not proved well enough, and halves may help."""
         relative = self.relative_radius(each)
-        enough = each.proved and (relative <= self.tolerance or relative > each.before / 2.0)
-        deepest = _DEEPEST if each.proved or not each.guessed else _GUESSED
-        if enough or each.depth >= deepest:
-            each.final = True
-            return [each]
-        return each.halves(relative if each.proved else np.inf)
+        enough = each.proved and (relative <= self.narrow or relative > each.before / 2.0)
+        return not enough and each.depth < (_DEEPEST if each.proved or each.source else _GUESSED)
 
     def relative_radius(self, each: Interval) -> float:
-        """Return the largest radius of an input, of its peak."""
+        """Return the largest radius of an input, of its peak; infinite if it is not proved."""
         places = self.equations.inputs
         return float((each.rho[places] / self.input_peaks).max(initial=0.0)) if each.proved else np.inf
 
@@ -210,14 +226,14 @@ class Proof:
         nodes = self.ring.nodes[:: self._parameters.shape[1], 0]
         return np.asarray((each.begin + each.end) / 2.0 + (each.end - each.begin) / 2.0 * nodes)
 
+    def _answer_guessed(self, fresh: Sequence[Interval]) -> None:
+        points = self._parameters.shape[1]
+        t = np.concatenate([np.repeat(self._times(each), points) for each in fresh])
+        x = self.answers.from_guess(t, np.tile(self._parameters, len(t) // points))
+        for each, own in zip(fresh, np.split(x, len(fresh), axis=1), strict=True):
+            each.c = self._interpolated(own)
+
     def _prove(self, fresh: Sequence[Interval]) -> None:
-        unanswered = [each for each in fresh if each.c is None]
-        if unanswered:
-            points = self._parameters.shape[1]
-            t = np.concatenate([np.repeat(self._times(each), points) for each in unanswered])
-            x = self.answers.from_guess(t, np.tile(self._parameters, len(t) // points))
-            for each, own in zip(unanswered, np.split(x, len(unanswered), axis=1), strict=True):
-                each.c = self._interpolated(own)
         self._test(fresh, self.first_reach(fresh))
         again = [each for each in fresh if not each.proved and np.isfinite(each.rho).all()]
         if again:
@@ -230,101 +246,104 @@ class Proof:
 
     def first_reach(self, fresh: Sequence[Interval]) -> Array:
         """Return D (unknowns, intervals) to begin with: the effect of curvature falls with the square of the width."""
-        widths = np.array([0.25 ** max(each.depth, 0) for each in fresh])
+        widths = np.array([0.5 ** max(each.depth, 0) for each in fresh])
         return np.asarray(_REACH * self.peaks[:, None] * np.maximum(widths, 1e-6))
 
     def given(self, some: Sequence[Interval]) -> Model:
         """Return models of path and parameters on intervals."""
-        begin, end = (np.array([getattr(each, name) for each in some]) for name in ("begin", "end"))
-        path = path_models(self.problem, self.ring, begin, end, self.equations.path_order)
-        p = parameter_models(self.ring, self.problem.p, self.boxed, len(some))
-        return np.concatenate([path[0], p[0]], axis=1), np.concatenate([path[1], p[1]])
+        if new := [each for each in some if each.given is None]:
+            begin, end = (np.array([getattr(each, name) for each in new]) for name in ("begin", "end"))
+            path = path_models(self.problem, self.ring, begin, end, self.equations.path_order)
+            c, r = joined(path, parameter_models(self.ring, self.problem.p, self.boxed, len(new)))
+            for k, each in enumerate(new):
+                each.given = c[:, :, k], r[:, k]
+        models = [each.given for each in some if each.given is not None]
+        return np.stack([c for c, _ in models], axis=2), np.stack([r for _, r in models], axis=1)
 
     def _test(self, some: Sequence[Interval], D: Array) -> None:
         x = np.stack([each.c for each in some if each.c is not None], axis=2)
         solved: npt.NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=(0, 1)))
         rho, failed = radii(self.equations, self.ring, np.where(solved, x, 0.0), self.given(some), D, self.peaks)
-        curved = self.equations.curved
-        within = np.asarray(solved & (rho <= D)[curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        rho = np.where(solved, rho, np.inf)
+        within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
         for k, each in enumerate(some):
             each.rho, each.D, each.proved = rho[:, k], D[:, k], bool(within[k])
             each.failed, each.tested = int(failed[k]), True
-            each.rho = each.rho if solved[k] else np.full_like(each.rho, np.inf)
 
     def models(self, some: Sequence[Interval]) -> Model:
         """Return enclosures of unknowns, path and parameters, the arguments of walks; infinite where not proved."""
-        (c, r), none = self.given(some), np.zeros((len(self.ring.nodes), len(self.peaks)))
-        x = np.stack([none if each.c is None or not each.proved else each.c for each in some], axis=2)
-        rho = np.stack([each.rho if each.proved else np.full(len(self.peaks), np.inf) for each in some], axis=1)
-        return np.concatenate([x, c], axis=1), np.concatenate([rho, r])
+        none, unbounded = np.zeros((len(self.ring.nodes), len(self.peaks))), np.full(len(self.peaks), np.inf)
+        x = np.stack([each.c if each.c is not None and each.proved else none for each in some], axis=2)
+        rho = np.stack([each.rho if each.proved else unbounded for each in some], axis=1)
+        return joined((x, rho), self.given(some))
 
     # Joints ---------------------------------------------------------------------------------------------------------
 
-    def _end_values(self, each: Interval, late: bool) -> Array:
-        """Return coefficients in the parameters (terms, unknowns) at an end of an interval."""
-        assert each.c is not None
-        shaped = each.c.reshape(_DEGREE + 1, -1, each.c.shape[1])
-        signs = np.ones(_DEGREE + 1) if late else (-1.0) ** np.arange(_DEGREE + 1)
-        return np.asarray(np.einsum("i,ijk->jk", signs, shaped))
-
-    def _joint(self, a: Interval, b: Interval) -> Joint:
-        """Return how two neighbours meet."""
-        if not (a.proved and b.proved):
-            return "not proved"
-        assert a.c is not None
-        assert b.c is not None
-        noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(a.c) + norm(b.c))
-        apart = norm(self._end_values(a, True) - self._end_values(b, False)) + noise
+    def _joints(self) -> list[Joint]:
+        """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
+        count, none = len(self.peaks), np.zeros(len(self.peaks))
+        c, proved = self.models(self.intervals)[0][:, :count], np.array([each.proved for each in self.intervals])
+        rho, D = (
+            np.stack([getattr(each, name) if each.proved else none for each in self.intervals], axis=1)
+            for name in ("rho", "D")
+        )
+        shaped = c.reshape(_DEGREE + 1, -1, count, len(self.intervals))
+        early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
+        noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
+        apart = norm(late[..., :-1] - early[..., 1:]) + noise
+        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
         free = self.answers.rates | ~self.equations.curved  # rates may jump, and others are unique wherever they are
-        fits = (apart + b.rho <= a.D) | free, (apart + a.rho <= b.D) | free
-        if any(side.all() for side in fits):
-            return "one branch"
         motion = self.equations.motion
-        off = apart[motion] > 2.0 * noise[motion] + a.rho[motion] + b.rho[motion]
-        if not np.isclose(self.problem.reference.joints, a.end, rtol=0.0, atol=0.0).any():
-            return "apart"
-        if off.any():
-            return "motion jumps"
-        return "inputs jump" if any(side[motion].all() for side in fits) else "apart"
+        jumped = (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0)
+        of_path = np.isin([each.end for each in self.intervals[:-1]], self.problem.reference.joints)
+        both = proved[:-1] & proved[1:]
+        kinds: list[tuple[npt.NDArray[np.bool_], Joint]] = [
+            (both & fits[:, ~free].all(axis=1).any(axis=0), "one branch"), (~both, "not proved"), (~of_path, "apart"),
+            (jumped, "motion jumps"), (fits[:, motion].all(axis=1).max(axis=0), "inputs jump"),
+            (np.ones_like(both), "apart"),
+        ]  # fmt: skip
+        chosen = np.stack([holds for holds, _ in kinds]).argmax(axis=0)
+        return [kinds[k][1] for k in chosen.tolist()]
 
     # Following the branch -------------------------------------------------------------------------------------------
 
-    def _follow(self) -> bool:
+    def _followed(self) -> bool:
         """Answer again, from the proved interval beside it, the first that is not on its branch.
 
         From the beginning on; before the first interval that is proved at all, backwards from that.
         """
-        pairs = list(zip(self.intervals, self.intervals[1:], strict=False))
-        for k, (a, b) in enumerate(pairs, 1):
-            if not a.proved or (not b.guessed and not b.proved):
+        joints = self._joints()
+        for k, (a, b) in enumerate(pairwise(self.intervals), 1):
+            joint = joints[k - 1]
+            if not a.proved or (b.source and not b.proved):
                 continue  # the branch is lost: later answers come from the guess
-            if b.proved and self._joint(a, b) in {"one branch", "inputs jump"}:
+            if joint in {"one branch", "inputs jump"}:
                 continue
-            if b.proved and not b.guessed:
-                if b.depth >= _DEEPEST or self._joint(a, b) == "motion jumps":
+            if b.proved and b.source:
+                if b.depth >= _DEEPEST or joint == "motion jumps":
                     continue
-                self.intervals[k : k + 1] = b.halves()
+                self.intervals[k : k + 1] = b.parts()
             self._answer_from(a, self.intervals[k : k + _AHEAD])
             return True
         first = next((k for k, each in enumerate(self.intervals) if each.proved), 0)
-        if first and self.intervals[first - 1].guessed:
-            self._answer_from(self.intervals[first], self.intervals[first - 1 :: -1][:_AHEAD], late=False)
+        if first and not self.intervals[first - 1].source:
+            self._answer_from(self.intervals[first], self.intervals[first - 1 :: -1][:_AHEAD])
             return True
         return False
 
-    def _answer_from(self, a: Interval, following: Sequence[Interval], late: bool = True) -> None:
+    def _answer_from(self, a: Interval, following: Sequence[Interval]) -> None:
         """Follow the motion by Newton's method from node to node, from an end of an interval that was answered."""
+        source = 1 if following[0].begin >= a.end else -1
         of_box = self.ring.nodes[: self._parameters.shape[1]].copy()
-        of_box[:, 0] = 1.0 if late else -1.0
+        of_box[:, 0] = source
         assert a.c is not None
-        x, t, before = (self.ring.rows(of_box) @ a.c).T, a.end if late else a.begin, None
+        x, t, before = (self.ring.rows(of_box) @ a.c).T, a.end if source > 0 else a.begin, None
         for each in following:
             found = []
-            for at in self._times(each)[:: -1 if late else 1]:
+            for at in self._times(each)[::-source]:
                 guess = self.answers.predicted(x, before, at - t)
                 new = self.answers.from_near(np.full(x.shape[1], at), self._parameters, guess)
                 before, x, t = (x, at - t), new, at
                 found.append(new)
-            own = np.stack(found[:: -1 if late else 1], axis=1).reshape(len(x), -1)
-            each.c, each.guessed, each.backwards = self._interpolated(own), False, not late
-            each.tested, each.final, each.proved = False, False, False
+            each.c = self._interpolated(np.stack(found[::-source], axis=1).reshape(len(x), -1))
+            each.source, each.tested, each.proved = source, False, False

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
-from servocore.certificate.equations import Equations, Places
+from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit
@@ -22,6 +22,9 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS
 
 Verdict = Literal["proved", "refuted", "undecided"]
+
+LIMIT = "limit of "
+"""Beginning of statements on limits."""
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _AT_ONCE = 48
@@ -59,6 +62,21 @@ class Statement:
         return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
 
 
+def summary_of(verdict: Verdict, statements: Sequence[Statement], bound: float, jumps: Sequence[float]) -> str:
+    """Return a verdict in one line: what is proved, or what fails first; `bound` is that of the inputs' errors."""
+    failing = [each for each in statements if each.verdict == verdict]
+    if verdict != "proved":
+        return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
+    begin, end = statements[0].begin, statements[0].end
+    limits = ", ".join(each.what.removeprefix(LIMIT) for each in statements if each.what.startswith(LIMIT))
+    kept = f"; within the limits of {limits}" if limits else ""
+    times = ", ".join(f"{t:.6g} s" for t in jumps)
+    return (
+        f"proved: one regular motion at all times from {begin:.6g} s to {end:.6g} s, inputs within {bound:.1e} of their"
+        f" peaks{kept}{f'; inputs jump at t = {times}' if jumps else ''}"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Enclosed:
     """Enclosures of quantities on boxes of time and parameters.
@@ -78,11 +96,6 @@ class Enclosed:
     r: Array
     low: Array
     high: Array
-
-    def bounded(self, k: int) -> tuple[float, float]:
-        """Return the least and the largest value that quantity k can have."""
-        low, high = self.ring.span((self.c[:, k : k + 1], self.r[k : k + 1]))
-        return float(low.min()), float(high.max())
 
     def of(self, chosen: npt.NDArray[np.bool_]) -> Enclosed:
         """Return the same on some of the boxes."""
@@ -134,14 +147,15 @@ class Decision:
         Time and parameters where it fails, or where that is not decided.
     value : float
         The quantity there.
-    boxes : int
-        How many were looked at.
+    least, most : float
+        Bounds of the quantity where it is proved to keep its bounds.
     """
 
     verdict: Verdict
     at: Array | None = None
     value: float = np.nan
-    boxes: int = 0
+    least: float = np.inf
+    most: float = -np.inf
 
 
 def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decision:
@@ -149,11 +163,12 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
     ring = quantities.ring
     some = replace(quantities, c=quantities.c[:, k : k + 1], r=quantities.r[k : k + 1])
     found = doubtful = Decision("proved")
-    seen = 0
+    extent = np.inf, -np.inf
     for _ in range(_HALVINGS):
-        seen += len(some.low)
         least, most = (each[0] for each in ring.span((some.c, some.r)))
-        some = some.of(~((least >= lower) & (most <= upper)))
+        kept = (least >= lower) & (most <= upper)
+        extent = least.min(initial=extent[0], where=kept), most.max(initial=extent[1], where=kept)
+        some = some.of(~kept)
         if not len(some.low):
             break
         c, r = some.c[:, 0], some.r[0]
@@ -175,7 +190,7 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
         some, found = some.of(~useless).halved(), doubtful
     else:
         found = Decision("undecided", (some.low[0] + some.high[0]) / 2.0, float(some.c[0, 0, 0]))
-    return replace(found, boxes=seen)
+    return replace(found, least=float(extent[0]), most=float(extent[1]))
 
 
 # Limits and signs -----------------------------------------------------------------------------------------------------
@@ -187,6 +202,7 @@ def walk_of_limits(equations: Equations, limits: tuple[Limit, ...], rates: bool)
     return equations.walk([limit.on(equations.array.system) for limit in limits], rates)
 
 
+@made_once
 def known(equations: Equations, limit: Limit) -> bool:
     """Whether the equations enclose all derivatives of the path that a limit compares."""
     system = equations.array.system
@@ -211,8 +227,8 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
         for k, limit in enumerate(usable):
             decision = decided(quantities, k, limit.bound, limit.upper)
             if decision.at is None:
-                least, most = quantities.bounded(k)
-                sentence, time = f"it stays from {limit.with_unit(least)} to {limit.with_unit(most)}", None
+                extent = f"it stays from {limit.with_unit(decision.least)} to {limit.with_unit(decision.most)}"
+                sentence, time = extent, None
             else:
                 sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
             statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))
@@ -264,61 +280,91 @@ def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
 
 
 @made_once
-def _mass_and_constraints(equations: Equations) -> tuple[Walk, list[Places], list[int]]:
-    """Return M and G of parts that neither couples, one after the other, the places of their coordinates, and ends."""
+def _masses(equations: Equations, coupled: tuple[int, ...]) -> tuple[Walk, list[list[list[int]]], list[int]]:
+    """Part the mass matrix by its own couplings, and those by constraints on the coordinates `coupled`.
+
+    M and the constraints within a part follow one another, in units of the nominal magnitudes of the coordinates: for
+    each size there are the coordinates of the parts, and the number of entries of one.
+    """
     system = equations.array.system
-    M, G = ca.densify(system.mass), ca.densify(system.G)
-    couplings = (system.mass + ca.mtimes(system.G.T, system.G) + ca.SX.eye(M.size1())).sparsity()
-    expressions, parts = [ca.SX(0, 1)], [part.rows for part in parts_of(couplings)]
-    for places in parts:
-        own = places.tolist()
-        rows = [k for k in range(G.size1()) if system.G[k, own].nnz()]
-        expressions += [ca.vec(M[own, own]), ca.vec(G[rows, own])]
-    ends = np.cumsum([each.numel() for each in expressions])[::2]
-    return equations.walk([ca.vertcat(*expressions)]), parts, ends.tolist()
+    scale = ca.diag(ca.DM(system.coordinates.nominal))
+    M, G = ca.mtimes(ca.mtimes(scale, system.mass), scale), ca.mtimes(system.G, scale)
+    coupling = G[[k for k in range(G.size1()) if G[k, list(coupled)].nnz()], :]
+    pattern = (M + ca.mtimes(coupling.T, coupling) + ca.SX(ca.DM.eye(M.size1()))).sparsity()
+    expressions, sized, entries = [ca.SX(0, 1)], dict[int, list[list[int]]](), list[int]()
+    for part in parts_of(pattern):
+        sized.setdefault(len(part.rows), []).append(part.rows.tolist())
+    for size, parts in sized.items():
+        within = [[k for k in range(G.size1()) if 0 < G[k, own].nnz() == G[k, :].nnz()] for own in parts]
+        most = max(len(rows) for rows in within)
+        for own, rows in zip(parts, within, strict=True):
+            expressions += [ca.vec(M[own, own]), ca.vec(ca.vertcat(G[rows, own], ca.SX(most - len(rows), size)))]
+        entries.append(size * (size + most))
+    return equations.walk([ca.densify(ca.vertcat(*expressions))]), list(sized.values()), entries
 
 
 def mass_statement(proofs: Sequence[Proof]) -> Statement:
     """State that the mass matrix M is definite on all velocities that the holonomic constraints allow.
 
-    It is if M + w G^T G is, for any weight w > 0: on the kernel of G the second term vanishes. With an approximate
-    factor L of that matrix, |I - L^-1 (M + w G^T G) L^-T| < 1 in the maximum norm shows it (Rump, BIT 46 (2006) 433).
-    A light weight leaves what M says by itself as it is; one that is heavy tells a negative mass from a direction that
-    the constraints exclude.
+    It is if M + w G^T G is, for any weight w > 0 and any of the constraints: on the kernel of G the second term
+    vanishes. With an approximate factor L of that matrix, |I - L^-1 (M + w G^T G) L^-T| < 1 in the maximum norm shows
+    it (Rump, BIT 46 (2006) 433). A light weight leaves what M says by itself as it is; one that is heavy tells a
+    negative mass from a direction that the constraints exclude. Parts of M are tried alone, then those that are not
+    definite with the constraints on their coordinates, then all together.
     """
     path, what = proofs[0].problem.reference, "mass matrix definite on all motions that the constraints allow"
-    walk, parts, ends = _mass_and_constraints(proofs[0].equations)
-    every, scale = enclosed(proofs, walk), np.array(proofs[0].problem.system.coordinates.nominal)
-    for part, first, last in zip(parts, ends, ends[1:], strict=False):
-        some = replace(every, c=every.c[:, first:last], r=every.r[first:last])
-        for k in range(_MASS_HALVINGS):
-            some = some.halved() if k else some
-            good, least = _definite(some, scale[part], _LIGHT)
-            if (least < -_NEGATIVE).any() and ((least := _definite(some, scale[part], _HEAVY)[1]) < -_NEGATIVE).any():
-                time = float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
-                return Statement(what, "refuted", path.start_time, path.end_time, f"negative at t = {time:.6g} s", time)
-            some = some.of(~good)
-            if not len(some.low):
+    everything = tuple(range(len(proofs[0].problem.system.coordinates)))
+    failed, _, time = _indefinite(proofs, (), 1)
+    if 0 < len(failed) < len(everything):
+        failed, _, time = _indefinite(proofs, failed, 1)
+    negative = False
+    if failed:
+        failed, negative, time = _indefinite(proofs, everything, _MASS_HALVINGS)
+    if not failed:
+        return Statement(what, "proved", path.start_time, path.end_time, "")
+    verdict, text = ("refuted", "negative at") if negative else ("undecided", "not decided near")
+    return Statement(what, verdict, path.start_time, path.end_time, f"{text} t = {time:.6g} s", time)  # type: ignore[arg-type]  # one of three
+
+
+def _indefinite(proofs: Sequence[Proof], coupled: tuple[int, ...], tries: int) -> tuple[tuple[int, ...], bool, float]:
+    """Return the coordinates of parts that are not proved definite, whether one is not, and a time when."""
+    walk, sizes, entries = _masses(proofs[0].equations, coupled)
+    every, first, failed, time = enclosed(proofs, walk), 0, list[int](), np.nan
+    for parts, number in zip(sizes, entries, strict=True):
+        own, first = slice(first, first + len(parts) * number), first + len(parts) * number
+        c = every.c[:, own].reshape(len(every.c), len(parts), number, -1).swapaxes(1, 2)
+        r = every.r[own].reshape(len(parts), number, -1).swapaxes(0, 1)
+        low, high = (np.tile(each, (len(parts), 1)) for each in (every.low, every.high))
+        some = Enclosed(every.ring, c.reshape(len(c), number, -1), r.reshape(number, -1), low, high)
+        bad, unknown = np.ones(len(parts), dtype=bool), some
+        for k in range(tries):
+            if k and not 0 < len(some.low) < _MOST:
                 break
-        else:
-            time = float(some.low[0, 0] + some.high[0, 0]) / 2.0
-            text = f"not decided near t = {time:.6g} s"
-            return Statement(what, "undecided", path.start_time, path.end_time, text, time)
-    return Statement(what, "proved", path.start_time, path.end_time, "")
+            some = some.halved() if k else some
+            known = np.asarray(np.isfinite(some.r).all(axis=0))  # halves of others are not known either
+            unknown = unknown if k else some.of(~known)
+            good, least = _definite(some, len(parts[0]), _LIGHT)
+            if tries > 1 and (least < -_NEGATIVE).any():
+                least = _definite(some, len(parts[0]), _HEAVY)[1]
+                if (least < -_NEGATIVE).any():
+                    return coupled, True, float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
+            bad = bad if k else np.asarray(~good.reshape(len(parts), -1).all(axis=1))
+            some = some.of(~good & known)
+        if len(some.low) or len(unknown.low):
+            first_box = some if len(some.low) else unknown
+            time = float(first_box.low[0, 0] + first_box.high[0, 0]) / 2.0
+            failed += [each for part, fails in zip(parts, bad.tolist(), strict=True) if fails for each in part]
+    return tuple(failed), False, time
 
 
-def _definite(some: Enclosed, scale: Array, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
+def _definite(some: Enclosed, n: int, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
     """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
     low, high = some.ring.span((some.c, some.r))
     middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
-    boxes, n = middle.shape[1], len(scale)
-    M, dM = (
-        np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) * np.outer(scale, scale) for each in (middle, radius)
-    )
+    boxes = middle.shape[1]
+    M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) for each in (middle, radius))
     rows = (len(middle) - n * n) // n
-    G, dG = (
-        np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) * scale for each in (middle, radius)
-    )
+    G, dG = (np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) for each in (middle, radius))
     largest = np.abs(M).max(axis=(1, 2), keepdims=True)
     size = np.abs(G).max(axis=(1, 2), keepdims=True, initial=0.0)
     w = weight * np.where(largest > 0.0, largest, 1.0) / np.where(size > 0.0, size, 1.0) ** 2

@@ -1,8 +1,8 @@
 """Enclosures of CasADi expressions: their operations carried out on Chebyshev models, many at once.
 
-Operations of one kind with known arguments are carried out together, over all boxes. Operations on numbers alone are
-computed once, as balls. Operations with a kink or a jump are enclosed where their argument stays on one side
-of it; elsewhere their radius is infinite, and nothing that depends on them is proved.
+Sums and products are programs; between them stand the operations that are interpolated, those of one kind with known
+arguments together. Operations with a kink or a jump are products with the sign of a level, which is known where that
+stays on one side of zero; elsewhere their radius is infinite, and nothing that depends on them is proved.
 """
 
 from __future__ import annotations
@@ -15,128 +15,150 @@ from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
+from servocore.certificate.chebyshev import Arithmetic, Model, bounded
+from servocore.certificate.programs import MINUS, PLUS, TIMES, Places, Program, program_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
-Places: TypeAlias = npt.NDArray[np.intp]
+Rule: TypeAlias = Callable[..., tuple[Model, ...]]
+_Function: TypeAlias = tuple[Rule, list[Places], list[Places]]
 
-_BALL = arithmetic((0,))
-_BY_NUMBERS = {(ca.OP_MUL, 0, True), (ca.OP_MUL, 1, True), (ca.OP_DIV, 1, True)}  # operation, argument, whether flat
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """Operations of one kind that are carried out together.
-
-    Attributes
-    ----------
-    operation : int
-        Its number in CasADi.
-    results : ndarray of int
-        Places of the results.
-    arguments : tuple of ndarray of int
-        Places of the arguments.
-    flat : tuple of bool
-        Whether each argument depends on numbers alone; of all, the results do as well.
-    """
-
-    operation: int
-    results: Places
-    arguments: tuple[Places, ...]
-    flat: tuple[bool, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Walk:
-    """An expression's operations in groups: arguments first, then results.
+    """An expression's operations in programs, and between them what is interpolated.
 
     Attributes
     ----------
-    groups : tuple of Group
+    parts : tuple of (Program, list of (rule, places of arguments, places of results))
         In an order in which arguments are known.
-    inputs : ndarray of int, shape (arguments, 2)
-        Places and numbers of the inputs that are used.
+    inputs, numbers : ndarray of int
+        Places and numbers of the arguments that are used.
     constants : tuple of (ndarray of int, ndarray)
         Places and values of the numbers.
     outputs : ndarray of int
         Place of every entry of the result.
     places : int
-        How many there are.
+        How many are read or written by more than one part.
     """
 
-    groups: tuple[Group, ...]
+    parts: tuple[tuple[Program, list[_Function]], ...]
     inputs: Places
+    numbers: Places
     constants: tuple[Places, Array]
     outputs: Places
     places: int
 
+    @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms, arguments, boxes)."""
-        c = np.zeros((len(arguments[0]), self.places, arguments[0].shape[2]))
-        r = np.zeros(c.shape[1:])
+        models = np.zeros((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
         places, values = self.constants
-        c[0, places] = values[:, None]
-        c[:, self.inputs[:, 0]], r[self.inputs[:, 0]] = (part[..., self.inputs[:, 1], :] for part in arguments)
-        for group in self.groups:
-            flat = all(group.flat)
-            one_box = [flat or (group.operation, *each) in _BY_NUMBERS for each in enumerate(group.flat)]
-            taken = [
-                (c[:1, each, :1], r[each, :1]) if one else (c[:, each], r[each])
-                for each, one in zip(group.arguments, one_box, strict=True)
-            ]
-            found = _carried_out(_BALL if flat else ring, group, taken)
-            c[: len(found[0]), group.results], r[group.results] = found
-        return c[:, self.outputs], r[self.outputs]
+        models[0, places] = values[:, None]
+        models[:-1, self.inputs], models[-1, self.inputs] = (part[..., self.numbers, :] for part in arguments)
+        for program, functions in self.parts:
+            program(ring.degrees, models)
+            for rule, taken, results in functions:
+                found = rule(ring, *((models[:-1, each], models[-1, each]) for each in taken))
+                for place, (c, r) in zip(results, found, strict=True):
+                    models[:-1, place], models[-1, place] = c, r
+        return models[:-1, self.outputs], bounded(models[-1, self.outputs])
 
 
-def _carried_out(ring: Arithmetic, group: Group, taken: Sequence[Model]) -> Model:
-    """Return the results of a group."""
-    if group.operation == ca.OP_MUL and any(group.flat) and not all(group.flat):
-        return ring.scaled(*(taken if group.flat[1] else taken[::-1]))
-    if group.operation == ca.OP_DIV and group.flat == (False, True):
-        return ring.scaled(taken[0], _BALL.quotient(_BALL.constant(np.ones_like(taken[1][1])), taken[1]))
-    return _RULES[group.operation](ring, *taken)
+@dataclass(eq=False)
+class _Graph:
+    """The operations of an expression, with the depth of each place: how many interpolations come before it."""
+
+    depth: list[int]
+    constants: dict[float, int]
+    inputs: list[tuple[int, int]]
+    steps: list[list[tuple[int, int, int, int]]]
+    functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]]
+
+    def place(self, depth: int = 0) -> int:
+        self.depth.append(depth)
+        return len(self.depth) - 1
+
+    def constant(self, value: float) -> int:
+        if value not in self.constants:
+            self.constants[value] = self.place()
+        return self.constants[value]
+
+    def step(self, operation: int, a: int, b: int) -> int:
+        depth = max(self.depth[a], self.depth[b])
+        while len(self.steps) <= depth:
+            self.steps.append([])
+        result = self.place(depth)
+        self.steps[depth].append((operation, result, a, b))
+        return result
+
+    def function(self, number: int, arguments: tuple[int, ...]) -> int:
+        rule, component = _RULES[number]
+        depth = 1 + max(self.depth[each] for each in arguments)
+        some = self.functions.setdefault((depth, rule), {})
+        if arguments not in some:
+            some[arguments] = [self.place(depth) for _ in range(1 + (rule is _turned))]
+        return some[arguments][component]
+
+    def operation(self, number: int, arguments: list[int]) -> int:
+        a, b = arguments[0], arguments[-1]
+        if number == ca.OP_DIV:
+            return self.step(TIMES, a, self.function(ca.OP_INV, (b,)))
+        if number == ca.OP_NEG:
+            return self.step(MINUS, self.constant(0.0), a)
+        if number in _STEPS:
+            return self.step(_STEPS[number], a, b)
+        return self.function(number, tuple(arguments))
+
+    def walk(self, outputs: list[int]) -> Walk:
+        """Return the walk to some places: at each depth a program, then the functions of what is then known."""
+        depths = max([len(self.steps), *(depth for depth, _ in self.functions)])
+        steps = self.steps + [[]] * (depths - len(self.steps))
+        wanted = {place for some in self.functions.values() for each in some for place in each}.union(outputs)
+        for depth, own in enumerate(steps):
+            wanted.update(place for _, _, *taken in own for place in taken if self.depth[place] < depth)
+        # Places that only one program knows come last.
+        inner = {step[1] for own in steps for step in own} - wanted
+        order = sorted(range(len(self.depth)), key=inner.__contains__)
+        number = np.argsort(order)
+        functions = list[tuple[int, _Function]]()
+        for (depth, rule), some in self.functions.items():
+            taken, results = (
+                [number[list(each)] for each in zip(*both, strict=True)] for both in (some, some.values())
+            )
+            functions.append((depth, (rule, taken, results)))
+        parts, read = [], set(number[list(wanted)].tolist())
+        for depth, own in enumerate(steps):
+            numbered = [(operation, *number[list(places)].tolist()) for operation, *places in own]
+            parts.append((program_of(numbered, read), [each for at, each in functions if at == depth + 1]))
+        inputs = np.array(self.inputs, dtype=np.intp).reshape(-1, 2)
+        constants = number[list(self.constants.values())], np.array(list(self.constants))
+        count = len(order) - len(inner)
+        return Walk(tuple(parts), number[inputs[:, 0]], inputs[:, 1], constants, number[outputs], count)
 
 
-def walk_of(expression: ca.SX, symbols: ca.SX, numbers: tuple[int, ...] = ()) -> Walk:
-    """Group the operations of a column of expressions of a column of symbols; `numbers` are alike on all boxes.
-
-    Raises
-    ------
-    InvalidModel
-        If they hold an operation without an enclosure.
-    """
+def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
+    """Group the operations of a column of expressions of a column of symbols."""
     function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, _lowered))], {"cse": True})
-    place_of: dict[int, int] = {}  # CasADi uses places of its work vector again
-    level, flat = list[int](), list[bool]()
-    constants, inputs = list[tuple[int, float]](), list[tuple[int, int]]()
-    outputs = np.zeros(expression.numel(), dtype=np.intp)
-    grouped: dict[tuple[int, int, tuple[bool, ...]], list[tuple[int, ...]]] = {}
+    graph, place_of = _Graph([], {}, [], [], {}), dict[int, int]()  # CasADi uses places of its work vector again
+    outputs = [graph.constant(0.0)] * expression.numel()
     for number, out, used, constant in operations_of(function):
         if number == ca.OP_OUTPUT:
             outputs[out[1]] = place_of[used[0]]
-            continue
-        arguments = [] if number in {ca.OP_CONST, ca.OP_INPUT} else [place_of[each] for each in used]
-        place = place_of[out[0]] = len(level)
-        level.append(1 + max((level[each] for each in arguments), default=-1))
-        flat.append(used[1] in numbers if number == ca.OP_INPUT else all(flat[each] for each in arguments))
-        if number == ca.OP_CONST:
-            constants.append((place, constant))
+        elif number == ca.OP_CONST:
+            place_of[out[0]] = graph.constant(constant)
         elif number == ca.OP_INPUT:
-            inputs.append((place, used[1]))
+            place_of[out[0]] = graph.place()
+            graph.inputs.append((place_of[out[0]], used[1]))
         else:
-            kinds = tuple(flat[each] for each in arguments)
-            grouped.setdefault((level[place], number, kinds), []).append((place, *arguments))
-    groups = []
-    for (_, number, kinds), members in sorted(grouped.items()):
-        columns = np.array(members, dtype=np.intp).T
-        groups.append(Group(number, columns[0], tuple(columns[1:]), kinds))
-    places = np.array([place for place, _ in constants], dtype=np.intp), np.array([value for _, value in constants])
-    return Walk(tuple(groups), np.array(inputs, dtype=np.intp).reshape(-1, 2), places, outputs, len(level))
+            place_of[out[0]] = graph.operation(number, [place_of[each] for each in used])
+    return graph.walk(outputs)
+
+
+# In terms of other operations -----------------------------------------------------------------------------------------
 
 
 def _lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
@@ -159,105 +181,62 @@ def _tangent(a: ca.SX) -> ca.SX:
     return ca.sin(a) / ca.cos(a)
 
 
+def _less(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return a < b, and a <= b, as a number: not known where they meet."""
+    return (1.0 + ca.sign(b - a)) / 2.0
+
+
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent,
     ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
+    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: _less, ca.OP_LE: _less, ca.OP_NOT: lambda a: 1.0 - a,
+    ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
+    ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
+    ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
 }  # fmt: skip
 
+_STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES, ca.OP_SQ: TIMES}
 
-def _one_side(ring: Arithmetic, a: Model) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return where models are positive, and where they are negative."""
-    low, high = ring.span(a)
-    return low > 0.0, high < 0.0
+# Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _chosen(ring: Arithmetic, level: Model, positive: Model, negative: Model) -> Model:
-    """Return one model where a level is positive, another where it is negative, and no bound elsewhere."""
-    above, below = _one_side(ring, level)
-    c = np.where(above, positive[0], negative[0])
-    return c, np.where(above, positive[1], np.where(below, negative[1], np.inf))
+def _turned(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
+    return ring.sine_and_cosine(a)
 
 
-def _number(ring: Arithmetic, like: Model, value: float) -> Model:
-    return ring.constant(np.full_like(like[1], value))
+def _single(operation: Callable[..., Model]) -> Rule:
+    return lambda *arguments: (operation(*arguments),)
 
 
-def _negative(_: Arithmetic, a: Model) -> Model:
-    return -a[0], a[1]
+def _stepped(step: Callable[[Array], Array]) -> Rule:
+    """Return the rule of a function that is constant between its jumps."""
+
+    def rule(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
+        low, high = (step(each) for each in ring.span(a))
+        c, r = ring.constant(low)
+        return ((c, np.where(low == high, r, np.inf)),)
+
+    return rule
 
 
-def _tanh(ring: Arithmetic, a: Model) -> Model:
-    """Return tanh(a) = 1 - 2/(e^(2 a) + 1); beyond 20 it is 1 but for 2 e^(-40) < 1e-17."""
-    one, (low, high) = _number(ring, a, 1.0), ring.span(a)
-    share = ring.quotient(_number(ring, a, 2.0), ring.sum(ring.exponential((2.0 * a[0], 2.0 * a[1])), one))
-    c, r = ring.sum(one, share, -1.0)
-    saturated = (low > 20.0) | (high < -20.0)
-    return np.where(saturated, ring.constant(np.sign(low))[0], c), np.where(saturated, 1e-17, r)
+def _if(_: Arithmetic, condition: Model, a: Model) -> tuple[Model, ...]:
+    """Return `a` where a condition holds, and else zero; the condition is 0 or 1 but for rounding."""
+    holds, known = condition[0][0] > 0.5, condition[1] < 0.25
+    return ((np.where(holds, a[0], 0.0), np.where(known, np.where(holds, a[1], 0.0), np.inf)),)
 
 
-def _steps(ring: Arithmetic, a: Model) -> Model:
-    low, high = (np.floor(each) for each in ring.span(a))
-    c, r = ring.constant(low)
-    return c, np.where(low == high, r, np.inf)
-
-
-def _no_bound(ring: Arithmetic, *taken: Model) -> Model:
+def _no_bound(ring: Arithmetic, *taken: Model) -> tuple[Model, ...]:
     c, r = ring.constant(np.zeros_like(taken[0][1]))
-    return c, np.full_like(r, np.inf)
+    return ((c, np.full_like(r, np.inf)),)
 
 
-def _truth(ring: Arithmetic, values: npt.ArrayLike, known: npt.ArrayLike) -> Model:
-    """Return conditions, 0 or 1; where they are not known, without a bound."""
-    c, r = ring.constant(np.asarray(values, dtype=np.float64))
-    return c, np.where(known, r, np.inf)
-
-
-def _logic(holds: Callable[..., Array]) -> Callable[..., Model]:
-    return lambda ring, *each: _truth(
-        ring, holds(*(a[0][0] != 0.0 for a in each)), np.logical_and.reduce([a[1] == 0.0 for a in each])
-    )
-
-
-def _less(ring: Arithmetic, a: Model, b: Model) -> Model:
-    below, above = _one_side(ring, ring.sum(b, a, -1.0))
-    return _truth(ring, below, below | above)
-
-
-def _if(_: Arithmetic, condition: Model, a: Model) -> Model:
-    """Return `a` where a condition holds, and else zero."""
-    holds = condition[0][0] != 0.0
-    return np.where(holds, a[0], 0.0), np.where(condition[1] == 0.0, np.where(holds, a[1], 0.0), np.inf)
-
-
-_RULES: dict[int, Callable[..., Model]] = {
-    ca.OP_ASSIGN: lambda _, a: a,
-    ca.OP_ADD: lambda ring, a, b: ring.sum(a, b),
-    ca.OP_SUB: lambda ring, a, b: ring.sum(a, b, -1.0),
-    ca.OP_MUL: lambda ring, a, b: ring.product(a, b),
-    ca.OP_DIV: lambda ring, a, b: ring.quotient(a, b),
-    ca.OP_NEG: _negative,
-    ca.OP_TWICE: lambda _, a: (2.0 * a[0], 2.0 * a[1]),
-    ca.OP_SQ: lambda ring, a: ring.product(a, a),
-    ca.OP_INV: lambda ring, a: ring.quotient(_number(ring, a, 1.0), a),
-    ca.OP_SQRT: lambda ring, a: ring.root(a),
-    ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0],
-    ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
-    ca.OP_EXP: lambda ring, a: ring.exponential(a),
-    ca.OP_LOG: lambda ring, a: ring.logarithm(a),
-    ca.OP_TANH: _tanh,
-    ca.OP_ATAN2: lambda ring, a, b: ring.angle(a, b),
-    ca.OP_FABS: lambda ring, a: _chosen(ring, a, a, _negative(ring, a)),
-    ca.OP_SIGN: lambda ring, a: _chosen(ring, a, _number(ring, a, 1.0), _number(ring, a, -1.0)),
-    ca.OP_FMAX: lambda ring, a, b: _chosen(ring, ring.sum(a, b, -1.0), a, b),
-    ca.OP_FMIN: lambda ring, a, b: _chosen(ring, ring.sum(a, b, -1.0), b, a),
-    ca.OP_LT: _less,
-    ca.OP_LE: _less,
-    ca.OP_NOT: _logic(np.logical_not),
-    ca.OP_AND: _logic(np.logical_and),
-    ca.OP_OR: _logic(np.logical_or),
-    ca.OP_IF_ELSE_ZERO: _if,
-    ca.OP_FLOOR: _steps,
+_RULES: dict[int, tuple[Rule, int]] = {
+    **dict.fromkeys(KINKS, (_no_bound, 0)),
+    ca.OP_INV: (_single(Arithmetic.inverse), 0), ca.OP_SQRT: (_single(Arithmetic.root), 0),
+    ca.OP_SIN: (_turned, 0), ca.OP_COS: (_turned, 1), ca.OP_EXP: (_single(Arithmetic.exponential), 0),
+    ca.OP_LOG: (_single(Arithmetic.logarithm), 0), ca.OP_TANH: (_single(Arithmetic.hyperbolic_tangent), 0),
+    ca.OP_ATAN2: (_single(Arithmetic.angle), 0), ca.OP_SIGN: (_stepped(np.sign), 0),
+    ca.OP_FLOOR: (_stepped(np.floor), 0), ca.OP_IF_ELSE_ZERO: (_if, 0),
 }  # fmt: skip
-_RULES.update({kink: _no_bound for kink in KINKS if kink not in _RULES})

@@ -66,6 +66,9 @@ class Scene:
     drawing : callable, optional
         Symbols of reported quantities and of parameters, by name -> the parts that pages draw, see `Part`; bodies and
         points by the names of coordinates when not given.
+    hint : str
+        A sentence about other choices of coordinates or inputs, which `analyse` adds where the problem is singular or
+        its internal dynamics are not damped.
     """
 
     name: str
@@ -80,6 +83,7 @@ class Scene:
     tracked: str = ""
     effects: Effects = NO_EFFECTS
     drawing: Drawing | None = None
+    hint: str = ""
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
