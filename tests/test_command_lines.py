@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
-SUBJECT = {"analyse", "import", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
+SUBJECT = {"analyse", "import", "feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export"}
 ALONG = SUBJECT - {"analyse", "import"}
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
@@ -52,6 +52,7 @@ class Option(NamedTuple):
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
     "--parameters": Option(of_both(SUBJECT) | FMUS, "crane.toml", Path("crane.toml")),
+    "--drives": Option(of_both(SUBJECT) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
     "--servo-output": Option(of_servocore(SUBJECT), "tool0", ("tool0",)),
     "--elastic": Option(of_servocore(SUBJECT), "elbow=1e4", ({"elbow": 1e4},)),
@@ -69,7 +70,7 @@ OPTIONS = {
     "--limit": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "swing=5deg", ({"swing": "5deg"},)),
     "--limits": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "limits.toml", Path("limits.toml")),
     "--step": Option(
-        of_both({"feedforward", "plan", "sensitivities", "view"}) | {"crane-fmu drive"}, "0.1", 0.1
+        of_both({"feedforward", "plan", "sensitivities", "drives", "view"}) | {"crane-fmu drive"}, "0.1", 0.1
     ),
     "--formulation": Option(of_both({"feedforward"}), "Projected"),
     "--method": Option(of_both({"feedforward"}), "backwardeuler"),

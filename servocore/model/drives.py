@@ -143,14 +143,15 @@ class Drive:
         """Rated torque (N.m) and power (W) by name, those that are given."""
         return {each.name: float(value) for each in _RATED if (value := getattr(self, each.name)) is not None}
 
-    def parameters(self, name: str) -> list[Parameter]:
-        """Return the data that are given, as parameters of a model; `name` is that of the input."""
-        given = [(each, getattr(self, each.name), f"{each.description}, of {name}") for each in _DATA]
-        return [
-            replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
-            for each, value, text in given
-            if value != getattr(Drive, each.name)
-        ]
+
+def _declared(name: str, drive: Drive) -> list[Parameter]:
+    """Return the data of a drive that are given, as parameters of a model; `name` is that of the input."""
+    given = [(each, getattr(drive, each.name), f"{each.description}, of {name}") for each in _DATA]
+    return [
+        replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
+        for each, value, text in given
+        if value != getattr(Drive, each.name)
+    ]
 
 
 def _checked(of: Parameter, value: object) -> float:
@@ -195,7 +196,7 @@ def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalS
     InvalidModel
         If an input has no place for a drive, or its radius is missing or given twice.
     """
-    declared = [each for name, drive in drives.items() for each in drive.parameters(name)]
+    declared = [each for name, drive in drives.items() for each in _declared(name, drive)]
     parameters = system.parameters.extended(*declared)
     q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
     mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)

@@ -195,6 +195,13 @@ def with_energies(solution: Solution) -> Solution:
     return replace(solution, channels=(*solution.channels, *energies.values()), values=table)
 
 
+def without_energies(solution: Solution) -> Solution:
+    """Return a solution with the quantities of its run alone, for comparisons with other runs."""
+    energies = energies_of(solution.channels).values()
+    own = [k for k, channel in enumerate(solution.channels) if channel not in energies]
+    return replace(solution, channels=tuple(solution.channels[k] for k in own), values=solution.values[:, own])
+
+
 def integrated(t: Array, values: Array) -> Array:
     """Return the integrals of trajectories (N, ...) from the first of the instants (N,) on, by Simpson's rule."""
     from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
