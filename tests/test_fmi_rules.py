@@ -388,3 +388,45 @@ def test_outputs_read_before_the_initialization_are_those_of_its_time(fmi: int) 
         host.values()
         host.start(time=7.0)
         np.testing.assert_allclose(host.values(), path.jet(7.0, 4).ravel(), atol=1e-9)
+
+
+# The worst case ------------------------------------------------------------------------------------------------------
+
+LOOP = """
+#include <stdlib.h>
+#include "{name}.h"
+int main(int count, char **words)
+{{
+    static {name}_memory memory;
+    double outputs[64];
+    int failed = {name}_start(&memory, {time}{name}_rest, {name}_defaults, outputs);
+    for (int k = atoi(words[1]); k > 0; k--) failed |= {name}_step(&memory, {name}_rest, 0.01, {name}_defaults, outputs);
+    return failed;
+}}
+"""
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind, which counts instructions")
+@pytest.mark.parametrize("name", ["cars", "mass_on_car", "passive_joint_arm", "rotary_crane"])
+def test_the_operations_that_a_readme_tells_are_those_that_run(name: str, compiler: list[str], tmp_path: Path) -> None:
+    """An operation is an instruction or two, and copies and indices come on top."""
+    files = c_files(exported(name))
+    source = LOOP.format(name=name, time="")
+    for file, text in (files | {"main.c": source}).items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    subprocess.run([*compiler, "-O2", f"{name}.c", "main.c", "-o", "run", "-lm"], cwd=tmp_path, check=True)
+    counts = []
+    for steps in (10, 110):
+        command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", "./run", str(steps)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        counts.append(int(done.stderr.split("Collected : ")[1].split()[0]))
+    ran = (counts[1] - counts[0]) / 100
+    cells = [line.strip("| ").split(" | ", 1) for line in files["README.md"].splitlines()]
+    rows = {each[0]: each[1] for each in cells if len(each) == 2}
+    told, most = (int(rows[key].split(",")[0]) for key in ("floating-point operations of a call", "at most"))
+    print(name, told, most, ran)
+    assert 0.5 * told < ran < 12 * told
+    assert told <= most
+    assert ran < 4 * most
+    assert "bytes" in rows["code"]
+    assert "bytes" in rows["stack"]
