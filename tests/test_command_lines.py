@@ -107,6 +107,8 @@ OPTIONS = {
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
+    "--fmu": Option({"crane-fmu build"}, "CranePlant"),
+    "--page": Option({"crane-fmu build"}, "page.md", Path("page.md")),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
     "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip

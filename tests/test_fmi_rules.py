@@ -399,8 +399,9 @@ int main(int count, char **words)
 {{
     static {name}_memory memory;
     double outputs[64];
-    int failed = {name}_start(&memory, {time}{name}_rest, {name}_defaults, outputs);
-    for (int k = atoi(words[1]); k > 0; k--) failed |= {name}_step(&memory, {name}_rest, 0.01, {name}_defaults, outputs);
+    int failed = {name}_start(&memory, {name}_rest, {name}_defaults, outputs);
+    for (int k = atoi(words[1]); k > 0; k--)
+        failed |= {name}_step(&memory, {name}_rest, 0.01, {name}_defaults, outputs);
     return failed;
 }}
 """
@@ -411,8 +412,7 @@ int main(int count, char **words)
 def test_the_operations_that_a_readme_tells_are_those_that_run(name: str, compiler: list[str], tmp_path: Path) -> None:
     """An operation is an instruction or two, and copies and indices come on top."""
     files = c_files(exported(name))
-    source = LOOP.format(name=name, time="")
-    for file, text in (files | {"main.c": source}).items():
+    for file, text in (files | {"main.c": LOOP.format(name=name)}).items():
         (tmp_path / file).write_text(text, encoding="utf-8")
     subprocess.run([*compiler, "-O2", f"{name}.c", "main.c", "-o", "run", "-lm"], cwd=tmp_path, check=True)
     counts = []
