@@ -87,7 +87,7 @@ class Engine:
         orders = len(self.about(name)["path"]) // len(scene.model().outputs)
         return (path or scene.reference).jet(np.asarray(t, dtype=float), orders - 1)
 
-    def march(self, name: str, t: Array, path: sc.Reference | None = None, **parameters: float) -> Found:
+    def march(self, name: str, t: np.ndarray, path: sc.Reference | None = None, **parameters: float) -> Found:
         """March over even instants, from a start at the first."""
         h = float(t[1] - t[0])
         times = np.concatenate([t[0] + h * np.array(self.about(name)["instants"]), t[1:]])
