@@ -134,14 +134,6 @@ def test_outputs_depend_on_inputs_at_the_start_only() -> None:
         assert not [name for name in names if name.startswith("measured.")]
 
 
-def test_the_description_offers_states_and_variable_steps() -> None:
-    offered = read_model_description(str(fmu_file())).coSimulation
-    assert offered.canGetAndSetFMUstate
-    assert offered.canSerializeFMUstate
-    assert offered.canHandleVariableCommunicationStepSize
-    assert not offered.canBeInstantiatedOnlyOncePerProcess
-
-
 def test_the_identifier_changes_with_the_content(
     native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
