@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
-SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
+SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export", "ssp"}
 ALONG = SUBJECT - {"analyse"}
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
@@ -76,7 +76,7 @@ OPTIONS = {
     "--plot": Option(of_both({"feedforward", "plan", "sensitivities"}), "p.png", Path("p.png")),
     "--verbose": Option(of_both({"feedforward"}), "", True),
     "--output": Option(
-        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | FMUS | {"crane-fmu demo"},
+        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export", "ssp"}) | FMUS | {"crane-fmu demo"},
         "result", Path("result"),
     ),
     "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ({"load_mass": (0.9, 1.1)},)),
@@ -99,10 +99,11 @@ OPTIONS = {
     "--simulate": Option(of_servocore({"effects"}), "", True),
     "--markdown": Option(of_servocore({"effects"}), "e.md", Path("e.md")),
     "--fmi": Option(of_servocore({"export"}), "2", 2),
-    "--targets": Option({"servocore export", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
+    "--targets": Option(
+        {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
     "--c": Option(of_servocore({"export"}), "source", Path("source")),
-    "--about": Option(of_servocore({"export"}), "vendor.toml", Path("vendor.toml")),
+    "--about": Option(of_servocore({"export", "ssp"}), "vendor.toml", Path("vendor.toml")),
     "--wasm": Option(of_servocore({"export"}), "crane.wasm", Path("crane.wasm")),
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),

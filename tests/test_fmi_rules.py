@@ -18,8 +18,10 @@ from fmpy.fmi1 import FMICallException
 from fmpy.ssp.ssd import read_ssd
 from native_fmu import FULL, Native, exported, native_file, path_of
 from present import present
+from test_moving_starts import rows
 
 import servocore as sc
+from crane_fmu.run import run_ssp
 from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import c_files
@@ -430,3 +432,26 @@ def test_the_operations_that_a_readme_tells_are_those_that_run(name: str, compil
     assert ran < 4 * most
     assert "bytes" in rows["code"]
     assert "bytes" in rows["stack"]
+
+
+@pytest.mark.parametrize("name", sorted(sc.scenes.REGISTRY) if FULL else ["cars", "overhead_crane"])
+def test_the_system_of_a_scene_follows_its_path(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = sc.scenes.REGISTRY[name]()
+    assert run("ssp", name, "-o", "x.ssp", "--targets", "host").exit_code == 0
+    duration = scene.reference.duration
+    found = run_ssp(Path("x.ssp"), duration, duration / 2000)
+    columns = [each for each in found if each.startswith("trajectory.") and f"plant{each[10:]}" in found]
+    assert columns
+    for each in columns:
+        wanted, moved = found[each], found[f"plant{each[10:]}"]
+        assert np.abs(moved - wanted).max() <= 0.01 * max(np.abs(wanted).max(), 1e-3), each
+
+
+def test_a_system_whose_path_starts_in_motion_starts_its_plant_in_motion(tmp_path: Path) -> None:
+    scene = CRANE.with_reference(sc.from_csv(rows(tmp_path / "part.csv", CRANE.reference, (8.0, 20.0), 8.0)))
+    found = run_ssp(sc.export_ssp(scene, tmp_path / "x.ssp", targets="host"), 2.0, 0.01)
+    for k in (1, 2, 3):
+        assert np.abs(found[f"trajectory.load.position[{k}]"] - found[f"plant.load.position[{k}]"]).max() < 1e-3
+    with pytest.raises(sc.InvalidSetting, match=r"the name of a system ends with \.ssp"):
+        sc.export_ssp(scene, tmp_path / "x.zip")

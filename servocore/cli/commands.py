@@ -12,7 +12,7 @@ import rich.table
 from rich.markup import escape
 
 from servocore.analysis import analyse
-from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, sweep, view
+from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, ssp, sweep, view
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import Subject
@@ -86,6 +86,7 @@ app = CommandLine(
         Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
+        Command("ssp", ssp.export_system, ssp.EXAMPLES),
         Command("cache", cache.show_cache, cache.EXAMPLES),
     ],
 )

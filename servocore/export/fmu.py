@@ -224,12 +224,16 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
 
 def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
-    file, names = Path(path), chosen_targets(targets, fmi)
+    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress)})
+    return Path(path)
+
+
+def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
+    """Return a compiled FMU."""
     model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
-    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, progress, model.more_sources)
-    write_together({file: zipped(contents(model, fmi, sources, built, names))})
-    return file
+    built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
+    return zipped(contents(model, fmi, sources, built, targets))
 
 
 def require_version(fmi: int) -> int:
