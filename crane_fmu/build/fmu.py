@@ -12,6 +12,7 @@ from pathlib import Path
 import servocore as sc
 from crane_fmu.build.archive import Progress, packed
 from crane_fmu.build.native import native_fmu
+from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from servocore.files import made_folder, require_writable, write_together
@@ -72,6 +73,22 @@ def build_fmu(
         _check(archive, kind, starts)
         write_together({target: archive})
     return target
+
+
+def page_of(kind: FmuKind) -> str:
+    """Return the user page of an FMU as Markdown, without compiling it.
+
+    Parameters
+    ----------
+    kind : FmuKind
+        Which one.
+
+    Returns
+    -------
+    str
+        The page.
+    """
+    return user_page(kind, native_fmu(kind, targets="none", deferred_refusals=True))
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:

@@ -15,7 +15,6 @@ from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 from crane_fmu.build.estimates import amplification
-from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import ORDERS, FmuKind
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
@@ -28,17 +27,16 @@ _STYLE = (
 )
 
 
-def user_page(kind: FmuKind, fmu: bytes = b"") -> str:
+def user_page(kind: FmuKind, fmu: bytes) -> str:
     """Return the page of an FMU as Markdown.
 
     Parameters
     ----------
     kind : FmuKind
         Which one.
-    fmu : bytes, optional
+    fmu : bytes
         Its archive, or that of the native FMU; only the model description is read.
     """
-    fmu = fmu or native_fmu(kind, targets="none", deferred_refusals=True)
     described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
     template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
