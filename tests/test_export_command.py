@@ -341,17 +341,6 @@ def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
     assert "| stack | at most " in page
 
 
-def test_c_source_is_written_beside_an_fmu_and_alone_at_rest(compiler: list[str]) -> None:
-    result = run("export", "cars", "--c", "source")
-    assert result.exit_code == 0, result.output
-    assert {each.name for each in Path("source").iterdir()} == {
-        "cars.h", "cars.c", "main.c", "CMakeLists.txt", "README.md"
-    }  # fmt: skip
-    subprocess.run([*compiler, "-std=c99", "cars.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)
-    alone = subprocess.run(["source/example"], input="", capture_output=True, text=True, check=True)
-    assert alone.stdout == "0,0\n"
-
-
 @pytest.mark.parametrize(
     ("unit", "order", "expected", "exponents"),
     [
