@@ -20,11 +20,11 @@ from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants, call_of
+from servocore.numerics.conditioning import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
-from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
 

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from present import present
 
 from servocore.numerics.compiled_calls import Array
 
@@ -22,12 +23,21 @@ from benchmarks.copies import cranes  # noqa: E402
 from servocore.checks.branches import rank_losses  # noqa: E402
 from servocore.model.nominal_magnitudes import _changes, _followed  # noqa: E402
 from servocore.numerics.components import Part, filled, parts_of, singular_values  # noqa: E402
-from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank  # noqa: E402
+from servocore.numerics.conditioning import (  # noqa: E402
+    condition_number,
+    condition_numbers,
+    gram_determinants,
+    gram_solver,
+)
+from servocore.numerics.constraint_ranks import (  # noqa: E402
+    ConstraintRank,
+    constraint_rank,
+    unit_rows,
+)
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402
 from servocore.solvers import results, within_limits  # noqa: E402
 from servocore.structure.inversion import determinant_signs, inversion, is_regular_throughout  # noqa: E402
-from servocore.structure.signature import condition_number, condition_numbers  # noqa: E402
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
 
@@ -329,3 +339,24 @@ def test_magnitudes_of_many_cranes_are_those_of_each_and_those_of_the_whole_matr
     far = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     whole = np.abs(np.linalg.pinv(rows, rcond=1e-9) * far).max(axis=1)
     np.testing.assert_allclose(_followed(rows, far), whole, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("singular", [False, True])
+def test_sparse_factors_of_large_parts_tell_what_dense_decompositions_do(singular: bool) -> None:
+    size, random = 150, np.random.default_rng(7)
+    near = abs(np.subtract.outer(range(size), range(size))) < 3
+    matrices = random.uniform(0.5, 2.0, (2, size, size)) * near * 10.0 ** random.integers(-4, 5, (size, 1))
+    matrices[:, 40, :] *= 1.0 - singular
+    pattern = ca.Sparsity.triplet(size, size, *(each.tolist() for each in np.nonzero(near)))
+    entries = np.array([matrix.T[near.T] for matrix in matrices]).T
+    found, dense = condition_numbers(parts_of(pattern), entries), [condition_number(matrix) for matrix in matrices]
+    np.testing.assert_allclose(*np.minimum([found, dense], 1e14), rtol=1e-4)  # those of singular ones are round-off
+    rows = unit_rows(matrices[0])
+    solve = gram_solver(rows, 0.1)
+    np.testing.assert_allclose(
+        present(solve)(rows[:, 3]), np.linalg.solve(rows @ rows.T + 0.1 * np.eye(size), rows[:, 3])
+    )
+    assert (gram_solver(rows) is None) == singular
+    signs, logarithms = gram_determinants(matrices)
+    assert signs.tolist() == [0.0 if singular else 1.0] * 2
+    np.testing.assert_allclose(logarithms, 2 * np.linalg.slogdet(matrices)[1])

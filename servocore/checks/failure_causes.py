@@ -18,13 +18,14 @@ from servocore.checks.impulses import first_jump, has_kinks_or_jumps
 from servocore.checks.slack_ropes import slack_rope
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
+from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
-from servocore.structure.signature import condition_number, lost_rank
+from servocore.structure.signature import lost_rank
 
 SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""

@@ -13,10 +13,10 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import Part, parts_of
+from servocore.numerics.conditioning import condition_numbers, equilibrated
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
-from servocore.structure.signature import condition_numbers, equilibrated
 
 LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""

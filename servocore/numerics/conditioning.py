@@ -1,0 +1,158 @@
+"""Condition numbers of matrices whose rows and columns are scaled, so that they do not depend on units.
+
+Matrices of many independent parts are decomposed part by part, small parts together as stacks. Of large parts, which
+are sparse, only the extreme singular values are computed, from sparse factors: the cost of dense ones is the cube of
+the size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.components import Part, of_one_shape
+
+Array = npt.NDArray[np.float64]
+
+LARGE = 128  # rows from which on sparse factors replace singular values
+
+Product = Callable[[Array], Array]
+
+_SWEEPS = 6  # of equilibration
+_WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
+_SUBSPACE = 10  # vectors of Lanczos' method
+_ACCURATE = 1e-4  # residual of the extreme singular values of large parts; their error is about its square
+
+
+def equilibrated(matrix: Array) -> Array:
+    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units.
+
+    Takes one matrix, or many stacked.
+    """
+    scaled = np.array(matrix, dtype=np.float64)
+    size = np.empty_like(scaled)  # in place: allocation in every sweep takes longer than the divisions
+    for sweep in range(_SWEEPS if matrix.size else 0):
+        for axis in (-1, -2):
+            largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
+            factor = np.where(largest > 0.0, largest, 1.0)
+            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
+    return scaled
+
+
+def condition_number(matrix: Array) -> float:
+    """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
+    if not np.isfinite(matrix).all():
+        return float("inf")
+    values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
+
+
+def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the condition numbers of a sparse square matrix at N instants, from its entries (nnz, N)."""
+    finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
+    largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
+    if any(len(part.rows) != len(part.columns) for part in parts):
+        return np.full(len(finite), np.inf)
+    entries = entries if finite.all() else np.where(finite, entries, 0.0)
+    for same in of_one_shape(parts):  # stacked: calls for hundreds of parts take longer than decompositions
+        if len(same[0].rows) >= LARGE:
+            extremes = np.array([_extreme_singular_values(part, entries) for part in same])
+        else:
+            stacked = equilibrated(np.stack([part.dense(entries) for part in same]))
+            extremes = np.linalg.svd(stacked, compute_uv=False)[:, :, [0, -1]]
+        largest = np.maximum(largest, extremes[:, :, 0].max(axis=0))
+        least = np.minimum(least, extremes[:, :, 1].min(axis=0))
+    regular = finite & (least > 0.0)
+    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
+
+
+def has_full_rank(matrix: Array) -> bool:
+    """Whether a matrix is square and of full rank after its rows and columns are scaled."""
+    height, width = matrix.shape
+    scaled = equilibrated(matrix)
+    if height != width:
+        return False
+    if height >= LARGE:
+        with suppress(np.linalg.LinAlgError):
+            # Frobenius norms bound the condition number, at a tenth of the time of singular values.
+            if np.linalg.norm(scaled) * np.linalg.norm(np.linalg.inv(scaled)) * np.finfo(np.float64).eps * height < 1.0:
+                return True
+    return bool(np.linalg.matrix_rank(scaled) == height)
+
+
+def _extreme_singular_values(part: Part, entries: Array) -> Array:
+    """Return the largest and the least singular value of a large scaled part at N instants, shape (N, 2)."""
+    from scipy.sparse import csc_array  # noqa: PLC0415 - few matrices are large
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    size, found = len(part.rows), np.zeros((entries.shape[1], 2))
+    vectors = [np.ones(size)] * 2  # those of one instant are close to those of the next
+    for k, values in enumerate(_equilibrated_entries(part, entries).T):
+        matrix = csc_array((values, part.places), (size, size))
+        with suppress(RuntimeError):  # of a matrix that is exactly singular
+            solve, transposed = splu(matrix).solve, matrix.T.tocsc()
+            inverse, vectors[1] = _norm(solve, partial(solve, trans="T"), vectors[1])
+            largest, vectors[0] = _norm(matrix.dot, transposed.dot, vectors[0])
+            found[k] = largest, 1.0 / inverse
+    return found
+
+
+def _norm(times: Product, times_transposed: Product, start: Array) -> tuple[float, Array]:
+    """Return the norm of a matrix and the vector that it stretches most, from products with it and its transpose."""
+    from scipy.sparse.linalg import LinearOperator, eigsh  # noqa: PLC0415
+
+    square = LinearOperator((len(start),) * 2, matvec=lambda x: times_transposed(times(x)), dtype=np.float64)
+    squares, vectors = eigsh(square, k=1, v0=start, ncv=_SUBSPACE, tol=_ACCURATE)
+    return float(np.sqrt(squares[0])), vectors[:, 0]
+
+
+def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
+    """Return the product with (J J^T + damping)^-1 of a sparse J of many rows; None for few, or if it is inaccurate.
+
+    Then the rows are far from dependent: the condition number of J is less than the root of that of J J^T.
+    """
+    height, width = matrix.shape
+    if not LARGE <= height <= width:
+        return None
+    from scipy.sparse import csr_array, eye_array  # noqa: PLC0415
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    rows = csr_array(matrix)
+    gram = (rows @ rows.T + damping * eye_array(height)).tocsc()
+    with suppress(RuntimeError):  # of a matrix that is exactly singular
+        solve: Product = splu(gram).solve
+        if np.linalg.norm(gram.data) * _norm(solve, solve, np.ones(height))[0] < _WELL_CONDITIONED:
+            return solve
+    return None
+
+
+def gram_determinants(matrices: Array) -> tuple[Array, Array]:
+    """Return sign and logarithm of det(J J^T) for matrices J (N, rows, columns), by sparse factors of large ones."""
+    if matrices.shape[1] < LARGE:
+        signs, logarithms = np.linalg.slogdet(matrices @ matrices.transpose(0, 2, 1))
+        return signs, logarithms
+    from scipy.sparse import csr_array  # noqa: PLC0415
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    logarithms = np.full(len(matrices), -np.inf)
+    for k, matrix in enumerate(matrices):
+        rows = csr_array(matrix)
+        with suppress(RuntimeError):  # of a matrix that is exactly singular
+            logarithms[k] = np.log(np.abs(splu((rows @ rows.T).tocsc()).U.diagonal())).sum()
+    return np.isfinite(logarithms).astype(np.float64), logarithms
+
+
+def _equilibrated_entries(part: Part, entries: Array) -> Array:
+    """Scale the entries of a sparse part at N instants as `equilibrated` does, shape (its entries, N)."""
+    scaled = np.array(entries[part.entries])
+    for sweep in range(_SWEEPS):
+        for places in part.places:
+            largest = np.zeros((len(part.rows), scaled.shape[1]))
+            np.maximum.at(largest, places, np.abs(scaled))
+            factor = np.where(largest > 0.0, largest, 1.0)[places]
+            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
+    return scaled
