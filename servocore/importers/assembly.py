@@ -20,6 +20,7 @@ from servocore.importers.coordinates import MOTOR, Layout, rope_of
 from servocore.importers.drives import Drive, chosen_drives, rotors
 from servocore.importers.options import Options, driven_joints
 from servocore.importers.outputs import rows_of_outputs
+from servocore.importers.recursion import sparse
 from servocore.importers.tree import Closure, Tendon, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -228,7 +229,10 @@ class Assembly:
             gap = layout.point(body) - layout.motion.pose(place)[1]
             rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
         for body, rope in layout.ropes.items():
-            way = layout.point(body) - layout.motion.pose(rope.anchor)[1]
+            turned, anchor = layout.motion.pose(rope.anchor)
+            way = layout.point(body) - anchor
+            if rope.normal is not None:
+                rows[f"plane of {body}"] = ca.dot(ca.mtimes(turned, sparse(rope.normal)), way)
             rows[f"rope of {body}"] = ca.sumsqr(way) - self._rope_length(body) ** 2
         for name in self.options.taut:
             if not np.isfinite(self.tree.tendons[name].longest):

@@ -45,6 +45,8 @@ class Rope:
         Hinges and balls that it replaces.
     without : tuple of str
         Bodies on the way, whose mass is left out.
+    normal : ndarray, shape (3,), or None
+        Normal of the plane in which a rope of one hinge swings, in the axes of the anchor.
     """
 
     anchor: Place
@@ -53,6 +55,7 @@ class Rope:
     sign: float
     dropped: tuple[str, ...]
     without: tuple[str, ...]
+    normal: Array | None
 
 
 class Layout:
@@ -217,7 +220,8 @@ def _rope(tree: Tree, stages: list[Stage], places: Mapping[str, Place], load: Bo
         length -= sign * joint.zero
     anchor = Place(stages[top].parent, stages[top].base.position, stages[top].base.rotation)
     dropped, without = tuple(joint.name for _, joint in hinges), tuple(body.name for body in on_way)
-    return Rope(anchor, hoist, length, sign, dropped, without)
+    planar = len(hinges) == 1 and hinges[0][1].kind == "hinge"
+    return Rope(anchor, hoist, length, sign, dropped, without, hinges[0][1].axis if planar else None)
 
 
 def _below(tree: Tree, top: Body) -> list[Body]:
