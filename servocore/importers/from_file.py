@@ -216,8 +216,8 @@ class _Drawing:
             if not (origin - parent).is_zero():
                 parts.append(Part("bar", (at(parent), at(origin))))
             parts.append(Part("pin", (at(origin),)))
-        for body, rope in layout.ropes.items():
-            anchor = layout.motion.pose(rope.anchor)[1]
+        for body in layout.ropes:
+            anchor = origins[layout.anchor(body)]
             parts.append(Part("rope", (at(anchor), at(layout.point(body))), colour=f"{body}.tension"))
         for name in dict.fromkeys(self._frames(assembly)):
             place, tip = layout.place(name), layout.position(name)
