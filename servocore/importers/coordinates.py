@@ -79,12 +79,16 @@ class Layout:
         ]
 
     def start(self, joint: Joint) -> Array:
-        """Return the posture of a joint: as given, or zero, or the middle of limits that exclude zero."""
+        """Return the posture of a joint: as given, or zero, or the middle of limits that exclude zero.
+
+        Loops are closed in the file where all joints are at zero.
+        """
         given = self.options.posture
         if joint.kind == "ball":
             values = np.array([given.get(name, float(k == 0)) for k, name in enumerate(joint.coordinates)])
             return np.asarray(values / np.linalg.norm(values))
-        usual = joint.zero if joint.lower <= joint.zero <= joint.upper else (joint.lower + joint.upper) / 2
+        at_zero = self.tree.closures or joint.lower <= joint.zero <= joint.upper
+        usual = joint.zero if at_zero else (joint.lower + joint.upper) / 2
         return np.array([given.get(joint.name, usual)])
 
     def _values(self, names: Mapping[str, ca.SX], scale: float) -> dict[str, ca.SX]:

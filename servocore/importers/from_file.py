@@ -13,6 +13,7 @@ import casadi as ca
 from servocore.importers.assembly import Assembly, Mechanism
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
+from servocore.importers.sdf import read_sdf
 from servocore.importers.tree import Tree
 from servocore.importers.urdf import read_urdf
 from servocore.importers.xml_files import XmlFile
@@ -32,7 +33,7 @@ _WAY = {"rad": 0.2, "m": 0.1}
 _DURATION = 2.0  # s, of the default path
 _SHARE = 0.2  # of the range of an output, at most
 
-READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf}
+READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
 """Readers by the root element."""
 
 

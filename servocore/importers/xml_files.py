@@ -86,6 +86,14 @@ class XmlFile:
             raise self.fault(element, f"has no <{tag}>")
         return found
 
+    def text(self, element: Element, tag: str) -> str:
+        """Return the text of a child that must be there."""
+        return (self.child(element, tag).text or "").strip()
+
+    def value(self, element: Element, path: str, default: float) -> float:
+        """Return the number in a descendant; the default without one."""
+        return float(self.numbers(element, element.findtext(path), (default,))[0])
+
     def numbers(self, element: Element, text: str | None, default: Sequence[float]) -> Array:
         """Return numbers separated by blanks, as many as in the default, which stands for a missing text."""
         if text is None:
