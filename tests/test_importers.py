@@ -201,7 +201,7 @@ def test_a_broken_file_is_refused_in_one_sentence_with_file_and_element(name: st
     ({"inputs": ["turn", "turn"]}, "turn.torque stands twice"),
     ({"ropes": ["wrist"]}, "wrist cannot hang on a rope: no hinge without a drive"),
     ({"gravity": [0, 9.81]}, "gravity must be three numbers"),
-    ({"payload": {"tool": -1.0}}, "payload of tool must be zero or more"),
+    ({"payload": {"tool": -1.0}}, "tool.payload = -1 kg is outside its range"),
 ])  # fmt: skip
 def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: str) -> None:
     with pytest.raises(sc.ServocoreError, match=sentence):
@@ -218,7 +218,7 @@ def test_commands_take_files_and_settings() -> None:
     shown = servocore("import", *words)
     assert all(
         each in shown.stdout
-        for each in ("elastic hinge", "locked slide", "mimics left", "turn.torque (N.m)", "zero is taken for none")
+        for each in ("elastic hinge", "locked slide", "mimics left", "turn.torque (N.m)", "0 is taken for none")
     )
     assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
     assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
