@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.before_run import require_feasible
+from servocore.checks.motion_limits import limited_values
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 
 @dataclass(frozen=True)
@@ -169,9 +169,9 @@ def certify(problems: tuple[Problem, ...]) -> Certificate:
 
 def _certify(problem: Problem) -> Certificate:
     require_feasible(problem)
-    limits, path = motion_limits(problem), problem.reference
+    limits, path = problem.motion_limits, problem.reference
     t = np.linspace(path.start_time, path.end_time, _INSTANTS)
-    values = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
+    values = limited_values(prepared_motion(problem), t)
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):
