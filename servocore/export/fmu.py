@@ -21,7 +21,7 @@ from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.square_systems import MAX_ITERATIONS
+from servocore.numerics.newton import MAX_ITERATIONS
 
 VERSIONS = (3, 2)
 """Versions of FMI; the first is the default."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from servocore.numerics.square_systems import MAX_ITERATIONS, QUICK_ITERATIONS
+from servocore.numerics.newton import MAX_ITERATIONS, QUICK_ITERATIONS
 
 _FREE = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_PARAMETER)
 
