@@ -14,7 +14,7 @@ from servocore.model.limits import Named, reported_quantities
 from servocore.numerics.step_operations import KINKS, holds_any
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
-_NEAR, _SHORT = 0.05, 1e-3  # of the duration
+_NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
