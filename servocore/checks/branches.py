@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.numerics.compiled_calls import Array, Call, at_instants
-from servocore.numerics.components import Part, parts_of
+from servocore.numerics.components import LARGE, Part, parts_of
 from servocore.numerics.conditioning import gram_determinants
 from servocore.numerics.constraint_ranks import Rows, assembled
 from servocore.numerics.interpolation import lagrange
@@ -101,7 +101,10 @@ def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) 
     """Find where constraints lose rank that have coordinates of their own; `jacobians` is S at all instants, scaled."""
     scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
     jacobians = jacobians / scale
-    signs, logarithms = gram_determinants(jacobians)
+    if jacobians.shape[1] < LARGE:
+        signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
+    else:
+        signs, logarithms = gram_determinants(jacobians)
     largest = float(np.max(logarithms))
     if not np.isfinite(largest):
         return []

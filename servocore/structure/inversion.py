@@ -12,8 +12,8 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import Part, parts_of
-from servocore.numerics.conditioning import condition_numbers, equilibrated
+from servocore.numerics.components import Part, equilibrated, parts_of
+from servocore.numerics.conditioning import condition_numbers
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
