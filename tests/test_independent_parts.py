@@ -258,7 +258,8 @@ def test_sparse_factors_of_large_parts_tell_what_dense_decompositions_do(singula
     pattern = ca.Sparsity.triplet(size, size, *(each.tolist() for each in np.nonzero(near)))
     entries = np.array([matrix.T[near.T] for matrix in matrices]).T
     found, dense = condition_numbers(parts_of(pattern), entries), [condition_number(matrix) for matrix in matrices]
-    np.testing.assert_allclose(*np.minimum([found, dense], 1e14), rtol=1e-4)  # those of singular ones are round-off
+    limit = 1e14  # beyond it is round-off
+    np.testing.assert_allclose(np.minimum(found, limit), np.minimum(dense, limit), rtol=1e-4)
     rows = unit_rows(matrices[0])
     solve = gram_solver(rows, 0.1)
     np.testing.assert_allclose(

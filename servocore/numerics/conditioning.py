@@ -14,33 +14,14 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.components import Part, of_one_shape
+from servocore.numerics.components import LARGE, SWEEPS, Part, equilibrated, of_one_shape
 
 Array = npt.NDArray[np.float64]
-
-LARGE = 128  # rows from which on sparse factors replace singular values
-
 Product = Callable[[Array], Array]
 
-_SWEEPS = 6  # of equilibration
 _WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
 _SUBSPACE = 10  # vectors of Lanczos' method
 _ACCURATE = 1e-4  # residual of the extreme singular values of large parts; their error is about its square
-
-
-def equilibrated(matrix: Array) -> Array:
-    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units.
-
-    Takes one matrix, or many stacked.
-    """
-    scaled = np.array(matrix, dtype=np.float64)
-    size = np.empty_like(scaled)  # in place: allocation in every sweep takes longer than the divisions
-    for sweep in range(_SWEEPS if matrix.size else 0):
-        for axis in (-1, -2):
-            largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
-            factor = np.where(largest > 0.0, largest, 1.0)
-            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
-    return scaled
 
 
 def condition_number(matrix: Array) -> float:
@@ -70,20 +51,6 @@ def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
     return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
 
 
-def has_full_rank(matrix: Array) -> bool:
-    """Whether a matrix is square and of full rank after its rows and columns are scaled."""
-    height, width = matrix.shape
-    scaled = equilibrated(matrix)
-    if height != width:
-        return False
-    if height >= LARGE:
-        with suppress(np.linalg.LinAlgError):
-            # Frobenius norms bound the condition number, at a tenth of the time of singular values.
-            if np.linalg.norm(scaled) * np.linalg.norm(np.linalg.inv(scaled)) * np.finfo(np.float64).eps * height < 1.0:
-                return True
-    return bool(np.linalg.matrix_rank(scaled) == height)
-
-
 def _extreme_singular_values(part: Part, entries: Array) -> Array:
     """Return the largest and the least singular value of a large scaled part at N instants, shape (N, 2)."""
     from scipy.sparse import csc_array  # noqa: PLC0415 - few matrices are large
@@ -111,12 +78,12 @@ def _norm(times: Product, times_transposed: Product, start: Array) -> tuple[floa
 
 
 def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
-    """Return the product with (J J^T + damping)^-1 of a sparse J of many rows; None for few, or if it is inaccurate.
+    """Return the product with (J J^T + damping)^-1 of a sparse J; None if it is inaccurate.
 
     Then the rows are far from dependent: the condition number of J is less than the root of that of J J^T.
     """
     height, width = matrix.shape
-    if not LARGE <= height <= width:
+    if height > width:
         return None
     from scipy.sparse import csr_array, eye_array  # noqa: PLC0415
     from scipy.sparse.linalg import splu  # noqa: PLC0415
@@ -133,10 +100,10 @@ def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
 def _equilibrated_entries(part: Part, entries: Array) -> Array:
     """Scale the entries of a sparse part at N instants as `equilibrated` does, shape (its entries, N)."""
     scaled = np.array(entries[part.entries])
-    for sweep in range(_SWEEPS):
+    for sweep in range(SWEEPS):
         for places in part.places:
             largest = np.zeros((len(part.rows), scaled.shape[1]))
             np.maximum.at(largest, places, np.abs(scaled))
             factor = np.where(largest > 0.0, largest, 1.0)[places]
-            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
+            scaled /= np.sqrt(factor) if sweep < SWEEPS - 1 else factor
     return scaled

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, Call
-from servocore.numerics.components import singular_values
+from servocore.numerics.components import LARGE, singular_values
 from servocore.numerics.conditioning import gram_solver
 
 ROUND_OFF = 1e-9
@@ -155,7 +155,7 @@ def assembled(rows: Rows, x: Array) -> Array | None:
 
 def _damped_step(jacobian: Array, residual: Array, damping: float) -> Array:
     """Return J^T (J J^T + damping)^-1 residual; of many rows by sparse factors, where these are accurate."""
-    solve = gram_solver(jacobian, damping)
+    solve = gram_solver(jacobian, damping) if len(jacobian) >= LARGE else None
     if solve is not None:
         step: Array = jacobian.T @ solve(residual)
         return step
@@ -183,7 +183,7 @@ def unit_rows(jacobian: Array) -> Array:
 
 def _rank(jacobian: Array) -> int:
     unit = unit_rows(jacobian)
-    if gram_solver(unit) is not None:  # far from dependent
+    if len(unit) >= LARGE and gram_solver(unit) is not None:  # far from dependent
         return len(unit)
     values = singular_values(unit)
     return int((values > ROUND_OFF * max(1.0, values[0])).sum())

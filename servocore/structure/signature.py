@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import filled, largest_assignment, parts_of
-from servocore.numerics.conditioning import equilibrated, has_full_rank
+from servocore.numerics.components import equilibrated, filled, has_full_rank, largest_assignment, parts_of
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
