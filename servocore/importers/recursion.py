@@ -276,11 +276,10 @@ class Motion:
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
         matrix = ca.SX(len(self.columns), len(self.columns))
-        for stage, (_, _, W, _, _) in zip(self.stages, self._local, strict=True):
+        for stage, start, (_, _, W, V, _) in zip(self.stages, self._starts, self._local, strict=True):
+            rows = slice(start, start + W.size2())
             if stage.joint.name in values:
-                k = self.columns[stage.joint.coordinates[0]]
-                block = ca.mtimes(W.T, W) if stage.joint.kind == "ball" else ca.SX(1)
-                matrix[k : k + block.size1(), k : k + block.size1()] = values[stage.joint.name] * block
+                matrix[rows, rows] = values[stage.joint.name] * (ca.mtimes(W.T, W) + ca.mtimes(V.T, V))
         return ca.sparsify(matrix)
 
     @cached_property
