@@ -114,7 +114,7 @@ class Drive:
     def __post_init__(self) -> None:
         for each in (*_DATA, *_RATED):
             value = getattr(self, each.name)
-            if value is not None:
+            if value is not None or getattr(Drive, each.name) is not None:
                 object.__setattr__(self, each.name, _checked(each, value))
         object.__setattr__(self, "torque_speed", self._curve())
 
@@ -122,8 +122,9 @@ class Drive:
         """Return the corners of the torque-speed curve in SI units."""
         speed, torque = (Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
                          for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
-        rows = self.torque_speed
-        if isinstance(rows, str) or not all(isinstance(row, Sequence) and len(row) == 2 for row in rows):
+        rows = getattr(self.torque_speed, "tolist", lambda: self.torque_speed)()
+        pairs = isinstance(rows, Sequence) and all(isinstance(row, Sequence) and len(row) == 2 for row in rows)
+        if isinstance(rows, str) or not pairs:
             raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {described(rows)}")
         corners = tuple((_checked(speed, row[0]), _checked(torque, row[1])) for row in rows)
         rising = all(a[0] < b[0] for a, b in pairwise(corners))
