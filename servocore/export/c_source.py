@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
+import struct
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -136,9 +136,17 @@ def _measured(files: dict[str, str], file: str) -> dict[str, str]:
             compile_in(Path(folder), [*command, *options], file)
             (usage,) = Path(folder).glob("*.su")
             stack = sum(int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines())
-            sizes = subprocess.run(["size", "object.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
-            code, data = map(int, sizes.splitlines()[1].split()[:2])
-    except (InvalidSetting, OSError, subprocess.CalledProcessError, ValueError, IndexError):
+            code = _loaded_bytes(Path(folder, "object.o").read_bytes())
+    except (InvalidSetting, OSError, ValueError, IndexError, struct.error):
         return dict.fromkeys(("stack", "code"), "not measured: no compiler that reports it was found")
     by = f"measured with `{' '.join(command)} -O2`"
-    return {"stack": f"at most {stack} bytes, {by}", "code": f"{code + data} bytes, constants included, {by}"}
+    return {"stack": f"at most {stack} bytes, {by}", "code": f"{code} bytes, constants included, {by}"}
+
+
+def _loaded_bytes(elf: bytes) -> int:
+    """Return the size of code and constants in a 64-bit ELF object: allocated sections with content."""
+    if elf[:5] != b"\x7fELF\x02":
+        raise ValueError("no 64-bit ELF object")
+    (table,), (size, count) = struct.unpack_from("<Q", elf, 40), struct.unpack_from("<HH", elf, 58)
+    rows = [struct.unpack_from("<IIQQQQ", elf, table + k * size) for k in range(count)]
+    return sum(length for _, kind, flags, _, _, length in rows if kind == 1 and flags & 2)
