@@ -74,7 +74,7 @@ def test_the_power_of_the_motors_is_the_rate_of_energy_and_friction_to_round_off
     motors = sum(expression for each, expression in system.observables.items() if each.unit == "W")
     terms = ca.vertcat(motors, stored, -ca.dot(system.force, system.v))  # the forces are those of friction
     balance = ca.Function("balance", [system.q, system.v, v_dot, system.u, system.p], [terms])
-    for state in exact_states(problem, prepared_table(problem))(np.linspace(0.2, 2.8, 21)).T:
+    for state in prepared_motion(problem).at(np.linspace(0.2, 2.8, 21)).T:
         motion = [[state[array.position(f"q.{name}", k)] for name in system.coordinates.names] for k in range(3)]
         u = [state[array.position(f"u.{each.name}", 0)] for each in system.inputs]
         power, change, lost = np.asarray(balance(*motion, u, problem.p)).ravel()
