@@ -302,7 +302,8 @@ class Proof:
     def _joints(self) -> list[Joint]:
         """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
         count, none = len(self.peaks), np.zeros(len(self.peaks))
-        c, proved = self.models(self.intervals)[0][:, :count], np.array([each.proved for each in self.intervals])
+        no_polynomial, proved = np.zeros((len(self.ring.nodes), count)), np.array([k.proved for k in self.intervals])
+        c = np.stack([k.c if k.c is not None and k.proved else no_polynomial for k in self.intervals], axis=2)
         rho, D = (
             np.stack([getattr(each, name) if each.proved else none for each in self.intervals], axis=1)
             for name in ("rho", "D")
