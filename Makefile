@@ -120,6 +120,7 @@ levels: $(INSTALLED)  ## measure what the models of every scene cost, into docs/
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
+	$(BIN)/python docs/draw_certificate.py
 	$(BIN)/python docs/draw_icon.py
 	$(BIN)/python docs/draw_live_page.py
 

@@ -30,7 +30,7 @@ from benchmarks.levels.costs import Spread
 from benchmarks.levels.measurement import ROUTES, compiled_run, timed_in_turn
 from benchmarks.levels.tables import machine
 from servocore.numerics.compiled_calls import Call, side_by_side
-from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE
 from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 from servocore.structure.inversion import inversion
 

@@ -29,7 +29,7 @@ from rich.table import Table
 
 import servocore as sc
 from servocore import Discretization
-from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE
 
 REPEATS = 15
 SCENE = sc.scenes.rotary_crane()

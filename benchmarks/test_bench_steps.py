@@ -24,7 +24,7 @@ from benchmarks.chart.c_cost import functions_of, in_c
 from benchmarks.conftest import BARE, CLOSED_FORM
 from benchmarks.levels.measurement import compiled_run
 from servocore.numerics.compiled_calls import Call
-from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE
 
 CRANE = sc.scenes.rotary_crane()
 STEPS = 200

@@ -171,7 +171,8 @@ def at_rest(starts: Starts) -> dict[str, float]:
     crane = crane_with(starts)
     path, known = crane.reference, crane.parameter_values()
     home = path.jet(path.start_time, 0)[0].tolist()
-    place = [float(starts.get(name, value)) for name, value in zip(_STARTS, home, strict=False)]
+    names = _LOAD if _LOAD[0] in starts else _STARTS  # of the inverse model, or of the plant
+    place = [float(starts.get(name, value)) for name, value in zip(names, home, strict=False)]
     tension = known["load_mass"] * known["gravity"]
     values = {"phi": math.atan2(place[1], place[0]), "s": math.hypot(*place[:2]), "l": -place[2], "tension": tension}
     values |= {"M_b": 0.0, "F": 0.0, "M_w": -tension * known["winch_radius"], "swing": 0.0}

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         ServocoreError as ServocoreError,
         ServocoreWarning as ServocoreWarning,
     )
+    from servocore.export.about import About as About
     from servocore.export.estimates import SampledEstimates as SampledEstimates
     from servocore.export.feedback import SampledFeedback as SampledFeedback
     from servocore.export.fmu import (
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from servocore.formulations.original import Original as Original
     from servocore.formulations.projected import Projected as Projected
     from servocore.formulations.reduced import Reduced as Reduced
+    from servocore.importers.options import Elastic as Elastic
     from servocore.methods.backward_euler import BackwardEuler as BackwardEuler
     from servocore.methods.base import (
         Discretization as Discretization,
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from servocore.methods.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
     from servocore.methods.trapezoidal import Trapezoidal as Trapezoidal
     from servocore.model.drawing import Part as Part
+    from servocore.model.drives import Drive as Drive
     from servocore.model.generalize import generalize as generalize
     from servocore.model.limit_files import read_limits as read_limits
     from servocore.model.limits import Limit as Limit
@@ -105,6 +108,7 @@ if TYPE_CHECKING:
     from servocore.solvers.dynamic_inversion import DynamicInversion as DynamicInversion
     from servocore.solvers.energy_momentum import EnergyMomentum as EnergyMomentum
     from servocore.solvers.exact_inversion import ExactInversion as ExactInversion
+    from servocore.solvers.prepared import PreparedInversion as PreparedInversion, prepare as prepare
     from servocore.solvers.route import Adaptive as Adaptive, Route as Route
     from servocore.solvers.simulate import simulate as simulate
     from servocore.solvers.solve import solve as solve

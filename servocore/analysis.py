@@ -10,6 +10,8 @@ from servocore.checks.branches import rank_losses
 from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.internal_stability import (
     ADVICE,
+    FLAT,
+    MINIMUM_PHASE,
     SINGULAR,
     internal_dynamics,
 )
@@ -58,8 +60,10 @@ class StructureReport:
         Why the problem is singular, with the time if a reference is known.
     rank_loss : str
         Where along the reference the constraints lose rank, so that two motions go on from there.
+    hint : str
+        Other choices for the model, see `Scene`.
     advice : str
-        Which route is enough.
+        Which route is enough, and the hint where the problem is singular or its internal dynamics are not damped.
     """
 
     name: str
@@ -77,11 +81,13 @@ class StructureReport:
     remedy: str = ""
     reason: str = ""
     rank_loss: str = ""
+    hint: str = ""
 
     @property
     def advice(self) -> str:
-        """Which route is enough."""
-        return ADVICE[self.classification]
+        """Which route is enough, and other choices of a model where it is singular or not damped."""
+        hint = "" if self.classification in (FLAT, MINIMUM_PHASE) else self.hint
+        return "; ".join(filter(None, (ADVICE[self.classification], hint)))
 
     def __str__(self) -> str:
         rows = [
@@ -142,6 +148,7 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
     instants = 1 if isinstance(subject, MechanicalSystem) else _SURVEY_POINTS  # a system alone rests at its home
     system, left_out = problem.system, problem.left_out
     outline = StructureReport(system.name, system.degrees_of_freedom, len(system.inputs), len(system.outputs))
+    outline = replace(outline, hint=subject.hint if isinstance(subject, Scene) else "")
     if isinstance(problem.resolved.outcome, InvalidModel):
         return replace(outline, reason=str(problem.resolved.outcome))
     outline = _with_structure(outline, problem.array, left_out)

@@ -57,6 +57,7 @@ _EXTRAS = {
     "jinja2": "fmu",
     "markdown_it": "fmu",
     "matplotlib": "report",
+    "mujoco": "mjcf",
     "pandas": "sweep",
     "pyarrow": "sweep",
     "pythonfmu": "fmu",

@@ -67,7 +67,8 @@ def cross_check_texts(
     stem : str
         Beginning of the names of the files.
     inputs, results : mapping of str to ndarray, or None
-        Inputs and outputs of the FMU in that run, by the names of its variables, `time` first; None for none.
+        Inputs and outputs of the FMU in that run, by the names of its variables, `time` first; None for none. The
+        components of a vector, shape (n, k), have one cell with blanks between them.
     times : tuple of float
         Start and end of that run, and its communication step, in s.
     """
@@ -75,11 +76,19 @@ def cross_check_texts(
     options = zip(names, (*times, 0.0, times[2]), strict=True)
     tables = {"in": inputs, "ref": results}
     texts = {
-        f"{stem}_{kind}.csv": csv_text([f'"{name}"' for name in table], list(table.values()))
+        f"{stem}_{kind}.csv": "".join(
+            ",".join(row) + "\n" for row in zip(*(_cells(*each) for each in table.items()), strict=True)
+        )
         for kind, table in tables.items()
         if table is not None
     }
     return texts | {f"{stem}_ref.opt": "".join(f"{name},{value!r}\n" for name, value in options)}
+
+
+def _cells(name: str, values: npt.NDArray[np.float64]) -> list[str]:
+    """Return the cells of a variable's column, its name first."""
+    size = 1 if values.ndim == 1 else values.shape[1]
+    return [f'"{name}"', *(line.replace(",", " ") for line in csv_text([""] * size, [values]).splitlines()[1:])]
 
 
 def require_picture(file: Path | None) -> None:

@@ -30,6 +30,7 @@ SHARED_MODULES = {
     "servocore.cli.kinds",
     "servocore.cli.options",
     "servocore.cli.run_summary",
+    "servocore.export.system",
     "servocore.export.targets",
     "servocore.files",
     "servocore.planning.durations",

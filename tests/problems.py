@@ -7,7 +7,7 @@ Small systems with known answers, made by hand, follow below.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -21,6 +21,7 @@ from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
 from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
+from servocore.scenes.hanging_load import follow
 from servocore.scenes.jets import Jet, components
 from servocore.stepping.stepper import Stepper
 
@@ -83,6 +84,7 @@ SCENES = {
     "passive_joint_arm": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "elastic_bar": SceneCase(index=7, projected_index=5, algebraic=("w_1", "w_2")),
     "quadrotor_with_load": SceneCase(index=7, projected_index=5, algebraic=("p_x", "p_z", "swing", "tension")),
+    "driven_crane": SceneCase(index=5, algebraic=("s", "l", "tension", "swing")),
 }
 FORMULATIONS = (
     FormulationCase(sc.Original()),
@@ -110,6 +112,7 @@ UNSTABLE = {
     ("overhead_crane", "generalized", "original"): "as the rotary crane",
     ("gantry_crane", "generalized", "original"): "as the rotary crane",
     ("boom_crane", "generalized", "original"): "as the rotary crane",
+    ("driven_crane", "generalized", "original"): "as the rotary crane",
 }
 """Scene, model and kind of formulation that no step size saves: kept out of `PROBLEMS` and shown to fail."""
 REFUSED = {("passive_joint_arm", "points", "projected"): r"mass matrix is singular on a, b$"}
@@ -159,9 +162,38 @@ class Problem:
         return Stepper(self.scene, self.of.formulation, self.by.method, step, self.model)
 
 
+DRIVES = {
+    "F": sc.Drive(ratio=25, drum_radius="125 mm", motor_inertia="4 kg cm^2", viscous=2e-4, coulomb=0.02),
+    "M_w": sc.Drive(ratio=12, rope_falls=2, motor_inertia=3e-4, efficiency=0.85, viscous=3e-4, torque_constant=1.1,
+                    torque_speed=[(0, 12), ("3000 rpm", 11), ("8000 rpm", 9)]),
+}  # fmt: skip
+
+
+def driven_crane() -> sc.Scene:
+    """The overhead crane with drives, and its closed form: that with reflected inertia, and friction by hand."""
+    crane = sc.scenes.overhead_crane()
+
+    def closed_form(reference: Array, p: Mapping[str, float]) -> dict[str, Array]:
+        n, wheel = p["M_w.ratio"] * p["M_w.rope_falls"], p["F.ratio"] / p["F.drum_radius"]
+        reflected = {"trolley_mass": p["trolley_mass"] + wheel**2 * p["F.motor_inertia"],
+                     "winch_inertia": p["winch_inertia"] + n**2 * p["M_w.motor_inertia"]}  # fmt: skip
+        motion, rates = follow(reference, {**p, **reflected}, crane.model().outputs), reference[:, 1]
+        assert crane.closed_form is not None
+        answer = crane.closed_form(reference, {**p, **reflected})
+        s_dot = motion.trolley[0].derivatives()[1]
+        l_dot = (
+            (reference[:, 0, 0] - answer["s"]) * (rates[:, 0] - s_dot) + reference[:, 0, 1] * rates[:, 1]
+        ) / answer["l"]
+        answer["F"] += wheel * (p["F.coulomb"] * np.tanh(s_dot / 0.01) + p["F.viscous"] * wheel * s_dot)
+        answer["M_w"] += n**2 * p["M_w.viscous"] * l_dot / p["winch_radius"]
+        return answer
+
+    return replace(crane.with_drives(**DRIVES), name="driven_crane", closed_form=closed_form)
+
+
 @cache
 def scene(name: str) -> sc.Scene:
-    return sc.scenes.REGISTRY[name]()
+    return driven_crane() if name == "driven_crane" else sc.scenes.REGISTRY[name]()
 
 
 MODELS = tuple((name, model) for name in SCENES for model in scene(name).models)

@@ -233,7 +233,11 @@ class TestFeedforward:
             r" effects not included\)",
             told[6],
         )
-        assert len(told) == 7  # the path of a line is exact
+        proved = (
+            r"  certificate: proved: one regular motion at all times from 0 s to 20 s, inputs within \d\.\de-\d\d .*"
+        )
+        assert re.fullmatch(proved, told[7])
+        assert len(told) == 8  # the path of a line is exact
 
     def test_what_rounded_samples_do_to_the_inputs_is_told_apart_from_numerics(self) -> None:
         t = np.linspace(0.0, 20.0, 201)

@@ -24,8 +24,8 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
-SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
-ALONG = SUBJECT - {"analyse"}
+SUBJECT = {"analyse", "import", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
+ALONG = SUBJECT - {"analyse", "import"}
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
 BOUND = {"crane-fmu feedforward", "crane-fmu plan", "crane-fmu view"}
@@ -53,6 +53,10 @@ LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
     "--parameters": Option(of_both(SUBJECT) | FMUS, "crane.toml", Path("crane.toml")),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
+    "--servo-output": Option(of_servocore(SUBJECT), "tool0", ("tool0",)),
+    "--elastic": Option(of_servocore(SUBJECT), "elbow=1e4", ({"elbow": 1e4},)),
+    "--motor-inertia": Option(of_servocore(SUBJECT), "0.3", 0.3),
+    "--import": Option(of_servocore(SUBJECT), "arm.toml", Path("arm.toml")),
     "--reference": Option(of_both(ALONG) | DRIVEN, "path.csv", Path("path.csv")),
     "--tolerance": Option(of_both(ALONG) | DRIVEN, "1mm", "1mm"),
     "--waypoints": Option(of_both(ALONG) | DRIVEN, "way.csv", Path("way.csv")),
@@ -102,10 +106,14 @@ OPTIONS = {
     "--targets": Option({"servocore export", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
     "--c": Option(of_servocore({"export"}), "source", Path("source")),
+    "--about": Option(of_servocore({"export"}), "vendor.toml", Path("vendor.toml")),
     "--wasm": Option(of_servocore({"export"}), "crane.wasm", Path("crane.wasm")),
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
+    "--no-certify": Option(
+        of_both({"feedforward", "plan"}) | {"servocore export", "crane-fmu ssp", "crane-fmu demo"}, "", True
+    ),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
     "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip
@@ -163,8 +171,9 @@ def test_an_option_means_the_same_in_every_command(option: str) -> None:
 def test_commands_of_the_crane_are_those_of_servocore_with_the_scene_fixed() -> None:
     for name in BOUND:
         crane, general = COMMANDS[name], COMMANDS[f"servocore {name.split()[1]}"]
+        fixed = crane_fmu.cli.commands.CRANE
         assert crane.function is general.function
-        assert [each.opts for each in crane.params] == [each.opts for each in general.params if each.name != "scene"]
+        assert [each.opts for each in crane.params] == [each.opts for each in general.params if each.name not in fixed]
 
 
 @pytest.mark.parametrize("name", ["crane-fmu feedforward", "crane-fmu plan"])

@@ -16,14 +16,13 @@ from crane_fmu.cli.commands import app
 LINE = ["--from", "5", "0", "-5", "--to", "4", "1", "-4", "--duration", "6"]
 NAMES = {"M_b": "slew.torque", "F": "trolley.force", "M_w": "hoist.torque"}
 
-# The same crane by Newton's law for load, trolley and drum, with the rope's tension from the second derivative of its
-# length: nothing of it is taken from this project.
+# The crane in NumPy of `plain_crane`, which holds its inputs.
 FOREIGN = """
-from math import atan2, cos, sin
 import numpy as np
+from plain_crane import CRANE, advance
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 
-J, MT, M, JW, RW, G = 480.0, 10.0, 100.0, 0.1, 0.1, 9.81
+P = np.array(list(CRANE.parameter_values().values()))
 
 
 class Foreign(Fmi2Slave):
@@ -31,45 +30,15 @@ class Foreign(Fmi2Slave):
         super().__init__(**kwargs)
         self.tau, self.f, self.hoist = 0.0, 0.0, -98.1
         self.px, self.py, self.pz = 5.0, 0.0, -5.0
-        self.y = np.array([0.0, 5.0, 5.0, 5.0, 0.0, -5.0, 0, 0, 0, 0, 0, 0])
+        self.x = np.array([5.0, 0.0, 5.0, 0.0, -5.0, 0, 0, 0, 0, 0])
         for name in ("tau", "f", "hoist"):
             self.register_variable(Real(name, causality=Fmi2Causality.input))
         for name in ("px", "py", "pz"):
             self.register_variable(Real(name, causality=Fmi2Causality.output))
 
-    def rate(self, y):
-        phi, s, l, r = y[0], y[1], y[2], y[3:6]
-        w, sd, ld, v = y[6], y[7], y[8], y[9:12]
-        es, ep = np.array([cos(phi), sin(phi), 0.0]), np.array([-sin(phi), cos(phi), 0.0])
-        rope = r - s * es
-        e = rope / np.linalg.norm(rope)
-        dv = v - sd * es - s * w * ep
-        inertia = J + MT * s * s
-
-        def accelerations(T):
-            turn = (self.tau + s * T * (e @ ep) - 2 * MT * s * sd * w) / inertia
-            roll = (self.f + T * (e @ es)) / MT + s * w * w
-            pay = (self.hoist / RW + T) * RW ** 2 / JW
-            load = -T / M * e - np.array([0.0, 0.0, G])
-            return turn, roll, pay, load
-
-        def miss(T):  # d2/dt2 (|rope|^2 - l^2) / 2
-            turn, roll, pay, load = accelerations(T)
-            trolley = roll * es + 2 * sd * w * ep + s * turn * ep - s * w * w * es
-            return dv @ dv + rope @ (load - trolley) - ld * ld - l * pay
-
-        T = miss(0.0) / (miss(0.0) - miss(1.0))
-        turn, roll, pay, load = accelerations(T)
-        return np.concatenate([[w, sd, ld], v, [turn, roll, pay], load])
-
     def do_step(self, t, h):
-        for _ in range(4):
-            d = h / 4
-            a = self.rate(self.y)
-            b = self.rate(self.y + d / 2 * a)
-            c = self.rate(self.y + d / 2 * b)
-            self.y = self.y + d / 6 * (a + 2 * b + 2 * c + self.rate(self.y + d * c))
-        self.px, self.py, self.pz = map(float, self.y[3:6])
+        self.x = advance(False, self.x, np.array([self.tau, self.f, self.hoist]), np.zeros(3), np.zeros(3), P, h)
+        self.px, self.py, self.pz = map(float, self.x[2:5])
         return True
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -364,3 +365,22 @@ def test_friction_that_is_smooth_but_steep_ends_soon(slip: float) -> None:
     begin = np.arcsin(2.0 / 3.0)
     moved = 3.0 * ((t - begin) * np.cos(begin) - np.sin(t) + np.sin(begin)) - (t - begin) ** 2
     assert np.abs(found["x"] - np.where(t > begin, moved, 0.0)).max() < 20 * slip
+
+
+@pytest.mark.parametrize("name", ["overhead_crane", "gantry_crane"])
+def test_a_rope_that_goes_slack_is_told_with_the_time_and_a_duration_that_would_do(name: str) -> None:
+    """Without the limits of the scene, by the rope's length alone: 1.2 g downwards at the peak of degree 9."""
+    crane = replace(scene(name), limits=())
+    aside = (0.0,) * (crane.reference.dimension - 2)
+    start, end = (0.0, *aside, -1.5), (0.3, *aside, -2.5)
+
+    def falling(duration: float) -> sc.Scene:
+        return crane.with_reference(sc.rest_to_rest(start, end, duration))
+
+    sentence = r"the rope goes slack at t = 0\.21\d+ s: l grows .*; in more than (\S+) s the same law keeps it taut"
+    with pytest.raises(sc.IntegrationFailed, match=sentence) as refused:
+        sc.solve(falling(0.892))
+    found = re.search(sentence, str(refused.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(np.sqrt(9.3721 / 9.81), rel=1e-3)
+    assert (sc.solve(falling(1.05 * float(found[1])))["l"] > 0.0).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 
@@ -10,22 +9,15 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 from fmu_host import Host, fmu_file, follow, in_a_process, promised
+from test_sentences import MISTAKES as SENTENCES
 
 import servocore as sc
 from crane_fmu.catalogue import KINDS
 
 CRANE = sc.scenes.rotary_crane()
-MISTAKES: dict[str, tuple[Callable[[Host], object], ...]] = {  # in the order of the pages' sentences
+MISTAKES: dict[str, tuple[Callable[[Host], object], ...]] = {  # those of which `test_sentences` knows nothing
     "RotaryCrane": (
-        lambda host: host.start().set(**{"load.jerk[2]": math.nan}).step(0.0, 0.1),
-        lambda host: host.start().set(**{"load.acceleration[3]": -10.0}).step(0.0, 0.1),
-        lambda host: host.start().set(**{"load.position[3]": 1.0}).step(0.0, 0.1),
-        lambda host: host.start().set(**{"load.position[1]": 0.0}).step(0.0, 0.1),
-        lambda host: host.start().step(0.0, -0.1),
-        lambda host: host.start().step(0.0, 0.1) and host.step(0.0, 0.1),
-        lambda host: host.start().step(0.5, 0.1),
         lambda host: host.step(0.0, 0.1),
-        lambda host: host.start().set(load_mass=-1.0).step(0.0, 0.1),
         lambda host: host.start().set(internal_step=1e-9).step(0.0, 0.1),
         lambda host: all(
             host.set(**{"load.position[1]": 5.0 + 0.1 * k}).step(0.1 * k, 0.1) for k in range(3 * bool(host.start()))
@@ -38,30 +30,20 @@ MISTAKES: dict[str, tuple[Callable[[Host], object], ...]] = {  # in the order of
         ),
     ),
     "CranePlant": (
-        lambda host: host.start().set(F=math.nan).step(0.0, 0.1),
         lambda host: host.set(brakes="none").start().set(M_w=100.0).step(0.0, 0.1),
         lambda host: host.start().set(M_b=1e300, M_w=-98.1).step(0.0, 0.1),
-        lambda host: host.set(**{"start.position[3]": 1.0}).start().step(0.0, 0.1),
-        lambda host: host.start().step(0.0, -0.1),
-        lambda host: host.start().set(mass_error=-2.0).step(0.0, 0.1),
     ),
-    "LoadTrajectory": (
-        lambda host: host.set(ramp=3.0).start().step(0.0, 0.1),
-        lambda host: host.set(profile="three-phase", ramp=11.0).start().step(0.0, 0.1),
-        lambda host: host.set(profile="file").start().step(0.0, 0.1),
-        lambda host: host.set(duration=math.nan).start().step(0.0, 0.1),
-        lambda host: host.start().step(0.0, 0.1) and host.step(0.0, 0.1),
-    ),
+    "LoadTrajectory": (lambda host: host.set(profile="file").start().step(0.0, 0.1),),
 }
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_every_refusal_is_the_sentence_that_the_page_promises(name: str) -> None:
-    for mistake, sentence in zip(MISTAKES[name], promised(name), strict=True):
+    told = [each for each in promised(name) if each not in {mistake.sentence for mistake in SENTENCES}]
+    for mistake, sentence in zip(MISTAKES[name], told, strict=True):
         with Host(fmu_file(name)) as host:
             assert not mistake(host)
-            assert host.messages[-1].endswith(sentence)
-            assert name != "RotaryCrane" or host.messages[-1] == sentence
+            assert host.messages[-1].removeprefix("the initialization failed: ") == sentence
 
 
 @pytest.mark.parametrize(("h", "reached"), [(20.0, 0.0), (5.0, 10.0)])  # the first step, and one like the step before
@@ -97,28 +79,13 @@ def test_fmpy_stops_short_at_a_refused_step_and_says_why() -> None:
     assert "the load is not below the girder" in messages[-1]
 
 
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        ({"model": "ring"}, "model = 99 is unknown"),
-        ({"formulation": "guessed"}, "formulation = 99 is unknown"),
-        ({"input_time": "middle"}, "input_time = 99 is unknown"),
-        ({"load_mass": math.nan}, "load_mass = nan kg is not a finite number"),
-        ({"gravity": 0.0}, "gravity = 0 m/s2 is outside its range"),
-        ({"internal_step": -1.0}, "internal_step = -1 s is outside its range"),
-        ({"load.position[3]": 1.0}, "the load is not below the girder"),
-        ({"load.position[1]": math.nan}, "the input load.position[1] is nan"),
-    ],
-)
-def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(
-    settings: dict[str, str | float], sentence: str
-) -> None:
+def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan() -> None:
     with Host() as host:
-        host.set(**settings).start()
+        host.set(model="ring").start()
         for _ in range(2):
             assert not host.step(0.0, 0.1)
         assert len(host.messages) == 3
-        assert all(each.startswith("the initialization failed: ") and sentence in each for each in host.messages)
+        assert all(each.startswith("the initialization failed: model = 99 is unknown") for each in host.messages)
         assert np.isnan(host.outputs()).all()
         host.fmu.reset()
         assert host.start().step(0.0, 0.1)

@@ -12,7 +12,7 @@ from loop_information import smallest_distance
 from loop_schedules import KINDS, distances, schedule
 from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
-from plain_crane import advance, sampled
+from plain_crane import advance, flat, linear, measured_of, riccati, sampled, worth
 from scipy.linalg import expm, logm
 from thinned import thinned
 
@@ -201,6 +201,24 @@ def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at:
     for h in (0.1, 0.01):
         for place in CRANE.reference.jet(np.array([0.0, 10.0, 20.0]), 0)[:, 0]:
             assert sensitivity(law, at, h, place) < bound
+
+
+@pytest.mark.parametrize("h", [0.1, 0.01, 0.001, 0.0001])
+@pytest.mark.parametrize("at", MASTERS)
+def test_the_first_gains_are_stationary_and_stable(at: str, h: float) -> None:
+    """The only cost-to-go that a Riccati step leaves as it is, and under whose gains the loop is stable."""
+    random = np.random.default_rng(13)
+    for case in (Case(), *(random_case(random, any_crane=True) for _ in range(4))):
+        jet, p = np.zeros((5, 3)), np.array(list((CRANE.parameter_values() | case.crane).values()))
+        jet[0] = case.reference.jet(0.0, 0)[0]
+        x, u = flat(jet, p)
+        M = laws()[at].begin(jet.ravel(), measured_of(x), p, h)[0][:100].reshape(10, 10)
+        A, new, old = model = linear(at, sampled(False, x, u, np.zeros(3), p, h))
+        R, S = worth(x, p, h, 0.0)
+        size, reach = np.sqrt(np.diag(M)), A @ new + old
+        assert (np.abs(riccati(M, *model, R, S) - M) < 1e-13 * np.outer(size, size)).all(), case.name
+        effort, pull = R + new.T @ S @ new + reach.T @ M @ reach, new.T @ S + reach.T @ M @ A
+        assert np.abs(np.linalg.eigvals(A - reach @ np.linalg.solve(effort, pull))).max() < 1.0 - 0.5 * h
 
 
 # What is not known in time -------------------------------------------------------------------------------------------

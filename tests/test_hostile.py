@@ -67,6 +67,7 @@ if FULL:
     more = ("rotary_crane", "mass_on_car", "elastic_hoist", "crossing", "limited")
     NATIVE += [(name, 2) for name in more]
     NATIVE += [(name, fmi) for name in ("wind", "rotary_crane plant", "rotary_crane loop") for fmi in (2, 3)]
+PREFIXES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -77,7 +78,7 @@ def sanitized(name: str, fmi: int, compiler: list[str], folder: Path) -> str:
     source.mkdir()
     for file, text in fmu_sources(model, fmi).items():
         (source / file).write_text(text, encoding="utf-8")
-    options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-I."]
+    options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-fPIC", "-shared", "-ffp-contract=off", *PREFIXES]
     build = [*compiler, *options, *SANITIZERS, *compiled_files(model, fmi), "-o", str(library), "-lm"]
     built = subprocess.run(build, cwd=source, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":

@@ -93,7 +93,7 @@ def test_bdf_of_unstable_orders_is_refused(order: int) -> None:
 
 
 @pytest.mark.parametrize("family", [sc.RadauIIA, sc.Gauss])
-@pytest.mark.parametrize("stages", [0, 8])
+@pytest.mark.parametrize("stages", [0, 11])
 def test_collocation_with_senseless_numbers_of_stages_is_refused(
     family: type[sc.RadauIIA] | type[sc.Gauss], stages: int
 ) -> None:

@@ -16,13 +16,8 @@ from hypothesis.strategies import DataObject
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.elimination import symbolic_solution
-from servocore.numerics.square_systems import (
-    MAX_ITERATIONS,
-    NEWTON_TOLERANCE,
-    SquareSystem,
-    compile_solver,
-    compile_unrolled_solver,
-)
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.numerics.square_systems import SquareSystem, compile_solver, compile_unrolled_solver
 
 
 def solve(

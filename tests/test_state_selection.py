@@ -98,3 +98,41 @@ def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular() 
 def test_a_system_that_never_needs_another_choice_makes_one() -> None:
     solution = sc.solve(sc.scenes.mass_on_car(), step=0.02)
     assert solution.statistics.choices_of_states == 1
+
+
+def stretching(crank: float, nominal: float) -> sc.Scene:
+    """A slider-crank that starts straight, with a rod of 1e6 N/m and twice the crank's length."""
+    coordinates = sc.Coordinates(
+        sc.Quantity("a", "rad"), sc.Quantity("b", "rad"), sc.Quantity("x", "m"), sc.Quantity("e", "m", nominal=nominal)
+    )
+    a, b, x, e = ca.vertsplit(coordinates.q)
+    rod = (2.0 * crank + e) * ca.vertcat(ca.cos(b), ca.sin(b))
+    pin = crank * ca.vertcat(ca.cos(a), ca.sin(a))
+    J = ca.jacobian(pin + rod / 2.0, coordinates.q)
+    system = sc.MechanicalSystem(
+        name="slider-crank", coordinates=coordinates, parameters=sc.Parameters(),
+        inputs=(sc.Quantity("torque", "N.m"),), outputs=(sc.Quantity("angle", "rad"),),
+        mass=0.08 * ca.mtimes(J.T, J) + ca.diag(ca.vertcat(0.01 * crank**2, 0.02 * crank**2, 0.04, 0.0)), output=a,
+        input_matrix=ca.SX([[-1, 0, 0, 0]]), potential=5e5 * e**2,
+        constraints=pin + rod - ca.vertcat(x + 3.0 * crank, 0),
+        gamma=ca.SX.sym("gamma", 1, 25),
+    )  # fmt: skip
+    return sc.Scene("slider-crank", {"bars": lambda: system}, sc.rest_to_rest((0.0,), (5.0,), 1.0))
+
+
+@pytest.mark.parametrize("crank", [0.1, 0.15])
+def test_a_slider_crank_that_starts_straight_is_solved_and_moves_as_a_rigid_one(crank: float) -> None:
+    """Finding: states chosen where nothing is symmetric leave the rod's length free where the linkage is straight."""
+    scene, a = stretching(crank, 1.0), ca.SX.sym("a")
+    b = -ca.asin(ca.sin(a) / 2.0)
+    pin, rod = (r * crank * ca.vertcat(ca.cos(c), ca.sin(c)) for r, c in ((1.0, a), (2.0, b)))
+    slope, slide, turn = (ca.jacobian(each, a) for each in (pin + rod / 2.0, (pin + rod)[0], b))
+    inertia = 0.08 * ca.sumsqr(slope) + 0.04 * slide**2 + (0.01 + 0.02 * turn**2) * crank**2
+    law = ca.Function("torque", [a], [inertia, ca.jacobian(inertia, a) / 2.0])
+    solution = sc.solve(scene)
+    jets = scene.reference.jet(solution.t, 2)[:, :, 0]
+    exact = [float(law(q)[0]) * acceleration + float(law(q)[1]) * v**2 for q, v, acceleration in jets]
+    np.testing.assert_allclose(solution["torque"], exact, atol=1e-3 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        solution["torque"], sc.solve(stretching(crank, 1e-4))["torque"], atol=1e-9 * np.abs(exact).max()
+    )

@@ -24,6 +24,9 @@ NAME, CLOSED_FORM = "servocore", "closed-form"
 SOLVED, INVERTED, PREPARED = "exact inversion", "ExactInversion", "DynamicInversion"
 """The exact inversion by `solve`, with motion and checks; inputs alone, prepared once; with internal dynamics."""
 
+LONG_STEPS = ", prepared"
+"""How methods end that `prepare` has made ready, with the fewest steps for a tolerance."""
+
 COMPILED = ", machine code"
 """How methods end, the library's and the peers', whose functions a compiler has made ready."""
 
@@ -41,6 +44,8 @@ FEW_DIVISIONS = (1, 4, 16)
 INTERNAL_DIVISIONS = (1, 4)  # on a reduced form with internal dynamics, which needs no small steps
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 PREPARED_TOLERANCES = (1e-3, 1e-6, 5e-10)
+STAGES, COMPILED_STAGES = (3, 4, 5, 6, 7, 9), (4, 5, 7)
+"""Of Radau IIA with long steps; of those as machine code, which takes seconds to compile each."""
 ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
 ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)
 ORDER_DURATION = 20.0
@@ -55,9 +60,16 @@ def candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
     """List our routes on a problem."""
     if smoke:
         return [*_fixed(problem, None, sc.Projected(), FEW_METHODS[:1], DIVISIONS[:2]),
+                _long_steps(problem, None, sc.RadauIIA(5), TOLERANCES[0], native=False),
                 *_reduced(problem, None, FEW_METHODS[:1])]  # fmt: skip
     first, *others = problem.scene.models
     found = [*_reduced(problem, first), *_fixed(problem, first, sc.Projected(), METHODS, DIVISIONS)]
+    found += [
+        _long_steps(problem, first, sc.RadauIIA(stages), tolerance, native)
+        for native, counts in ((False, STAGES), (True, COMPILED_STAGES))
+        for stages in counts
+        for tolerance in TOLERANCES
+    ]
     found += _adaptive(problem, first)
     found += _fixed(problem, first, sc.Original(), FEW_METHODS, FEW_DIVISIONS)
     for model in others:
@@ -136,6 +148,23 @@ def _dynamic(problem: Problem, model: str | None, tolerance: float, native: bool
 
     return Candidate(problem, NAME, model or problem.scene.default_model, sc.Reduced().name,
                      PREPARED + (COMPILED if native else ""), f"tolerance = {tolerance:g}", prepare)  # fmt: skip
+
+
+def _long_steps(problem: Problem, model: str | None, method: sc.Method, tolerance: float, native: bool) -> Candidate:
+    """Return runs of the projected form, prepared once with the fewest steps for a tolerance."""
+
+    def prepare() -> Prepared:
+        run = sc.prepare(problem.scene, sc.Projected(), method, tolerance=tolerance, model=model, native=native)
+        t = problem.grid()
+
+        def read(found: Array) -> Answer:
+            return Answer(dict(zip(problem.inputs, found.T, strict=True)), float("nan"))
+
+        return Prepared(lambda: run(t), read, lambda _: f"{run.elements} steps")
+
+    return Candidate(problem, NAME, model or problem.scene.default_model, sc.Projected().name,
+                     method.name + LONG_STEPS + (COMPILED if native else ""), f"tolerance = {tolerance:g}",
+                     prepare)  # fmt: skip
 
 
 def _fixed(

@@ -11,7 +11,7 @@ from benchmarks.chart.candidate import OUTPUT_INTERVALS
 from benchmarks.chart.own import PREPARED
 from benchmarks.chart.record import Record
 from benchmarks.chart.requirements import missed, requirement_rows
-from benchmarks.chart.selection import ACCURACIES, ALIKE, compare, fastest, is_compiled, is_own
+from benchmarks.chart.selection import ACCURACIES, ALIKE, TIE, compare, fastest, is_compiled, is_own
 from benchmarks.chart.study import PEERS
 
 PAGE = "index.md"
@@ -57,7 +57,7 @@ def slower(record: Record) -> str:
     for scene in record.scenes:
         for form, compiled in ALIKE:
             for each in compare(record.rows, scene, form, compiled):
-                if each.ratio is not None and each.ratio < 1.0:
+                if each.ratio is not None and each.ratio <= 1 / TIE:
                     words = f"{scene} at {each.accuracy:g} ({each.peer.solver if each.peer else ''}, {each.ratio:.2f})"
                     found.setdefault(f"the {form} form{', machine code' if compiled else ''}", []).append(words)
     if not found:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.chart.own import CLOSED_FORM, COMPILED, NAME, SOLVED
+from benchmarks.chart.own import CLOSED_FORM, COMPILED, LONG_STEPS, NAME, SOLVED
 from benchmarks.chart.rows import Row
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -57,7 +57,7 @@ class Comparison:
     accuracy : float
         Largest error of any input that both keep.
     own, peer : Row or None
-        The library's fastest route and the fastest peer; None where none is so accurate.
+        The library's fastest route, prepared once as peers are, and the fastest peer; None where none is so accurate.
     """
 
     form: str
@@ -72,17 +72,26 @@ class Comparison:
         return None if self.own is None or self.peer is None else self.peer.point[0] / self.own.point[0]
 
 
-ALIKE = (("reduced", False), ("projected", False), ("reduced", True))
+TIE = 1.3
+"""Times whose ratio is less do not differ by more than measurements do."""
+
+ALIKE = (("reduced", False), ("projected", False), ("reduced", True), ("projected", True))
 """Forms on which solvers are compared, and whether machine code evaluates both sides."""
 
 
 def compare(rows: Sequence[Row], scene: str, form: str, compiled: bool = False) -> list[Comparison]:
-    """Compare the library with its peers on one scene and form, at all `ACCURACIES`."""
+    """Compare the library with its peers on one scene and form, at all `ACCURACIES`, all of them prepared once."""
     here = [row for row in rows if (row.scene, row.formulation, is_compiled(row)) == (scene, form, compiled)]
     return [
         Comparison(form, compiled, each, fastest(here, each, is_own), fastest(here, each, is_peer))
         for each in ACCURACIES
     ]
+
+
+def checked(rows: Sequence[Row], scene: str, accuracy: float) -> Row | None:
+    """Return the fastest `solve` on the projected form, with its checks and a step for every instant."""
+    here = [row for row in rows if row.scene == scene and is_own(row) and row.formulation == "projected"]
+    return fastest(here, accuracy, lambda row: LONG_STEPS not in row.method)
 
 
 def default_route(rows: Sequence[Row], scene: str) -> Row | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.chart.record import Record, key
 from benchmarks.chart.rows import Row
-from benchmarks.chart.selection import ACCURACIES, ALIKE, Comparison, compare, fastest, gain
+from benchmarks.chart.selection import ACCURACIES, ALIKE, TIE, Comparison, checked, compare, fastest, gain
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], right: int = 1) -> str:
@@ -30,15 +30,18 @@ def comparison(record: Record) -> str:
         alike = [compare(record.rows, scene, form, compiled) for form, compiled in ALIKE]
         for k, accuracy in enumerate(ACCURACIES):
             pairs = [*(each[k] for each in alike), gain(record.rows, scene, accuracy)]
-            lines.append((scene, f"{accuracy:g}", *(_pair(each) for each in pairs)))
-    head = ("scene", "error", "reduced, interpreted", "projected, interpreted", "reduced, machine code",
-            "default `solve` : peer, projected")  # fmt: skip
+            solved = milliseconds(checked(record.rows, scene, accuracy))
+            lines.append((scene, f"{accuracy:g}", *(_pair(each) for each in pairs), solved))
+    names = [f"{form}, {'machine code' if compiled else 'interpreted'}" for form, compiled in ALIKE]
+    head = ("scene", "error", *names, "default `solve` : peer, projected", "`solve`, projected")
     return markdown(head, lines, 2)
 
 
 def _pair(pair: Comparison) -> str:
     shown = f"{milliseconds(pair.own)} : {milliseconds(pair.peer)}"
-    return shown if pair.ratio is None else f"{shown} ({times(pair.ratio)})"
+    if pair.ratio is None:
+        return shown
+    return f"{shown} ({'tie' if 1 / TIE < pair.ratio < TIE else times(pair.ratio)})"
 
 
 def times(ratio: float | None) -> str:

@@ -5,7 +5,8 @@ unknowns w, with x' = w. Jacobians are CasADi's own, and the integrator is calle
 conversions of matrices. `collocation` reports at the ends of its elements; where these are fewer than the intervals of
 the output grid, a spline of degree 7 brings the inputs there. Its systems are solved by KINSOL, which keeps
 factorizations and takes half the time of CasADi's `newton` and `fast_newton` here, with the loosest tolerance that
-costs no accuracy.
+costs no accuracy. Machine code takes as long here as the interpreter: KINSOL and the passes between its calls
+dominate.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
             if form.formulation == "reduced" and form.variant != DERIVATIVE_ARRAY:
                 continue  # with derivatives as unknowns of their own this is the derivative array again
             methods: dict[str, dict[str, object]] = {"idas": {}}
-            if form.formulation == "reduced" and not effort.smoke:
+            if not effort.smoke:
                 methods[f"idas{COMPILED}"] = COMPILED_OPTIONS
             found += [
                 Candidate(problem, NAME, model, form.formulation, named(method, form), f"reltol = {tolerance:g}",
@@ -66,6 +67,15 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
                               f"{count} elements",
                               partial(prepare, form, "collocation", collocation_options(scheme, order, count), count))
                     for count in inside(elements, effort.smoke)
+                ]  # fmt: skip
+            if form.formulation == "projected" and not effort.smoke:
+                found += [
+                    Candidate(problem, NAME, model, form.formulation, f"collocation, radau {order}{COMPILED}",
+                              f"{count} elements",
+                              partial(prepare, form, "collocation",
+                                      {**collocation_options("radau", order, count), **COMPILED_OPTIONS}, count))
+                    for order in (4, 5, 7)
+                    for count in (*COARSE, OUTPUT_INTERVALS)
                 ]  # fmt: skip
     return found
 

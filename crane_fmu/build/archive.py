@@ -29,9 +29,6 @@ from servocore.files import xml_document, zipped
 Progress = Callable[[str], None]
 """Called with a phrase for every stage."""
 
-DATE, AUTHOR = "2026-01-01T00:00:00Z", "The authors of servocore"
-"""The same in every FMU, so that two builds of one source are equal."""
-
 PREFIX = "rotary_crane_"
 """Prefix of the names of all entry modules."""
 
@@ -153,8 +150,10 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
     Outputs change in doStep only: there is no direct feedthrough, and there are no directional derivatives.
     """
     root = ET.fromstring(native)
-    root.attrib |= {"modelName": name, "generationDateAndTime": DATE, "author": AUTHOR, "license": "MIT"}
-    root.set("generationTool", f"{_TOOL} with PythonFMU {notes['pythonfmu']}")
+    root.attrib |= {
+        "modelName": name,
+        "generationTool": f"{root.get('generationTool')} with PythonFMU {notes['pythonfmu']}",
+    }
     root.set("guid", root.get("guid", "").strip("{}"))  # as PythonFMU writes it
     (simulation,) = root.iter("CoSimulation")
     simulation.attrib |= {"modelIdentifier": name, "needsExecutionTool": "true"}

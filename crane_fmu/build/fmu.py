@@ -46,7 +46,7 @@ def build_fmu(
     path : Reference, optional
         The path in a trajectory.
     starts : mapping of str to float or str
-        Start values of variables that differ from the defaults; names that the FMU does not have are ignored.
+        Start values of variables that differ from the defaults, parameters of the crane among them.
     targets : str, optional
         Platforms of its libraries, as of `sc.export_fmu`; this machine and 64-bit Windows by default.
 

@@ -54,7 +54,7 @@ def native_fmu(
     path : Reference, optional
         The path in the trajectory.
     starts : mapping of str to float or str
-        Start values of variables in place of defaults; names that the FMU does not have are ignored.
+        Start values of variables in place of defaults, parameters of the crane among them.
     targets : str, optional
         Platforms, as `sc.export_fmu` takes them.
     progress : callable
@@ -69,7 +69,8 @@ def native_fmu(
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
-            sc.export_trajectory(crane, file, _trajectory(path, starts, deferred_refusals), **common)
+            own = {name: value for name, value in starts.items() if name not in crane.parameter_values()}
+            sc.export_trajectory(crane, file, _trajectory(path, own, deferred_refusals), **common)
         elif kind is CRANE_PLANT:
             sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
         else:
@@ -82,7 +83,7 @@ def native_fmu(
 def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryOptions:
     profile = starts.get("profile")
     named = None if profile in (None, FROM_FILE) else str(profile)
-    numbers = {name: float(value) for name, value in starts.items() if not isinstance(value, str)}
+    numbers = {name: float(value) for name, value in starts.items() if name != "profile"}
     return sc.TrajectoryOptions(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
 
 
@@ -116,10 +117,10 @@ def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
     """Return the measured quantities with the sizes of vectors, in the order of the law's arguments."""
     units = {each.name: each.unit for each in crane.model().observables}
     motion = [(name, units[name]) for name in ("phi", "s", "l")]
-    rates = [(f"{name}_dot", f"{unit}/s") for name, unit in motion]
+    rates = [(f"{name}_dot", f"{unit}/s", f"rate of {name}") for name, unit in motion]
     load = [(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
-    scalars = [(sc.Quantity(*each, each[0]), None) for each in (*motion, *rates)]
-    return *scalars, *((sc.Quantity(*each), DIMENSION) for each in load)
+    scalars = [(name, unit, name) for name, unit in motion] + rates
+    return *((sc.Quantity(*each), None) for each in scalars), *((sc.Quantity(*each), DIMENSION) for each in load)
 
 
 def _judge() -> ca.Function:

@@ -14,6 +14,7 @@ import fmpy
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
+import servocore as sc
 from crane_fmu.build.estimates import amplification
 from crane_fmu.catalogue import ORDERS, FmuKind
 
@@ -42,6 +43,7 @@ def user_page(kind: FmuKind, fmu: bytes) -> str:
     template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
     return template.render(
         table=lambda causality: _table(described.modelVariables, causality),
+        verdict=lambda: _verdict(described.modelVariables),
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 
@@ -52,6 +54,13 @@ def documentation_page(kind: FmuKind, fmu: bytes) -> str:
     body = MarkdownIt("commonmark").enable("table").render(alone)
     head = f'<meta charset="utf-8"><title>{kind.file_name}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
+
+
+def _verdict(variables: list[Any]) -> str:
+    """Return the verdict of the certificate of the default crane on its default path."""
+    crane = sc.scenes.rotary_crane()
+    own = {each.name: float(each.start) for each in variables if each.name in crane.parameter_values()}
+    return sc.certify(crane.with_parameters(**own)).verdict
 
 
 def _table(variables: list[Any], causality: str) -> str:

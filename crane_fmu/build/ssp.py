@@ -1,19 +1,15 @@
-"""``Crane.ssp``: trajectory, inverse model and plant connected, in the subset of SSP 1.0 that all masters read.
+"""``Crane.ssp``: trajectory, inverse model and plant connected, see `servocore.export.system`.
 
-A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; the system has no connectors, and a user's own
-parameters are bound inline. Cross-check files of its FMUs lie beside it: inputs, results and options of a run.
+Cross-check files of its FMUs lie beside it: inputs, results and options of a run.
 """
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import floor
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import fmpy
 import numpy as np
@@ -30,7 +26,6 @@ from crane_fmu.catalogue import (
     FROM_FILE,
     KINDS,
     LOAD_TRAJECTORY,
-    NO_STARTS,
     ORDERS,
     PATH_INPUTS,
     PROFILES,
@@ -38,13 +33,13 @@ from crane_fmu.catalogue import (
     Starts,
     at_rest,
     components,
-    crane_with,
 )
 from crane_fmu.files import filled_folder, put
 from crane_fmu.run import input_rows, nothing_left
-from servocore.files import cross_check_texts, xml_document, zipped
+from servocore.export.system import Element, Wire, packed_system, require_played, wires_by_name
+from servocore.files import cross_check_texts
 
-SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
+SYSTEM_FILE = "Crane.ssp"
 COMPONENTS: Mapping[str, str] = {
     LOAD_TRAJECTORY.name: "trajectory",
     ROTARY_CRANE.name: "crane",
@@ -58,12 +53,6 @@ STEP = 0.01
 _STOP, _SHORT_STOP = 20.0, 2.0  # s, of cross-check runs; a pushed plant goes far
 _START_ORDERS = 4  # position to jerk determine the motion of crane and load at the start
 _FORCES = ("M_b", "F", "M_w")
-_INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
-
-_SPACES = {
-    f"xmlns:{prefix}": f"http://ssp-standard.org/SSP1/SystemStructure{part}"
-    for prefix, part in (("ssd", "Description"), ("ssc", "Common"), ("ssv", "ParameterValues"))
-}
 
 
 @dataclass(frozen=True)
@@ -136,101 +125,77 @@ def build_ssp(
     ServocoreWarning
         If the path ends in motion.
     """
-    path = options.path
-    starts: dict[str, float | str] = dict(options.parameters)
-    if options.profile is not None:
-        starts["profile"] = options.profile
+    path, crane = options.path, sc.scenes.rotary_crane().with_parameters(**options.parameters)
     if path is not None:
-        _require_start(path)
-    crane = crane_with(options.parameters)
+        require_played(path)
     inverse = sc.ExactInversion(crane if path is None else crane.with_reference(path), native=False)
-    if path is not None:
-        starts |= path_starts(path, inverse)
-        _warn_of_end(path)
+    starts = start_values(options, inverse)
     with filled_folder(directory) as draft:
         for kind in KINDS.values():
+            given = (kind, path, starts[kind.name], options.targets)
             if options.native:
-                put(draft, {kind.file_name: native_fmu(kind, path, starts, options.targets, progress)})
+                put(draft, {kind.file_name: native_fmu(*given, progress)})
             else:
-                build_fmu(draft, progress, kind, path, starts, options.targets)
+                build_fmu(draft, progress, *given)
         if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():
-                _cross_check(draft / kind.file_name, path, starts, inverse)
+                _cross_check(draft / kind.file_name, path, starts[CRANE_PLANT.name], inverse)
         fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
-        members = {f"resources/{name}.fmu": fmu for name, fmu in fmus.items()}
-        members[_STRUCTURE] = description(fmus, starts, _STOP if path is None else path.end_time)
-        put(draft, {SYSTEM_FILE: zipped(members, _STRUCTURE)})
+        elements = elements_of(fmus, starts)
+        duration = _STOP if path is None else path.end_time
+        put(draft, {SYSTEM_FILE: packed_system("Crane", elements, connections(elements), duration)})
     return tuple(directory / name for name in (*(kind.file_name for kind in KINDS.values()), SYSTEM_FILE))
 
 
-def _require_start(path: sc.Reference) -> None:
-    """Refuse a path that the load is not on at 0 s, the start of the run."""
-    start = path.start_time
-    if start < 0.0:
-        raise sc.InvalidReference(
-            f"the path starts at t = {start:g} s, but the run of the system starts at 0 s: shift the path to start then"
-            " or later"
-        )
-    motion = _motion(path, start)
-    if start > 0.0 and motion:
-        raise sc.InvalidReference(
-            f"the path starts in motion at t = {start:g} s, with {motion}, but the run of the system starts at 0 s:"
-            " shift the path to start then, or start it from rest"
-        )
+def elements_of(fmus: Mapping[str, bytes], starts: Mapping[str, Starts]) -> list[Element]:
+    """Return the FMUs by the names of their kinds as elements of the system."""
+    return [Element(name, kind, fmus[kind], starts.get(kind, {})) for kind, name in COMPONENTS.items()]
 
 
-def _warn_of_end(path: sc.Reference) -> None:
-    """Warn of a path that does not end at rest: its last segment is extrapolated."""
-    motion = _motion(path, path.end_time)
-    if motion:
-        warnings.warn(
-            f"the path does not end at rest, but at t = {path.end_time:g} s with {motion}: run the system until then"
-            " only; later the last segment of the path is extrapolated",
-            sc.ServocoreWarning,
-            stacklevel=3,
-        )
+def connections(elements: Sequence[Element]) -> list[Wire]:
+    """Return the connections: outputs with inputs of their names, and the plant's motion with the feedback."""
+    crane, plant = (COMPONENTS[kind.name] for kind in (ROTARY_CRANE, CRANE_PLANT))
+    wires = wires_by_name(elements)
+    for name in FEEDBACK_INPUTS:
+        output = name.removeprefix("measured.")
+        wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
+    return wires
 
 
-def _motion(path: sc.Reference, time: float) -> str:
-    """Return the lowest derivative of a path that is not zero at one of its ends, empty where it rests."""
-    peaks = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, _INSTANTS), 4), axis=-1).max(axis=0)
-    sizes = np.linalg.norm(path.jet(time, 4), axis=-1)
-    found = [order for order in range(1, len(ORDERS)) if sizes[order] > _ROUND_OFF * peaks[order]]
-    if not found:
-        return ""
-    name, power = ORDERS[found[0]], found[0] if found[0] > 1 else ""
-    return f"{'an' if name[0] == 'a' else 'a'} {name} of {sizes[found[0]]:.3g} m/s{power}"
-
-
-def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, float | str]:
-    """Return start values of all FMUs that put the load on its path, in the motion of the path at its start.
+def start_values(options: SystemOptions, inverse: sc.ExactInversion) -> dict[str, Starts]:
+    """Return start values by the names of kinds that put the load on its path, in the motion of the path at its start.
 
     Parameters
     ----------
-    path : Reference
-        The path in the trajectory.
+    options : SystemOptions
+        Path, profile and parameters.
     inverse : ExactInversion
         That of the crane on this path.
 
     Returns
     -------
-    dict of str to float or str
+    dict of str to mapping
         By the names of variables, inputs included: some masters pass connected values on after the first step only.
     """
-    jet = path.jet(path.start_time, len(ORDERS) - 1)
-    moves = jet[1:].any()
-    orders = len(ORDERS) if moves else 1  # a load at rest begins with brakes, as by default
-    numbers = dict(zip(PATH_INPUTS[: orders * DIMENSION], jet[:orders].ravel().tolist(), strict=True))
-    starts = components(*(f"start.{order}" for order in ORDERS[: min(orders, _START_ORDERS)]))
-    numbers |= dict(zip(starts, jet.ravel().tolist(), strict=False))
-    if moves:
-        numbers |= dict(zip(_FORCES, inverse(path.start_time).tolist(), strict=True))
-    return {"profile": FROM_FILE, **numbers}
+    starts = {kind: dict[str, float | str](options.parameters) for kind in KINDS}
+    if options.profile is not None:
+        starts[LOAD_TRAJECTORY.name]["profile"] = options.profile
+    if (path := options.path) is not None:
+        jet = path.jet(path.start_time, len(ORDERS) - 1)
+        moves = jet[1:].any()
+        orders = len(ORDERS) if moves else 1  # a load at rest begins with brakes, as by default
+        starts[LOAD_TRAJECTORY.name]["profile"] = FROM_FILE
+        starts[ROTARY_CRANE.name] |= zip(PATH_INPUTS[: orders * DIMENSION], jet.ravel().tolist(), strict=False)
+        names = components(*(f"start.{order}" for order in ORDERS[: min(orders, _START_ORDERS)]))
+        starts[CRANE_PLANT.name] |= zip(names, jet.ravel().tolist(), strict=False)
+        if moves:
+            starts[CRANE_PLANT.name] |= zip(_FORCES, inverse(path.start_time).tolist(), strict=True)
+    return dict(starts)
 
 
 def _cross_check(fmu: Path, path: sc.Reference | None, starts: Starts, inverse: sc.ExactInversion) -> None:
-    """Run an FMU and write its inputs, its results and the options of the run beside it."""
+    """Run an FMU and write its inputs, its results and the options of the run beside it; starts are the plant's."""
     stop = _SHORT_STOP if fmu.stem == CRANE_PLANT.name else _STOP
     if path is not None and path.jet(path.end_time, 4)[1:].any():  # there is no path later
         stop = min(stop, STEP * floor(path.end_time / STEP))
@@ -256,77 +221,3 @@ def _plant_inputs(stop: float, starts: Starts, inverse: sc.ExactInversion) -> np
         push = np.sin(np.pi * t) ** 2
         forces = [50.0 * push, -5.0 * push, np.full_like(t, at_rest(starts)["M_w"])]
     return np.rec.fromarrays([t, *forces], dtype=[(each, np.float64) for each in ("time", *_FORCES)])
-
-
-def described(fmus: Mapping[str, bytes]) -> dict[str, list[Any]]:
-    """Return the variables in the model descriptions of FMUs, by the names of their components."""
-    return {
-        COMPONENTS[name]: fmpy.read_model_description(io.BytesIO(fmu), validate=False).modelVariables
-        for name, fmu in fmus.items()
-    }
-
-
-def description(fmus: Mapping[str, bytes], starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
-    """Return the system's description.
-
-    Parameters
-    ----------
-    fmus : mapping of str to bytes
-        The archives of the FMUs, by the names of their kinds.
-    starts : mapping of str to float or str
-        Start values of the FMUs in place of defaults; numbers are also bound here, where tools show them.
-    duration : float
-        Time to simulate in s.
-    """
-    root = ET.Element("ssd:SystemStructureDescription", {**_SPACES, "version": "1.0", "name": "Crane"})
-    system = _add(root, "ssd:System", name="Crane")
-    elements, tables = _add(system, "ssd:Elements"), described(fmus)
-    wires = connections(tables)
-    fed = {sink for _, sink in wires}
-    for name, component in COMPONENTS.items():
-        source = f"resources/{name}.fmu"
-        element = _add(elements, "ssd:Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
-        connectors = _add(element, "ssd:Connectors")
-        for variable in tables[component]:  # connected inputs, and all outputs
-            if variable.causality == "output" or (component, variable.name) in fed:
-                place = _add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
-                _add(place, "ssc:Real", unit=variable.unit)
-        numbers = (each.name for each in tables[component] if each.causality == "parameter" and each.type == "Real")
-        _bind(element, {each: starts[each] for each in numbers if each in starts})
-    joints = _add(system, "ssd:Connections")
-    for (begin, output), (end, given) in wires:
-        _add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
-    _add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
-    return xml_document(root)
-
-
-def _bind(element: ET.Element, bound: Starts) -> None:
-    """Bind numbers to parameters of a component."""
-    if not bound:
-        return
-    values = element
-    for tag in ("ParameterBindings", "ParameterBinding", "ParameterValues"):
-        values = _add(values, f"ssd:{tag}")
-    rows = _add(_add(values, "ssv:ParameterSet", version="1.0", name="own"), "ssv:Parameters")
-    for name, value in bound.items():
-        _add(_add(rows, "ssv:Parameter", name=name), "ssv:Real", value=repr(value))
-
-
-def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, tag, attributes)
-
-
-Wire = tuple[tuple[str, str], tuple[str, str]]
-
-
-def connections(tables: Mapping[str, Sequence[Any]]) -> list[Wire]:
-    """Return the connections as ((element, output), (element, input)), given the variables of each element."""
-    trajectory, crane, plant = COMPONENTS.values()
-    path = [each.name for each in tables[trajectory] if each.causality == "output"]
-    forces = [each.name for each in tables[plant] if each.causality == "input"]
-    wires = [((trajectory, name), (crane, name)) for name in path]
-    wires += [((crane, name), (plant, name)) for name in forces]
-    for name in FEEDBACK_INPUTS:
-        output = name.removeprefix("measured.")
-        wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
-    return wires

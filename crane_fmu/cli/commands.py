@@ -15,16 +15,22 @@ from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
 from servocore.cli.kinds import FILE_READ, FOLDER, NAMES, VALUE
-from servocore.cli.options import GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
+from servocore.cli.options import Certified, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
 # Modules that draw, build or run FMUs are imported by the commands that need them: the others start in half the time.
 
 NAME = "crane-fmu"
 
-CRANE: dict[str, object] = {"scene": "rotary_crane"}
-FMUS: dict[str, object] = {**CRANE, "model": None}
-"""Fixed options of commands of the crane, and of its FMUs."""
+CRANE: dict[str, object] = {
+    "scene": "rotary_crane",
+    "servo_output": (),
+    "elastic": (),
+    "motor_inertia": None,
+    "import_settings": None,
+}
+FMUS: dict[str, object] = {**CRANE, "model": None, "drives": None}
+"""Fixed options of commands of the crane, and of its FMUs, whose feedback is designed for the crane without drives."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +59,15 @@ def build(subject: Subject, place: Place, platforms: Platforms) -> None:
     print(file)
 
 
-def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -> None:
+def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms, certified: Certified) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s. The load follows the given path, with --profile alone the
     default line by that time law; with --parameters the crane is that of the file. Nothing has to be set in the tool.
     With --native the FMUs are in C. Without --targets they have libraries for this machine and 64-bit Windows, with
-    --native for all platforms if the package ziglang is installed, else for this machine.
+    --native for all platforms if the package ziglang is installed, else for this machine. The verdict of the
+    certificate, a proof that the inputs hold at all times of the path, is printed on the error stream.
     """
     crane = sc.scenes.rotary_crane()
     law = path.profile if path.options() == ["--profile"] else None
@@ -71,7 +78,17 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms) -
     options = SystemOptions(line, profile, subject.changes(crane), place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
         files = build_ssp(place.output or Path("system"), progress.describe, options)
+        moved = crane.with_parameters(**options.parameters).with_reference(line or _default_line(crane, law))
+        told = certified.line(moved)
     print(*files, sep="\n")
+    print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
+
+
+def _default_line(crane: sc.Scene, law: sc.Profile | None) -> sc.Reference:
+    """Return the path of the crane, by another time law if there is one."""
+    path = crane.reference
+    start, end = path.jet([path.start_time, path.end_time], 0)[:, 0]
+    return path if law is None else sc.rest_to_rest(start, end, path.duration, profile=law)
 
 
 @dataclass(frozen=True)
@@ -111,7 +128,7 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     print(*found.sentences(), sep="\n")
 
 
-def run_demo(place: Place) -> None:
+def run_demo(place: Place, certified: Certified) -> None:
     """Build the FMU, run it, compare it with the closed form and a forward simulation, and write a report.
 
     The folder then holds RotaryCrane.fmu, the folder system of the command ssp, inputs.csv, report.html and a folder
@@ -121,7 +138,7 @@ def run_demo(place: Place) -> None:
     from crane_fmu.demo import REPORT, demo  # noqa: PLC0415
 
     with PatientProgress("demo") as progress:
-        done = demo(place.output or Path("out"), progress.describe)
+        done = demo(place.output or Path("out"), progress.describe, certify=not certified.no_certify)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a stream without Greek letters gets question marks
     console = table_console()
@@ -164,7 +181,7 @@ app = CommandLine(
             "drive", drive,
             ("mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[1] --map y=load.r[2]"
              f" --map z=load.r[3] {_LINE} --duration 20",),
-            {**FMUS, "columns": None, "plot": None, "verbose": False},
+            {**CRANE, "model": None, "columns": None, "plot": None, "verbose": False},
         ),
         Command("demo", run_demo, ("-o out",), {"native": False}),
     ],

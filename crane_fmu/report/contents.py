@@ -127,6 +127,7 @@ def _inputs(study: Study) -> list[Part]:
     return [
         "Inputs and motion are shown at the top of this page. Every row of inputs.csv is an exact inversion at its"
         " instant: the spacing of the rows is no integration step, and no error comes from it.",
+        *([f"Certificate: {study.certificate}."] if study.certificate else []),
         error_table(study),
     ]
 

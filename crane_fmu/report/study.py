@@ -112,6 +112,8 @@ class Study:
     tracking : tuple of LoadRun
         Forward simulations under inputs by the default, at any instant and as a table, and by the scheme of the paper
         with the largest step and the smallest.
+    certificate : str
+        The verdict on the run that the figures show, in one line; empty if it was skipped.
     """
 
     scene: sc.Scene
@@ -121,6 +123,7 @@ class Study:
     paper_errors: Mapping[tuple[str, float], Errors]
     differences: Mapping[tuple[str, float], Errors]
     tracking: tuple[LoadRun, ...]
+    certificate: str = ""
 
     @property
     def models(self) -> tuple[str, ...]:

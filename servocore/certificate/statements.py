@@ -22,6 +22,9 @@ from servocore.problem import LEFT_OUT_HOLDS
 
 Verdict = Literal["proved", "refuted", "undecided"]
 
+LIMIT = "limit of "
+"""Beginning of statements on limits."""
+
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _AT_ONCE = 48
 _LIGHT, _HEAVY = 1e-2, 1e4  # times the largest mass: the weight of constraints beside it
@@ -57,6 +60,21 @@ class Statement:
         return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
 
 
+def summary_of(verdict: Verdict, statements: Sequence[Statement], bound: float, jumps: Sequence[float]) -> str:
+    """Return a verdict in one line: what is proved, or what fails first; `bound` is that of the inputs' errors."""
+    failing = [each for each in statements if each.verdict == verdict]
+    if verdict != "proved":
+        return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
+    begin, end = statements[0].begin, statements[0].end
+    limits = ", ".join(each.what.removeprefix(LIMIT) for each in statements if each.what.startswith(LIMIT))
+    kept = f"; within the limits of {limits}" if limits else ""
+    times = ", ".join(f"{t:.6g} s" for t in jumps)
+    return (
+        f"proved: one regular motion at all times from {begin:.6g} s to {end:.6g} s, inputs within {bound:.1e} of their"
+        f" peaks{kept}{f'; inputs jump at t = {times}' if jumps else ''}"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Enclosed:
     """Enclosures of quantities on boxes of time and parameters.
@@ -76,11 +94,6 @@ class Enclosed:
     r: Array
     low: Array
     high: Array
-
-    def bounded(self, k: int) -> tuple[float, float]:
-        """Return the least and the largest value that quantity k can have."""
-        low, high = self.ring.span((self.c[:, k : k + 1], self.r[k : k + 1]))
-        return float(low.min()), float(high.max())
 
     def of(self, chosen: npt.NDArray[np.bool_]) -> Enclosed:
         """Return the same on some of the boxes."""
@@ -132,14 +145,15 @@ class Decision:
         Time and parameters where it fails, or where that is not decided.
     value : float
         The quantity there.
-    boxes : int
-        How many were looked at.
+    least, most : float
+        Bounds of the quantity where it is proved to keep its bounds.
     """
 
     verdict: Verdict
     at: Array | None = None
     value: float = np.nan
-    boxes: int = 0
+    least: float = np.inf
+    most: float = -np.inf
 
 
 def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decision:
@@ -147,11 +161,12 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
     ring = quantities.ring
     some = replace(quantities, c=quantities.c[:, k : k + 1], r=quantities.r[k : k + 1])
     found = doubtful = Decision("proved")
-    seen = 0
+    extent = np.inf, -np.inf
     for _ in range(_HALVINGS):
-        seen += len(some.low)
         least, most = (each[0] for each in ring.span((some.c, some.r)))
-        some = some.of(~((least >= lower) & (most <= upper)))
+        kept = (least >= lower) & (most <= upper)
+        extent = least.min(initial=extent[0], where=kept), most.max(initial=extent[1], where=kept)
+        some = some.of(~kept)
         if not len(some.low):
             break
         c, r = some.c[:, 0], some.r[0]
@@ -173,7 +188,7 @@ def decided(quantities: Enclosed, k: int, lower: float, upper: float) -> Decisio
         some, found = some.of(~useless).halved(), doubtful
     else:
         found = Decision("undecided", (some.low[0] + some.high[0]) / 2.0, float(some.c[0, 0, 0]))
-    return replace(found, boxes=seen)
+    return replace(found, least=float(extent[0]), most=float(extent[1]))
 
 
 # Limits and signs -----------------------------------------------------------------------------------------------------
@@ -210,8 +225,8 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
         for k, limit in enumerate(usable):
             decision = decided(quantities, k, limit.bound, limit.upper)
             if decision.at is None:
-                least, most = quantities.bounded(k)
-                sentence, time = f"it stays from {limit.with_unit(least)} to {limit.with_unit(most)}", None
+                extent = f"it stays from {limit.with_unit(decision.least)} to {limit.with_unit(decision.most)}"
+                sentence, time = extent, None
             else:
                 sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
             statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))

@@ -15,6 +15,7 @@ import numpy as np
 
 from servocore.checks.branches import constraint_rows
 from servocore.checks.impulses import first_jump, has_kinks_or_jumps
+from servocore.checks.slack_ropes import slack_rope
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.memoization import made_once
@@ -43,7 +44,7 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
-    reason = _jump(problem) or singular(problem)
+    reason = slack_rope(problem) or _jump(problem) or singular(problem)
     return type(error)(reason) if reason else error
 
 

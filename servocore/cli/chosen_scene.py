@@ -5,26 +5,33 @@ from __future__ import annotations
 import importlib
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting, ServocoreError
+from servocore.importers.from_file import SUFFIXES, read_tree, scene_of
+from servocore.importers.options import Options
 from servocore.model.scene import Scene
 from servocore.scenes import REGISTRY
 
 
-def chosen_scene(name: str) -> Scene:
-    """Return a scene of the library, or of a function ``module:function`` without arguments.
+def chosen_scene(name: str, settings: Mapping[str, object] | None = None) -> Scene:
+    """Return a scene of the library, of a robot file, or of a function ``module:function`` without arguments.
 
     Modules are also searched for in the current folder. `InvalidSetting` is raised if there is no such scene, module or
-    function, or the function returns something else.
+    function, the function returns something else, or there are settings for something else than a file.
     """
+    if Path(name).suffix.lower() in SUFFIXES:
+        tree = read_tree(name)
+        return scene_of(tree, Options.of(settings or {}, tree, "the import of " + tree.source))
+    if settings:
+        raise InvalidSetting(f"{name} is no URDF, MJCF or SDF file: {', '.join(settings)} cannot be set")
     if ":" in name:
         return _scene_of_user(name)
     if name not in REGISTRY:
         raise InvalidSetting(
-            f"no scene is called {name or repr(name)}; there are {', '.join(REGISTRY)}, and module:function for one of"
-            " your own"
+            f"no scene is called {name or repr(name)}; there are {', '.join(REGISTRY)}, module:function for one of your"
+            f" own, and files *{', *'.join(SUFFIXES)}"
         )
     return REGISTRY[name]()
 

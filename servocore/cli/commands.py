@@ -12,7 +12,7 @@ import rich.table
 from rich.markup import escape
 
 from servocore.analysis import analyse
-from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, sweep, view
+from servocore.cli import cache, drives, effects, export, feedforward, import_file, plan, sensitivities, sweep, view
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import Subject
@@ -79,11 +79,13 @@ app = CommandLine(
     [
         Command("scenes", list_scenes),
         Command("analyse", analyse_scene, ("rotary_crane", "mass_on_car --model points --parameters heavy.toml")),
+        Command("import", import_file.import_file, import_file.EXAMPLES),
         Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES),
         Command("plan", plan.plan_motion, plan.EXAMPLES, plan.FIXED),
         Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
         Command("sweep", sweep.sweep_scene, sweep.EXAMPLES),
         Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
+        Command("drives", drives.show_drives, drives.EXAMPLES),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
         Command("cache", cache.show_cache, cache.EXAMPLES),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.kinds import FILE, NUMBER, quantity, text
@@ -68,7 +67,7 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
             "--tolerance belongs to --reference; the allowed tracking error is --deviation, as in"
             f" --deviation {path.tolerance}"
         )
-    scene, loops = chosen_scene(subject.scene), question.loops()
+    scene, loops = subject.driven(), question.loops()
     declared = scene.effects.parameters
     given = {} if subject.parameters is None else read_parameters(subject.parameters, scene, declared.values())
     own = scene.model().parameters.names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,9 +11,10 @@ from tempfile import TemporaryDirectory
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress
-from servocore.cli.kinds import FILE, FOLDER, Kind
-from servocore.cli.options import GivenPath, Platforms, Subject, output
+from servocore.cli.kinds import FILE, FILE_READ, FOLDER, Kind
+from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
 from servocore.errors import InvalidSetting, install, require_package
+from servocore.export.about import About
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
@@ -57,6 +59,11 @@ class Products:
     plant: bool = option("--plant", help="Export the forward dynamics of the scene instead.")
     trajectory: bool = option("--trajectory", help="Export a trajectory generator for the scene instead.")
 
+    about: Path | None = option(
+        "--about", kind=FILE_READ, metavar="FILE.toml",
+        help="Version, author, licence, icon and more of the FMU's maker, by the keys of servocore.About.",
+    )  # fmt: skip
+
     def require_consistent(self, path: GivenPath, targets: str | None) -> None:
         """Raise `InvalidSetting` if options exclude each other, or there is nothing to write."""
         if self.plant and self.trajectory:
@@ -67,7 +74,9 @@ class Products:
         inverse = _first({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check})
         if inverse and other:
             raise InvalidSetting(f"{inverse} is for inverse models: not with {other}")
-        of_fmu = _first({"--fmi": self.fmi, "--targets": targets, "--cross-check": self.cross_check})
+        of_fmu = _first(
+            {"--fmi": self.fmi, "--targets": targets, "--cross-check": self.cross_check, "--about": self.about}
+        )
         if self.output is None and of_fmu:
             raise InvalidSetting(f"{of_fmu} belongs to an FMU: name it with -o FILE.fmu")
         if not (self.output or inverse):
@@ -75,13 +84,16 @@ class Products:
             raise InvalidSetting(f"name the file to write with -o FILE.fmu{more}")
 
 
-def export_scene(subject: Subject, path: GivenPath, products: Products, platforms: Platforms) -> None:
+def export_scene(
+    subject: Subject, path: GivenPath, products: Products, platforms: Platforms, certified: Certified
+) -> None:
     """Export the inverse model of a scene for tools without Python.
 
     The FMU is native: it needs no Python and no other library. Its inputs are the path and its derivatives up to the
     required order, its outputs the inputs of the mechanical system and the observables. Scenes with unstable internal
     dynamics are refused. With --plant the forward dynamics is exported, with --trajectory a trajectory generator for
-    the path of --reference, --waypoints or --from and --to. With --cross-check the run follows that path.
+    the path of --reference, --waypoints or --from and --to. With --cross-check the run follows that path. The verdict
+    of the certificate, a proof that the inputs hold at all times of that path, is printed on the error stream.
 
     Without --targets the FMU has libraries for all platforms if the package ziglang is installed, else for this
     machine.
@@ -91,6 +103,7 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
     require_package("jinja2")
     file, fmi = products.output, NEWEST if products.fmi is None else products.fmi
     scene, model, kind = subject.chosen(), subject.model, ""
+    about = About.from_toml(products.about) if products.about is not None else None
     if file is not None:
         require_built(file, targets, fmi)
     if products.wasm is not None:
@@ -101,12 +114,16 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
         progress = shown.describe
         if file is not None and products.plant:
             kind = "plant of "
-            export_plant(scene, file, fmi=fmi, model=model, targets=targets, progress=progress)
+            export_plant(scene, file, fmi=fmi, model=model, targets=targets, about=about, progress=progress)
         elif file is not None and products.trajectory:
             kind, options = "trajectory of ", TrajectoryOptions(path.path(scene, model))
-            export_trajectory(scene, file, options, fmi=fmi, model=model, targets=targets, progress=progress)
+            export_trajectory(
+                scene, file, options, fmi=fmi, model=model, targets=targets, about=about, progress=progress
+            )
         else:
-            _export_inverse(path.along(scene, model), model, products, fmi, targets, progress)
+            _export_inverse(path.along(scene, model), model, products, fmi, targets, about, progress)
+        progress("proving the inputs")
+        told = [] if products.plant else certified.line(path.along(scene, model), model)
     if file is not None:
         alone = "" if targets is not None or zig() else f"; for this machine only; for others {install('native')}"
         print(f"{file}: {kind}{scene.name}, FMI {fmi}{alone}")
@@ -114,11 +131,13 @@ def export_scene(subject: Subject, path: GivenPath, products: Products, platform
         print(f"{products.c}: C source of {scene.name}")
     if products.wasm is not None:
         print(f"{products.wasm}, {loader_beside(products.wasm)}: WebAssembly of {scene.name}")
+    print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
 
 
 def _export_inverse(
-    scene: Scene, model: str | None, products: Products, fmi: int, targets: str | None, progress: Callable[[str], None]
-) -> None:
+    scene: Scene, model: str | None, products: Products, fmi: int, targets: str | None, about: About | None,
+    progress: Callable[[str], None],
+) -> None:  # fmt: skip
     """Export an inverse model; no file is moved into its place before all are complete."""
     file, c, wasm = products.output, products.c, products.wasm
     results = dict[Path, str | bytes]()
@@ -127,10 +146,12 @@ def _export_inverse(
         if file is not None and products.cross_check:
             progress("solving")
             solution = solve(scene, Reduced(), METHOD, step=scene.reference.duration / STEPS, model=model)
-            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem)
+            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem, fmi)
             results |= {file.parent / name: text for name, text in texts.items()}
         if file is not None:
-            fmu = export_fmu(scene, made / file.name, fmi=fmi, model=model, targets=targets, progress=progress)
+            fmu = export_fmu(
+                scene, made / file.name, fmi=fmi, model=model, targets=targets, about=about, progress=progress
+            )
             results[file] = fmu.read_bytes()
         if c is not None:
             sources = export_c(scene, made / "c", model=model)

@@ -6,8 +6,9 @@ import sys
 
 import numpy as np
 
+from servocore.checks.wrong_inputs import LARGEST_UNWARNED
 from servocore.cli.console import PatientProgress, ResultOfNoUse, deliver
-from servocore.cli.options import Computation, GivenLimits, GivenPath, Subject, Table
+from servocore.cli.options import Certified, Computation, GivenLimits, GivenPath, Subject, Table
 from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
@@ -23,16 +24,20 @@ EXAMPLES = (
 FAR_OFF = 0.5
 """Error of an input relative to its peak from which on the inputs are of no use."""
 
+_PROVED_ROWS = 2000  # a table of more is compared with the proved inputs nowhere
 _UNNOTICED = 1e-3  # of the largest input: a smaller one may be all round-off
 
 
-def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Computation, table: Table) -> None:
+def feed_forward(
+    subject: Subject, path: GivenPath, limits: GivenLimits, how: Computation, table: Table, certified: Certified
+) -> None:
     """Compute the feedforward inputs for a prescribed path (inverse dynamics), as a table.
 
     The path is a file of samples (--reference) or of waypoints (--waypoints), a line from rest to rest (--from, --to,
     --duration), or else that of the scene. The table has one row a step: time, inputs, observables, outputs. Peaks,
-    rest at the ends and the estimated error of the inputs are printed on the error stream. Where an input is off by
-    50 % of its peak or more, which can happen with a --formulation, the exit code is 1.
+    rest at the ends, the estimated error of the inputs and the verdict of the certificate, a proof for all times, are
+    printed on the error stream. Where an input is off by 50 % of its peak or more, which can happen with a
+    --formulation, the exit code is 1.
     """
     accuracy, scene = how.accuracy(), subject.chosen()
     names = chosen_columns(table.columns, scene, subject.model)
@@ -47,12 +52,26 @@ def feed_forward(subject: Subject, path: GivenPath, limits: GivenLimits, how: Co
             )  # fmt: skip
         seconds = [end - begin for begin, end in zip(began, clocks(), strict=True)]
         useless = None if isinstance(how.formulation, Reduced | None) else _far_off(moved, solution, subject.model)
-        lines = [] if useless else summary(solution) + (details(solution, seconds) if table.verbose else [])
+        lines = [] if useless else [*summary(solution), *_certificate(certified, how, moved, subject.model, solution)]
+        lines += details(solution, seconds) if table.verbose and not useless else []
         contents = table.picture(lambda _: solution.plot(names))
     deliver(table_pieces(solution, names), table.output, contents)
     if useless:
         raise ResultOfNoUse(useless)
     print(*lines, sep="\n", file=sys.stderr)
+
+
+def _certificate(
+    certified: Certified, how: Computation, scene: Scene, model: str | None, solution: Solution
+) -> list[str]:
+    """Return the line of the certificate: of the motion alone where a proof of every row would be slow.
+
+    Inputs by time steps that were asked for are not refused for their errors.
+    """
+    if len(solution.t) > _PROVED_ROWS:
+        return certified.line(scene, model, strict=True)
+    exact = isinstance(how.formulation, Reduced | None)
+    return certified.line(solution, tolerance=1e-8 if exact else LARGEST_UNWARNED, strict=exact)
 
 
 def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:

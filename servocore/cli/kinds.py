@@ -167,6 +167,13 @@ def _value(text: str) -> dict[str, float]:
     return {name: float(number)}
 
 
+def _stiffness(text: str) -> dict[str, float]:
+    name, equals, number = text.rpartition("=")
+    if not float(number) > 0.0 or bool(equals) != bool(name):
+        raise ValueError
+    return {name: float(number)}
+
+
 def _limit(text: str) -> dict[str, Bounds]:
     name, value = _assigned(text)
     low, pair, high = (side.strip() for side in value.partition(".."))
@@ -201,6 +208,7 @@ NAMES = Kind("OURS=THEIRS, nor a file that ends in .toml", "F=trolley.force", _n
 LIMIT = Kind("NAME=NUMBER or NAME=LOW..HIGH", "F=60", _limit)
 RANGE = Kind("NAME=LOW..HIGH", "load_mass=0.9..1.1", _range)
 COUNTED_RANGE = Kind("NAME=LOW..HIGH:COUNT", "load_mass=50..150:100", _counted_range)
+STIFFNESS = Kind("stiffness, nor JOINT=STIFFNESS", "1e4", _stiffness)
 VALUE = Kind("NAME=NUMBER", "start.swing=0.1", _value)
 POINT = Kind("point", "5 0 -5", _point, "numbers")
 FILE_READ = Kind("file name", "FILE", _file, "read")

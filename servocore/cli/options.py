@@ -20,6 +20,7 @@ from servocore.cli.kinds import (
     PICTURE,
     POINT,
     STEP,
+    STIFFNESS,
     TIME,
     Kind,
     choice,
@@ -32,9 +33,10 @@ from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
+from servocore.model.drive_files import read_drives
 from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
-from servocore.model.parameter_files import read_parameters
+from servocore.model.parameter_files import read_parameters, read_table
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -48,6 +50,7 @@ from servocore.references.profiles import (
 )
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
+from servocore.solution import Solution
 from servocore.solvers.route import Adaptive
 
 MOST_ROWS = 1e7
@@ -69,11 +72,17 @@ class Subject:
 
     scene: str = option(
         kind=Kind("scene", "rotary_crane", str), metavar="SCENE", default=...,
-        help="A scene of the library, as listed by servocore scenes, or module:function of your own.",
+        help="A scene of the library, as listed by servocore scenes, module:function of your own, or a file of URDF,"
+        " MJCF or SDF.",
     )  # fmt: skip
     parameters: Path | None = option(
         "--parameters", kind=FILE_READ, metavar="FILE.toml",
         help="Parameters in SI units, one line each, such as load_mass = 80.0; the others keep their defaults.",
+    )  # fmt: skip
+    drives: Path | None = option(
+        "--drives", kind=FILE_READ, metavar="FILE.toml",
+        help="Motors and transmissions by the names of inputs, as in data sheets: a table [M_b] with ratio = 120,"
+        ' motor_inertia = "0.012 kg m^2", ...',
     )  # fmt: skip
     model: str | None = option(
         "--model",
@@ -81,10 +90,44 @@ class Subject:
         metavar="NAME",
         help="Model of the scene. Default: the first, the smallest.",
     )
+    servo_output: tuple[str, ...] = option(
+        "--servo-output", kind=text("tool0"), metavar="NAME", default=(),
+        help="Of a file: a joint, a frame for its place, or tool0.rx for a rotation. Default: all driven joints.",
+    )  # fmt: skip
+    elastic: tuple[Mapping[str, float], ...] = option(
+        "--elastic", kind=STIFFNESS, metavar="K", default=(),
+        help="Of a file: stiffness of all driven joints (N m/rad, N/m), or of one as JOINT=K.",
+    )  # fmt: skip
+    motor_inertia: float | None = option(
+        "--motor-inertia", kind=NUMBER, metavar="B",
+        help="With --elastic: inertia of each motor behind its gear (kg m2, kg). Default: the armature in the file.",
+    )  # fmt: skip
+    import_settings: Path | None = option(
+        "--import", kind=FILE_READ, metavar="FILE.toml",
+        help="Of a file: more settings, the arguments of servocore.scenes.from_file by name.",
+    )  # fmt: skip
+
+    def imported(self) -> dict[str, object]:
+        """Return the settings for a file; raises `InvalidSetting` or `InvalidModel` if they are malformed."""
+        settings = {} if self.import_settings is None else read_table(self.import_settings)
+        stiffness: dict[str, object] = dict(once("--elastic", self.elastic))
+        if "" in stiffness and len(stiffness) > 1:
+            raise InvalidSetting("--elastic gives one stiffness for all joints, or one for each JOINT=K, not both")
+        given = {
+            "outputs": list(self.servo_output),
+            "elastic": stiffness.get("", stiffness),
+            "motor_inertia": self.motor_inertia,
+        }
+        return settings | {name: value for name, value in given.items() if value not in ([], {}, None)}
+
+    def driven(self) -> Scene:
+        """Return the scene with its drives, with default parameters."""
+        scene = chosen_scene(self.scene, self.imported())
+        return scene if self.drives is None else scene.with_drives(**read_drives(self.drives))
 
     def chosen(self) -> Scene:
         """Return the scene with its parameters; raises `InvalidSetting` or `InvalidModel` if there is no such scene."""
-        scene = chosen_scene(self.scene)
+        scene = self.driven()
         return scene.with_parameters(**self.changes(scene))
 
     def changes(self, scene: Scene) -> dict[str, float]:
@@ -307,3 +350,27 @@ class Platforms:
         "--targets", kind=text(HOST), metavar="LIST",
         help=f"all, {HOST} (this machine), or some of {', '.join(TARGETS)}, separated by commas.",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The certificate of inputs that a command hands out: their proof for all times of the run."""
+
+    title: ClassVar[str] = "Certificate"
+
+    no_certify: bool = option("--no-certify", help="Skip the proof that the inputs hold at all times of the run.")
+
+    def line(
+        self, subject: Scene | Solution, model: str | None = None, *, tolerance: float = 1e-8, strict: bool = False
+    ) -> list[str]:
+        """Return the verdict in one line, none with --no-certify; `strict` raises an error where it is refuted."""
+        if self.no_certify:
+            return []
+        from servocore.certificate.certify import certify  # noqa: PLC0415 - most commands certify nothing
+        from servocore.certificate.required import require_certified  # noqa: PLC0415
+
+        if strict:
+            certificate = require_certified(subject, tolerance, model=model, warn=False)
+        else:
+            certificate = certify(subject, tolerance=tolerance, model=model)
+        return [f"  certificate: {certificate.summary}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.kinds import FILE, POINT, RANGE, once, text
-from servocore.cli.options import GivenLimits, GivenPath, Rows, Subject, Table
+from servocore.cli.options import Certified, GivenLimits, GivenPath, Rows, Subject, Table
 from servocore.cli.run_summary import chosen_columns, table_pieces
 from servocore.errors import InvalidSetting
 from servocore.model.scene import Scene
@@ -72,7 +73,13 @@ class Freedom:
 
 
 def plan_motion(
-    subject: Subject, path: GivenPath, limits: GivenLimits, freedom: Freedom, rows: Rows, table: Table
+    subject: Subject,
+    path: GivenPath,
+    limits: GivenLimits,
+    freedom: Freedom,
+    rows: Rows,
+    table: Table,
+    certified: Certified,
 ) -> None:
     """Plan the time-optimal trajectory along a path within limits.
 
@@ -94,8 +101,9 @@ def plan_motion(
     names = chosen_columns(table.columns, scene, subject.model, more=True)
     with PatientProgress("planning") as progress:
         found, report = fastest(
-            scene, way, bounds, free=space, robust=factors, model=subject.model, progress=progress.describe
-        )
+            scene, way, bounds, free=space, robust=factors, model=subject.model, certify=not certified.no_certify,
+            progress=progress.describe,
+        )  # fmt: skip
         rows.require(found.duration)
         count = _ROWS if rows.step is None else math.ceil(found.duration / rows.step * (1.0 - 1e-12))
         bounded = scene.with_limits(**bounds)
@@ -104,6 +112,8 @@ def plan_motion(
     if freedom.path is not None:
         contents[freedom.path] = path_to_csv(found, [quantity.name for quantity in scene.model(subject.model).outputs])
     deliver(table_pieces(solution, names), table.output, contents, report)
+    if table.output is None:
+        print(f"  limits: {report.limits.evidence}", file=sys.stderr)
 
 
 def _way(scene: Scene, model: str | None, path: GivenPath, via: Sequence[tuple[float, ...]]) -> Reference | np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces
+from servocore.model.quantity import energies_of
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -32,9 +33,11 @@ def chosen_columns(wanted: str | None, scene: Scene, model: str | None, more: bo
     is unknown or given twice.
     """
     system = scene.model(model)
-    own = list(dict.fromkeys(quantity.name for quantity in [*system.inputs, *system.observables, *system.outputs]))
+    reported = [*system.inputs, *system.observables, *system.outputs]
+    own = list(dict.fromkeys(quantity.name for quantity in [*reported, *energies_of(reported).values()]))
     if wanted is None:
-        first = list(COLUMNS.get(scene.name, own))
+        of_drives = [name for name in own if name.startswith(tuple(f"{each}." for each in scene.drives))]
+        first = [*COLUMNS[scene.name], *of_drives] if scene.name in COLUMNS else own
         return list(dict.fromkeys([*first, *own])) if more else first
     known = list(dict.fromkeys([*own, *system.coordinates.names]))
     names = [name.strip() for name in wanted.split(",")]

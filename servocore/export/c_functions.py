@@ -18,13 +18,27 @@ def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         generator.generate(f"{folder}/")
         header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
-    return header, with_quick_products(source)
+    return header, _QUIET + with_quick_products(source)
+
+
+_QUIET = """\
+#ifdef __GNUC__ /* generated functions of one signature, and helpers, not all of which use or are used */
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#pragma GCC diagnostic ignored "-Wunused-function"
+#endif
+#if defined(__cplusplus) || defined(_MSC_VER)
+#define CASADI_RESTRICT __restrict
+#else
+#define CASADI_RESTRICT restrict
+#endif
+
+"""
 
 
 _PRODUCT = re.compile(r"^void casadi_mtimes_dense\(.*?^}\n", re.MULTILINE | re.DOTALL)
 _QUICK_PRODUCT = """\
-static inline void casadi_mtimes_dense(const casadi_real* restrict x, casadi_int nrow_x, casadi_int ncol_x,
-    const casadi_real* restrict y, casadi_int ncol_y, casadi_real* restrict z, casadi_int tr) {
+static inline void casadi_mtimes_dense(const casadi_real* CASADI_RESTRICT x, casadi_int nrow_x, casadi_int ncol_x,
+    const casadi_real* CASADI_RESTRICT y, casadi_int ncol_y, casadi_real* CASADI_RESTRICT z, casadi_int tr) {
   casadi_int i, j, k;
   if (tr) {
     for (i=0; i<ncol_y; ++i)

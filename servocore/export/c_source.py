@@ -16,7 +16,7 @@ from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler, compile_in
-from servocore.numerics.square_systems import MAX_ITERATIONS
+from servocore.numerics.newton import MAX_ITERATIONS
 
 _NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
 _CALLED = ("quick", "begin", "advance")  # those of them that exist; only FMUs have derivatives
@@ -79,6 +79,7 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "path_source": _path_functions(),
         "mathematics_source": source,
     }
+    notice = model.about.notice
     code = rendered("source.c.j2", **values)
     header = rendered("source.h.j2", **values)
     page = values | {
@@ -91,9 +92,9 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "stack": _stack({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
     }
     return {
-        f"{name}.h": header,
-        f"{name}.c": code,
-        "main.c": rendered("main.c.j2", **values),
+        f"{name}.h": notice + header,
+        f"{name}.c": notice + code,
+        "main.c": notice + rendered("main.c.j2", **values),
         "CMakeLists.txt": rendered("CMakeLists.txt.j2", **values),
         "README.md": rendered("README.md.j2", **page),
     }

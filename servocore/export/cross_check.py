@@ -11,7 +11,7 @@ STEPS = 1000
 """Communication steps of the run."""
 
 
-def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str) -> dict[str, str]:
+def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str, fmi: int) -> dict[str, str]:
     """Return inputs along a scene's path, the results of a solution, and the options of a run, by file name.
 
     Inputs have the times of their instants: a run with `input_time` = start extrapolates them over each step, and
@@ -27,11 +27,17 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
         The reference in `STEPS` steps, computed without the FMU.
     stem : str
         Prefix of the names of the files.
+    fmi : int
+        Version of FMI, which determines the names of variables: in the third a vector is one of them.
     """
     path, t, begin = scene.reference, solution.t, model.start_time
     jets = path.jet(t, model.mathematics.orders - 1).reshape(len(t), -1)
     since = {"time": t - path.start_time + begin}
-    names = [name for variable in model.of("input") for name in variable.scalar_names]
-    inputs = since | dict(zip(names, jets.T, strict=True))
+    inputs = dict(since)
+    for each in model.of("input"):
+        if fmi == 3 and each.size is not None:
+            inputs[each.name] = jets[:, each.place : each.place + each.size]
+        else:
+            inputs |= zip(each.scalar_names, jets.T[each.place :], strict=False)
     results = since | {variable.name: solution[variable.name] for variable in model.of("output")}
     return cross_check_texts(stem, inputs, results, (begin, begin + path.duration, float(t[1] - t[0])))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree as ET
 
+from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
 from servocore.export.variables import INTERNAL_STEP, Choice, Variable
 from servocore.files import xml_document
 
-_TOOL = "servocore"
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"mm": 1e3},
     "rad": {"deg": 57.295779513082323},
@@ -44,7 +44,8 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
     root = ET.Element(
         "fmiModelDescription",
         {"fmiVersion": f"{fmi}.0", "modelName": model.title, "guid" if fmi == 2 else "instantiationToken": token,
-         "description": model.description, "generationTool": _TOOL, **naming},
+         "description": model.about.description or model.description, **model.about.attributes,
+         "generationTool": tool(), **naming},
     )  # fmt: skip
     abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
     simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
@@ -60,9 +61,23 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
         _items(_add(kind, "Enumeration") if fmi == 2 else kind, choice)
     _categories(root)
     _experiment(root, model)
+    if fmi == 2:
+        _annotations(root, model, fmi)
     (_fmi2_variables if fmi == 2 else _fmi3_variables)(_add(root, "ModelVariables"), model)
     (_fmi2_structure if fmi == 2 else _fmi3_structure)(_add(root, "ModelStructure"), model)
+    if fmi == 3:
+        _annotations(root, model, fmi)
     return xml_document(root)
+
+
+def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
+    if not model.about.annotations:
+        return
+    parent = _add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
+    for name, values in model.about.annotations.items():
+        each = _add(parent, "Tool", name=name) if fmi == 2 else _add(parent, "Annotation", type=name)
+        for key, value in values.items():
+            _add(each, "Entry", name=key, value=str(value))
 
 
 def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
@@ -82,14 +97,21 @@ def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
         _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
 
 
+# Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
+# (FMI 3.0.2, 2.4.8): models with directional derivatives, which are those of the last step, list its inputs, others
+# none, so that they declare no algebraic loop.
+
+
 def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
+    count = sum(len(each.scalar_names) for each in model.variables)
+    parameters += range(count, count + len(model.choices))
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
         used = [k for k, each in enumerate(model.depends[row]) if each]
         count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
         first = [k for k in used if k < count]
-        for parent, on in ((outputs, used), (initial, [*first, *parameters])):
+        for parent, on in ((outputs, used if model.differentiable else ()), (initial, [*first, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
 
@@ -120,12 +142,14 @@ def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
     numbers = {id(variable): k for k, variable in enumerate(model.variables)}
     inputs = [numbers[id(variable)] for variable in model.of("input")]
     parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
+    parameters += range(len(numbers), len(numbers) + len(model.choices))
     time = [_time_reference(model)] if model.timed else []
     unknowns, row = [], 0
     for output in model.of("output"):
         rows = slice(row, row := row + (output.size or 1))
         used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
-        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies([*used, *time]))
+        listed = [*(used if model.differentiable else ()), *time]
+        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(listed))
         first = [k for k in used if model.variables[k].place < model.numbers("input") - model.measured]
         unknowns.append((numbers[id(output)], [*first, *parameters, *time]))
     for number, on in unknowns:
@@ -139,6 +163,7 @@ def build_description(model: NativeModel) -> bytes:
     sources = _add(configuration, "SourceFileSet", language="C99")
     for name in compiled_files(model, 3):
         _add(sources, "SourceFile", name=name)
+    _add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
     return xml_document(root)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
+from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.description import build_description, model_description, terminals
 from servocore.export.estimates import SampledEstimates
@@ -17,7 +18,6 @@ from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
-from servocore.export.variables import with_item, with_starts
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
 
@@ -37,6 +37,7 @@ def export_fmu(
     routes: SteppedRoutes | None = None,
     start: Mapping[str, float | str] | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -64,6 +65,8 @@ def export_fmu(
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
     deferred_refusals : bool, optional
         Whether values are checked when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
+    about : About, optional
+        Origin and rights of the component, and default items of choices.
     progress : callable
         Called with a phrase for every stage.
 
@@ -79,7 +82,7 @@ def export_fmu(
     InvalidReference
         If the scene's own path breaks its limits.
     InvalidSetting
-        If there is no compiler, a platform is unknown, or the file cannot be written.
+        If there is no compiler, a platform is unknown, the file cannot be written, or a start value is impossible.
 
     Examples
     --------
@@ -93,13 +96,8 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    if start is not None:
-        made = replace(
-            made,
-            variables=tuple(with_starts(each, start) for each in made.variables),
-            choices=tuple(with_item(each, start) for each in made.choices),
-        )
-    return written(replace(made, deferred_refusals=deferred_refusals), path, fmi, targets, progress)
+    made = replace(made.with_starts(start or {}), deferred_refusals=deferred_refusals)
+    return written(_described(made, about), path, fmi, targets, progress)
 
 
 def export_plant(
@@ -111,6 +109,7 @@ def export_plant(
     model: str | None = None,
     targets: str | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the forward dynamics of a scene as a native FMU for co-simulation: a plant with the scene's inputs.
@@ -131,6 +130,8 @@ def export_plant(
         As of `export_fmu`.
     deferred_refusals : bool, optional
         As of `export_fmu`.
+    about : About, optional
+        As of `export_fmu`.
     progress : callable, optional
         As of `export_fmu`.
 
@@ -149,9 +150,8 @@ def export_plant(
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
     progress("compiling the forward dynamics")
-    return written(
-        replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals), path, fmi, targets, progress
-    )
+    made = replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals)
+    return written(_described(made, about), path, fmi, targets, progress)
 
 
 def export_trajectory(
@@ -163,6 +163,7 @@ def export_trajectory(
     model: str | None = None,
     targets: str | None = None,
     deferred_refusals: bool = False,
+    about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write a generator of paths for a scene as a native FMU: lines by a time law, or a built-in path.
@@ -183,6 +184,8 @@ def export_trajectory(
         As of `export_fmu`.
     deferred_refusals : bool, optional
         As of `export_fmu`.
+    about : About, optional
+        As of `export_fmu`.
     progress : callable, optional
         As of `export_fmu`.
 
@@ -201,7 +204,12 @@ def export_trajectory(
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
     made = replace(trajectory_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(made, path, fmi, targets, progress)
+    return written(_described(made, about), path, fmi, targets, progress)
+
+
+def _described(model: NativeModel, about: About | None) -> NativeModel:
+    about = about or About()
+    return replace(model.with_starts(about.defaults), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
@@ -215,6 +223,7 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
 def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
     file, names = Path(path), chosen_targets(targets, fmi)
+    model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, progress, model.more_sources)
     write_together({file: zipped(contents(model, fmi, sources, built, names))})
@@ -245,4 +254,6 @@ def contents(
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(model)
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
-    return members
+    if model.about.documentation is not None:
+        members["documentation/model.html"] = page.encode()
+    return members | model.about.files(fmi)

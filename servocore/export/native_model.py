@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.errors import InvalidSetting
+from servocore.export.about import About
 from servocore.export.c_functions import c_source
-from servocore.export.variables import Causality, Choice, Variable
+from servocore.export.variables import Causality, Choice, Variable, with_item, with_start
 from servocore.model.quantity import Quantity
 
 
@@ -92,6 +94,8 @@ class NativeModel:
         Further C sources to compile, with their headers, by file name.
     deferred_refusals : bool
         Whether values are checked when they are used, since the host's setters cannot fail.
+    about : About
+        Origin and rights.
     """
 
     identifier: str
@@ -114,6 +118,7 @@ class NativeModel:
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
     deferred_refusals: bool = False
+    about: About = field(default_factory=About)
 
     @property
     def settings(self) -> tuple[Variable, ...]:
@@ -133,6 +138,31 @@ class NativeModel:
     def numbers(self, causality: Causality) -> int:
         """Return the number of scalars in the variables of one causality."""
         return sum(variable.size or 1 for variable in self.of(causality))
+
+    def with_starts(self, start: Mapping[str, float | str]) -> Self:
+        """Return the model with start values of inputs and parameters by the names of FMI 2, and items of choices.
+
+        Raises
+        ------
+        InvalidSetting
+            If there is no such variable or item, or a number is not finite or outside its range.
+        """
+        variables, choices = list(self.variables), list(self.choices)
+        places = {name: (i, k) for i, each in enumerate(variables) if each.starts
+                  for k, name in enumerate(each.scalar_names)}  # fmt: skip
+        named = {each.name: i for i, each in enumerate(choices)}
+        for name, value in start.items():
+            if name in places:
+                i, k = places[name]
+                variables[i] = with_start(variables[i], k, value)
+            elif name in named:
+                choices[named[name]] = with_item(choices[named[name]], value)
+            else:
+                known = ", ".join((*places, *named))
+                raise InvalidSetting(
+                    f"{self.title} has no input or parameter {name!r} to start with; there are {known}"
+                )
+        return replace(self, variables=tuple(variables), choices=tuple(choices))
 
     def source(self) -> tuple[str, str]:
         """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""

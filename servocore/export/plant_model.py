@@ -125,7 +125,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         },
         functions=functions,
         variables=variables,
-        choices=tuple(rows.with_item(each, options.start) for each in CHOICES),
+        choices=CHOICES,
         outputs=tuple(used),
         limits=limits,
         depends=np.ones((len(used), m), dtype=bool),
@@ -134,7 +134,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         duration=scene.reference.duration,
         differentiable=True,
         terminals=TERMINALS,
-    )
+    ).with_starts(options.start)
 
 
 def _start_orders(problem: Problem) -> int:
@@ -187,7 +187,7 @@ def _variables(
     for setting in settings:
         low, high = options.ranges.get(setting.name, (setting.low, setting.high))
         variables.append(replace(setting, low=low, high=high))
-    return rows.placed(rows.with_starts(each, options.start) for each in variables)
+    return rows.placed(variables)
 
 
 def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from servocore.errors import InvalidSetting, refused_if_missing
+from servocore.errors import refused_if_missing
 from servocore.export.c_functions import scratch_of
 from servocore.export.native_model import NativeModel
 from servocore.export.variables import Variable
@@ -31,17 +30,11 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 
 
 def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
-    """Return all C sources of an FMU by file name, FMI's own headers included.
-
-    Raises
-    ------
-    InvalidSetting
-        If FMPy, which contains the headers, is not installed.
-    """
+    """Return all C sources of an FMU by file name, FMI's own headers included."""
+    own = {**_core_sources(model, fmi), f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8")}
     return {
-        **_core_sources(model, fmi),
-        f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8"),
-        **{name: (_headers_folder() / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
+        **{name: model.about.notice + text for name, text in own.items()},
+        **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
     }
 
 
@@ -149,10 +142,3 @@ def _numbers(variable: Variable) -> list[dict[str, Any]]:
     unit = "" if variable.unit == "1" else f" {variable.unit}"  # as it follows a number in a sentence
     common = {"unit": unit, "low": variable.low, "high": variable.high, "fixed": variable.fixed}
     return [{"name": n, "start": s, **common} for n, s in zip(variable.scalar_names, starts, strict=True)]
-
-
-def _headers_folder() -> Path:
-    spec = importlib.util.find_spec("fmpy")
-    if spec is None or not spec.submodule_search_locations:
-        raise InvalidSetting("the headers of FMI are those in FMPy, which is not installed: install fmpy")
-    return Path(spec.submodule_search_locations[0]) / "c-code"

@@ -26,7 +26,9 @@ from servocore.numerics.machine_code import c_compiler, compile_in
 Progress = Callable[[str], None]
 
 # No fused and no reordered operations: results are equal to the bit on all platforms.
-_OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w")
+# The functions of a shared library have no prefix; see model.h.
+_OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w",
+            "-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # fmt: skip
 _FULL, _LIGHT = "-O3", "-O1"
 _LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": ()}
 _INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)

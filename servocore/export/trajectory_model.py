@@ -136,7 +136,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         duration=(baked or scene.reference).end_time - start_time,
         differentiable=False,
         terminals=TERMINALS,
-    )
+    ).with_starts(options.start)
 
 
 class _Line(NamedTuple):
@@ -176,7 +176,7 @@ def _variables(
     begin = line.start_time if line is not None else 0.0
     ramp = line.ramp if line is not None and line.law == options.profile else 0.0
     settings = rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp))
-    return rows.placed([*variables, *(rows.with_starts(each, options.start) for each in settings)])
+    return rows.placed([*variables, *settings])
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------

@@ -82,6 +82,19 @@ class Variable:
         attributes = {"min": self.low, "max": self.high}
         return {name: value for name, value in attributes.items() if abs(value) < _MOST_DISPLAYED}
 
+    @property
+    def kind(self) -> str:
+        """Its causality, for a parameter with its variability."""
+        return f"{'fixed' if self.fixed else 'tunable'} parameter" if self.causality == "parameter" else self.causality
+
+    @property
+    def range(self) -> str:
+        """The finite bounds as a short text."""
+        low, high = (self.bounds.get(name) for name in ("min", "max"))
+        if low is not None and high is not None:
+            return f"{low:g} to {high:g}"
+        return f">= {low:g}" if low is not None else f"<= {high:g}" if high is not None else ""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -224,11 +237,17 @@ def internal_step() -> Variable:
 
 def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> list[Variable]:
     """Return the offsets of the internal states at the start, and the states, such as ``q.s``."""
-    called = [(f"{name.removeprefix('q.')}.{order_name(order)}", order) for name, order in names]
-    rows = [(name, per_time(unit, order)) for (name, order), unit in zip(called, units, strict=True)]
-    text = "added to the internal state at the start; 0: it starts at rest"
-    starts = (_setting(f"start.{name}", unit, text, (0.0,), role="STARTS") for name, unit in rows)
-    states = (Variable(f"internal.{name}", "local", unit, "state of the internal dynamics") for name, unit in rows)
+    rows = [
+        (
+            f"{(short := name.removeprefix('q.'))}.{order_name(order)}",
+            per_time(unit, order),
+            f"{order_name(order)} of {short}",
+        )
+        for (name, order), unit in zip(names, units, strict=True)
+    ]
+    added = "added to the {} at the start of the internal dynamics; 0: they start at rest"
+    starts = (_setting(f"start.{name}", unit, added.format(of), (0.0,), role="STARTS") for name, unit, of in rows)
+    states = (Variable(f"internal.{name}", "local", unit, f"{of}, of the internal dynamics") for name, unit, of in rows)
     return [*(replace(each, fixed=True) for each in starts), *states]
 
 
@@ -296,22 +315,23 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
 
 
-def with_item(choice: Choice, start_values: Mapping[str, float | str]) -> Choice:
-    """Return a choice with the item among start values as default; raises `InvalidSetting` if there is no such item."""
-    names, item = [name for name, _ in choice.items], start_values.get(choice.name)
-    if item is None:
-        return choice
+def with_item(choice: Choice, item: float | str) -> Choice:
+    """Return a choice with another default item; raises `InvalidSetting` if there is no such item."""
+    names = [name for name, _ in choice.items]
     if item not in names:
         raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
     return replace(choice, start=names.index(str(item)) + 1)
 
 
-def with_starts(variable: Variable, start_values: Mapping[str, float | str]) -> Variable:
-    """Return a variable with start values by the names of its numbers."""
-    if not variable.starts:
-        return variable
-    values = zip(variable.scalar_names, variable.starts, strict=True)
-    return replace(variable, starts=tuple(float(start_values.get(name, value)) for name, value in values))
+def with_start(variable: Variable, k: int, value: float | str) -> Variable:
+    """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
+    name, unit = variable.scalar_names[k], "" if variable.unit == "1" else f" {variable.unit}"
+    if isinstance(value, str) or not math.isfinite(value):
+        raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
+    if not variable.low <= value <= variable.high:
+        bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
+        raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
+    return replace(variable, starts=(*variable.starts[:k], float(value), *variable.starts[k + 1 :]))
 
 
 def _setting(

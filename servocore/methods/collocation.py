@@ -18,7 +18,7 @@ from servocore.numerics.interpolation import Array, lagrange
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem
 
-_MOST_STAGES = 7
+_MOST_STAGES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Tableau:
 
 @made_once  # methods are constructed for every run, and roots take longer than a run of a small scene
 def tableau(family: str, stages: int) -> Tableau:
-    """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven.
+    """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to ten.
 
     Raises
     ------
@@ -160,13 +160,18 @@ class Gauss(_Collocation):
 
 
 def _discretize(dae: Dae, method: Tableau) -> Discretization:
-    """Discretize by stage values; the state is the unknowns at the end of the last step and at its stages."""
+    """Discretize by stage values; the state is the unknowns at the end of the last step, at its stages and its begin.
+
+    Dense output is the polynomial through begin and stages: through the stages alone it would be extrapolated before
+    the first of them, where its error is largest.
+    """
     s, size_x = len(method.c), dae.x.numel()
     size = size_x + dae.z.numel()
     old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
-    h, start, state = ca.SX.sym("h"), Start.of(dae), ca.vertcat(old, ca.vec(past))
+    begin, h, start = ca.SX.sym("begin", size), ca.SX.sym("h"), Start.of(dae)
+    state = ca.vertcat(old, ca.vec(past), begin)
     reference, at_nodes = dae.reference_symbols(s)
-    W, fraction = np.linalg.inv(method.A), ca.SX.sym("fraction")
+    W, fraction, nodes = np.linalg.inv(method.A), ca.SX.sym("fraction"), np.array([0.0, *method.c])
     residual = []
     for i, gamma in enumerate(at_nodes):
         rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
@@ -190,15 +195,15 @@ def _discretize(dae: Dae, method: Tableau) -> Discretization:
     return Discretization(
         equations=equations,
         state=state,
-        next_state=ca.vertcat(end, ca.vec(unknowns)),
+        next_state=ca.vertcat(end, ca.vec(unknowns), old),
         start=start,
-        first_state=ca.repmat(start.values[:, 0], s + 1, 1),
+        first_state=ca.repmat(start.values[:, 0], s + 2, 1),
         x=old[:size_x],
         z=old[size_x:],
         nodes=tuple(float(c) for c in method.c),
         reference=reference,
         step=h,
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(past, lagrange(method.c, [fraction])), ca.vec(past)),
+        between=ca.vertcat(ca.mtimes(ca.horzcat(begin, past), lagrange(nodes, [fraction])), state[size:]),
         labels=dae.labels * s,
     )

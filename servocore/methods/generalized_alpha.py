@@ -58,8 +58,9 @@ class GeneralizedAlpha:
         places_q, places_v = _pairs(dae)
         n, size_z = len(places_q), dae.z.numel()
         alpha_m, alpha_f, beta, gamma = self.parameters
-        old = ca.SX.sym("old", 4 * n + size_z)
-        q0, v0, z0, a0, rate0 = ca.vertsplit(old, [0, n, 2 * n, 2 * n + size_z, 3 * n + size_z, 4 * n + size_z])
+        sizes = (n, n, size_z, n, n, size_z)
+        state = [ca.SX.sym("old", size) for size in sizes]
+        (q0, v0, z0, a0, rate0, z_before), old = state, ca.vertcat(*state)
         a1, rate1, h = ca.SX.sym("a", n), ca.SX.sym("v_dot", n), ca.SX.sym("h")
         q1, v1 = dae.x[places_q], dae.x[places_v]
         reference, (at_end,) = dae.reference_symbols(1)
@@ -94,16 +95,23 @@ class GeneralizedAlpha:
         return Discretization(
             equations=equations,
             state=old,
-            next_state=ca.vertcat(q1, v1, dae.z, a1, rate1),
+            next_state=ca.vertcat(q1, v1, dae.z, a1, rate1, z0),
             start=start,
-            first_state=ca.vertcat(first[places_q], first[places_v], first[2 * n :], rate_first, rate_first),
+            first_state=ca.vertcat(
+                first[places_q], first[places_v], first[2 * n :], rate_first, rate_first, first[2 * n :]
+            ),
             x=_joined(places_q, places_v, q0, v0),
             z=z0,
             nodes=(1.0,),
             reference=reference,
             step=h,
             fraction=fraction,
-            between=ca.vertcat(q0 - back * v0 + back**2 / 2 * a0, v0 - back * a0, old[2 * n :]),
+            between=ca.vertcat(
+                q0 - back * v0 + back**2 / 2 * a0,
+                v0 - back * a0,
+                fraction * z0 + (1 - fraction) * z_before,
+                old[2 * n + size_z :],
+            ),
             labels=(
                 *(
                     f"{kind} of {dae.unknowns[k].name}"

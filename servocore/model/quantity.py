@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+_POWER = ".power"
 
 
 @dataclass(frozen=True)
@@ -60,3 +63,15 @@ class Quantity:
         if self.tension:
             return "it must stay positive: a rope cannot push"
         return "on another branch of the equations than the one wanted"
+
+
+def energies_of(quantities: Iterable[Quantity]) -> dict[str, Quantity]:
+    """Return the energies (J) that solutions report beside powers (W), by the names of the latter.
+
+    That of ``NAME.power`` is ``NAME.energy``.
+    """
+    return {
+        each.name: Quantity(f"{each.name.removesuffix(_POWER)}.energy", "J", f"integral of {each.name} over the time")
+        for each in quantities
+        if each.name.endswith(_POWER) and each.unit == "W"
+    }

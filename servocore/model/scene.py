@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
@@ -14,6 +15,9 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 from servocore.references.consistency import require_consistent
+
+if TYPE_CHECKING:
+    from servocore.model.drives import Drive
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Factory of a model. Equal factories share one model; one without a hash makes a new one every time."""
@@ -62,6 +66,9 @@ class Scene:
     drawing : callable, optional
         Symbols of reported quantities and of parameters, by name -> the parts that pages draw, see `Part`; bodies and
         points by the names of coordinates when not given.
+    hint : str
+        A sentence about other choices of coordinates or inputs, which `analyse` adds where the problem is singular or
+        its internal dynamics are not damped.
     """
 
     name: str
@@ -76,6 +83,7 @@ class Scene:
     tracked: str = ""
     effects: Effects = NO_EFFECTS
     drawing: Drawing | None = None
+    hint: str = ""
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
@@ -236,9 +244,55 @@ class Scene:
         7
         """
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
-        changed = replace(
-            self, models={"with effects": effects.factory}, effects=effects, closed_form=None, independent_solution=None
-        )
+        changed = self._with_models({"with effects": effects.factory}, effects)
+        return changed.with_drives(**self.drives) if self.drives else changed
+
+    def with_drives(self, **drives: Drive | None) -> Scene:
+        """Return the scene with motors and transmissions at its inputs, and all its models with them.
+
+        Reflected inertia and friction join the equations; inputs keep name, place and unit, and are the motor's torque
+        times its transmission. Observables ``NAME.motor_torque``, ``.motor_speed``, ``.power``, ``.current`` and
+        ``.torque_reserve`` are reported beside them, and the data of the drives are parameters, ``NAME.motor_inertia``.
+        The scene has no closed form then.
+
+        Parameters
+        ----------
+        **drives : Drive or None
+            By the name of an input; they replace those of the same inputs, and None removes one.
+
+        Returns
+        -------
+        Scene
+            A new scene; this one is unchanged.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such input, its unit is neither N nor N.m, or the drive's radius is missing or superfluous.
+
+        Examples
+        --------
+        >>> import servocore as sc
+        >>> slewing = sc.Drive(ratio=120, motor_inertia=0.012, rated_torque=12)
+        >>> crane = sc.scenes.rotary_crane().with_drives(M_b=slewing).with_limits(**{"M_b.motor_torque": 20})
+        >>> sc.solve(crane).unit("M_b.motor_torque")
+        'N.m'
+        """
+        from servocore.model.drives import Drive, with_drives  # noqa: PLC0415 - few scenes have them
+
+        for name, drive in drives.items():
+            require_kind(drive, (Drive, type(None)), f"the drive of {name}", "a Drive", InvalidModel)
+        merged = {name: drive for name, drive in {**self.drives, **drives}.items() if drive is not None}
+        return self._with_models({name: with_drives(each, merged) for name, each in self.models.items()}, self.effects)
+
+    @property
+    def drives(self) -> Mapping[str, Drive]:
+        """The drives by the names of their inputs, see `with_drives`."""
+        return dict(getattr(self.models[self.default_model], "drives", ()))
+
+    def _with_models(self, models: Mapping[str, ModelFactory], effects: Effects) -> Scene:
+        """Return the scene with models of which no solution is known, and those of its parameters that they have."""
+        changed = replace(self, models=models, effects=effects, closed_form=None, independent_solution=None)
         known = changed.model().parameters.names
         return replace(
             changed, parameters={name: parameter for name, parameter in self.parameters.items() if name in known}

@@ -269,6 +269,23 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.declared)
 
+    def extended(self, *more: Parameter) -> Parameters:
+        """Return new parameters: the same symbols, and further ones behind them.
+
+        Parameters
+        ----------
+        *more : Parameter
+            With other names.
+
+        Returns
+        -------
+        of the same kind
+            These are unchanged.
+        """
+        longer = Parameters(*self.declared, *more)
+        object.__setattr__(longer, "p", ca.vertcat(self.p, longer.p[len(self) :]))
+        return longer
+
     def __getitem__(self, name: str) -> ca.SX:
         self._require_known((name,))
         return self.p[self.names.index(name)]

@@ -32,6 +32,8 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "kJ": (1e3, {**_NEWTON, "m": 2}),
     "W": (1.0, {**_NEWTON, "m": 2, "s": -3}),
     "kW": (1e3, {**_NEWTON, "m": 2, "s": -3}),
+    "A": (1.0, {"A": 1}),
+    "mA": (1e-3, {"A": 1}),
     "rad": (1.0, {"rad": 1}),
     "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180.0, {"rad": 1}),

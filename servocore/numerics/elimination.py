@@ -57,9 +57,11 @@ class KnownValues:
             self._places[symbol.element_hash()] = len(self._pieces), position
         self._pieces.append((symbols, values))
 
-    def add_explicit(self, symbol: ca.SX, expression: ca.SX) -> None:
-        """Add an unknown as an expression of symbols that are known."""
-        self.explicit[symbol.element_hash()] = symbol, self.resolved(expression)[0]
+    def add_explicit(self, symbols: ca.SX, expressions: ca.SX) -> None:
+        """Add a column of unknowns as expressions of symbols that are known."""
+        (resolved,) = self.resolved(expressions)
+        for symbol, expression in zip(ca.vertsplit(symbols), ca.vertsplit(resolved), strict=True):
+            self.explicit[symbol.element_hash()] = symbol, expression
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
         """Return `expressions` in terms of evaluated symbols and of unknowns not solved yet."""
@@ -161,6 +163,20 @@ def is_linear(residual: ca.SX, unknowns: ca.SX, jacobian: ca.SX) -> bool:
         return False
     stand_in = without_jumps(residual)
     return stand_in is residual or not ca.depends_on(ca.jacobian(stand_in, unknowns), unknowns)
+
+
+def nonlinear_rows(residual: ca.SX, unknowns: ca.SX, slopes: ca.SX) -> set[int]:
+    """Return the rows that are not linear in the one unknown that each of them holds, with these derivatives by it."""
+    found = set(ca.jacobian_sparsity(slopes, unknowns).row())
+    stand_in = without_jumps(residual)
+    if stand_in is not residual:
+        found |= set(ca.jacobian_sparsity(own_slopes(stand_in, unknowns), unknowns).row())
+    return found
+
+
+def own_slopes(residual: ca.SX, unknowns: ca.SX) -> ca.SX:
+    """Return the derivative of every row by the one unknown that it holds, all by one sweep, as a dense column."""
+    return ca.densify(ca.jtimes(residual, unknowns, ca.SX.ones(unknowns.numel())))
 
 
 def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:

@@ -5,14 +5,6 @@ or two unknowns becomes an explicit expression; every other block is torn (unkno
 substituted) and what remains goes to CasADi's ``fast_newton`` with its sparse QR factorization. The servo
 constraint problems of this library fall apart well: one backward Euler step of the nine-coordinate crane, 25
 unknowns, needs Newton's method on two blocks of three.
-
-``fast_newton`` returns no status, and treats NaN as convergence. So each block carries a *clock*, an additional
-unknown whose Newton correction is exactly one tick: -r/r' = tick for r = exp(-clock/tick). It counts the
-iterations inside compiled loops, and convergence is judged from the count.
-
-Where unknowns are large compared with their nominal values (accelerations of stiff parts), corrections stagnate at
-round-off above `NEWTON_TOLERANCE`. After `QUICK_ITERATIONS` an equation counts as solved if its residual is that of
-unknowns and givens rounded to some units in the last place.
 """
 
 from __future__ import annotations
@@ -27,29 +19,20 @@ from servocore.errors import InvalidModel
 from servocore.numerics.components import IsomorphicParts, isomorphic_parts
 from servocore.numerics.elimination import (
     KnownValues,
-    dependence,
     is_linear,
+    nonlinear_rows,
+    own_slopes,
     small_inverse_times,
     substituted,
     symbolic_solution,
     tear,
 )
 from servocore.numerics.expressions import constants_kept, largest
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE, TICK, compile_newton
 from servocore.numerics.step_operations import without_jumps
 
-NEWTON_TOLERANCE = 1e-9
-"""Bound of the largest scaled Newton correction; the error is then its square, as convergence is quadratic."""
-
-QUICK_ITERATIONS = 12
-"""Newton iterations after which residuals are compared with round-off, which takes twice as long."""
-
-MAX_ITERATIONS = 30
-"""Newton iterations at which a block has failed."""
-
-_ROUND_OFF = 64 * np.finfo(np.float64).eps  # relative change of unknowns and givens that explains a residual
 _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
 
-_TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
 _MOST_UNROLLED = 16  # unknowns of a block whose solution is written out as one expression
 
 
@@ -188,10 +171,17 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
     system, constants = _without_constants(system)
     for symbol, number in constants:
         known.add_explicit(symbol, number)
-    for block in _blocks(system, unrolled):
-        if unrolled and len(block[0]) > _MOST_UNROLLED:
-            raise _TooLargeError
-        _solve_block(known, _part(system, *block), unrolled)
+    for level in _levels(system, unrolled):
+        single = [block for block in level if len(block[0]) == 1]
+        others = [block for block in level if len(block[0]) > 1]
+        if len(single) > 1:
+            rows_and_unknowns = ([place for (place,) in places] for places in zip(*single, strict=True))
+            rest = _solve_single(known, _part(system, *rows_and_unknowns))
+            single = [single[k] for k in rest]
+        for block in (*single, *others):
+            if unrolled and len(block[0]) > _MOST_UNROLLED:
+                raise _TooLargeError
+            _solve_block(known, _part(system, *block), unrolled)
     return known
 
 
@@ -224,24 +214,28 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     (unknown, number).
     """
     constants: list[tuple[ca.SX, ca.SX]] = []
-    while system.unknowns.numel():
-        jacobian = ca.jacobian(without_jumps(system.residual), system.unknowns)
-        pattern = dependence(jacobian)
+    while True:
+        rows, columns = (np.array(each, dtype=np.intp) for each in _dependence(system).get_triplet())
+        alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
+        held = system.residual[rows[alone].tolist()]
+        slopes = own_slopes(without_jumps(held), system.unknowns)
+        at_zero = ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel()))
         explicit: dict[int, tuple[int, ca.SX]] = {}
-        for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
-            j = int(pattern[i].argmax())
-            value = -ca.substitute(system.residual[i], system.unknowns[j], ca.SX(0)) / jacobian[i, j]
-            if jacobian[i, j].is_constant() and value.is_constant():
-                explicit.setdefault(j, (i, value))
+        for k, (i, j) in enumerate(zip(rows[alone].tolist(), columns[alone].tolist(), strict=True)):
+            if slopes[k].is_constant() and at_zero[k].is_constant():
+                explicit.setdefault(j, (i, -at_zero[k] / slopes[k]))
         if not explicit:
-            break
+            return system, constants
         numbers = [(system.unknowns[j], value) for j, (_, value) in explicit.items()]
         constants += numbers
-        kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in explicit.values()]).tolist()
-        kept = np.setdiff1d(range(len(pattern)), list(explicit)).tolist()
-        system = _part(system, kept_rows, kept)
+        every = range(system.unknowns.numel())
+        kept_rows = np.setdiff1d(every, [i for i, _ in explicit.values()]).tolist()
+        system = _part(system, kept_rows, np.setdiff1d(every, list(explicit)).tolist())
         system = replace(system, residual=substituted(numbers, system.residual)[0])
-    return system, constants
+
+
+def _dependence(system: SquareSystem) -> ca.Sparsity:
+    return ca.jacobian_sparsity(system.residual, system.unknowns)
 
 
 def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSystem:
@@ -255,19 +249,43 @@ def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSy
     )
 
 
-def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[int]]]:
-    """Return rows and columns of the diagonal blocks, in the order of solution."""
+def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], list[int]]]]:
+    """Return rows and columns of the diagonal blocks, level by level: a block depends on earlier levels alone."""
     if not system.unknowns.numel():
         return []
-    pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
+    pattern = _dependence(system)
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
     order = sorted if unrolled else list  # blocks of derivatives repeat: sorted, they share their minors
-    return [
-        (order(rows[row_starts[k] : row_starts[k + 1]]), order(columns[column_starts[k] : column_starts[k + 1]]))
-        for k in range(count)
-    ]
+    by_row, level_of = pattern.T, np.full(pattern.size2(), -1)  # -1 while an unknown is not solved
+    starts, held = by_row.colind(), np.array(by_row.row(), dtype=np.intp)
+    levels: list[list[tuple[list[int], list[int]]]] = []
+    for k in range(count):
+        block = rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]]
+        level = 1 + max(int(level_of[held[starts[i] : starts[i + 1]]].max()) for i in block[0])
+        level_of[block[1]] = level
+        levels += [[]] if level == len(levels) else []
+        levels[level].append((order(block[0]), order(block[1])))
+    return levels
+
+
+def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
+    """Solve rows with one unknown each that are linear in it, all at once; return the others.
+
+    Derivatives, substitutions and tests cost as much for one row of equations as for all of them: rows of
+    derivative arrays share most operations.
+    """
+    unknowns, residual = rows.unknowns, rows.residual
+    slopes = own_slopes(residual, unknowns)
+    nonlinear = nonlinear_rows(residual, unknowns, slopes)
+    linear = [k for k in range(unknowns.numel()) if k not in nonlinear]
+    if linear:
+        constant = ca.substitute(residual[linear], unknowns[linear], ca.SX.zeros(len(linear)))
+        slopes, constant = known.resolved(slopes[linear], constant)
+        known.add_explicit(unknowns[linear], -(constant / slopes))
+        known.linear_blocks += len(linear)
+    return sorted(nonlinear)
 
 
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
@@ -276,9 +294,7 @@ def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> Non
     linear = is_linear(residual, unknowns, jacobian)
     if linear and size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
-        solution = -small_inverse_times(jacobian, constant)
-        for k in range(size):
-            known.add_explicit(unknowns[k], solution[k])
+        known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
         known.linear_blocks += 1
         return
     known.evaluate_explicit()
@@ -322,50 +338,12 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     x = ca.vertcat(scaled, clock)
     p = ca.vertcat(symbols, *[each[k] for each, k in ((scale_symbol, varying), (row_scale_symbol, rows_varying)) if k])
     given = ca.vertcat(values, *[each[k] for each, k in ((scale, varying), (row_scale, rows_varying)) if k])
-    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), symbols)(ca.vertcat(start, 0), given)
-    ticks = root[size] / _TICK
+    root = compile_newton(x, p, ca.vertcat(equations, ca.exp(-clock / TICK)), symbols)(ca.vertcat(start, 0), given)
+    ticks = root[size] / TICK
     known.iterations.append(ticks)
     # A count at the limit is a failure: NaN instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
-
-
-def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
-    """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` the entries of p with errors."""
-    options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
-    problem = {"x": x, "p": p, "g": equations}
-    jacobian = ca.Function(
-        "sc_jacobian", [x, p], [ca.jacobian(equations, x), equations], ["x", "p"], ["J", "g"], {"cse": True}
-    )
-    quick = ca.rootfinder("sc_newton", "fast_newton", problem, {
-        **options, "max_iter": QUICK_ITERATIONS, "jacobian_function": jacobian,
-    })  # fmt: skip
-    careful = ca.rootfinder("sc_careful_newton", "fast_newton", problem, {
-        **options, "max_iter": MAX_ITERATIONS - QUICK_ITERATIONS,
-        "jacobian_function": _beyond_round_off(jacobian, x, p, ca.jacobian(equations, data), data),
-    })  # fmt: skip
-    start, parameters = ca.MX.sym("start", x.numel()), ca.MX.sym("p", p.numel())
-    enough = ca.Function("sc_enough", [start, parameters], [start])
-    more = ca.Function("sc_more", [start, parameters], [careful(start, parameters)])
-    root = quick(start, parameters)
-    root = ca.Function.if_else("sc_rest", more, enough)(root[-1] > (QUICK_ITERATIONS - 0.5) * _TICK, root, parameters)
-    return ca.Function("sc_root", [start, parameters], [root])
-
-
-def _beyond_round_off(jacobian: ca.Function, x: ca.SX, p: ca.SX, by_data: ca.SX, data: ca.SX) -> ca.Function:
-    """Return `jacobian`, (x, p) -> (J, equations), with zero for residuals at the level of round-off.
-
-    `jacobian` is called, not inlined again, which halves the code of exported models.
-    """
-    J, equations = ca.SX.sym("J", jacobian.sparsity_out(0)), ca.SX.sym("g", x.numel())
-    # Componentwise backward error (Oettli and Prager, 1964).
-    floor = ca.mtimes(ca.fabs(J), ca.fabs(x)) + ca.mtimes(ca.fabs(by_data), ca.fabs(data))
-    beyond = ca.if_else(ca.fabs(equations) <= _ROUND_OFF * floor, 0.0, equations)
-    beyond[-1] = equations[-1]
-    judge = ca.Function("sc_judge", [x, p, J, equations], [ca.densify(beyond)], {"cse": True})
-    now, given = ca.MX.sym("x", x.numel()), ca.MX.sym("p", p.numel())
-    known = jacobian(now, given)
-    return ca.Function("sc_beyond", [now, given], [known[0], judge(now, given, *known)], ["x", "p"], ["J", "g"])
 
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:

@@ -1,4 +1,4 @@
-"""`fastest`: near time-optimal trajectories within limits, with a certificate that they keep them."""
+"""`fastest`: near time-optimal trajectories within limits, with a proof that they keep them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
-from servocore.planning.report import PlanReport, certify
+from servocore.planning.report import KeptLimits, PlanReport, kept_limits
 from servocore.planning.search import EXCESS, SearchResult, planned
 from servocore.planning.space import Space
 from servocore.planning.tasks import (
@@ -46,6 +46,7 @@ def fastest(
     robust: Mapping[str, tuple[float, float]] | None = None,
     model: str | None = None,
     intervals: int = 80,
+    certify: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Reference, PlanReport]:
     """Return a near time-optimal trajectory along a path that keeps all limits of a scene, and a report.
@@ -73,6 +74,8 @@ def fastest(
         the motion and another model with the same limits has one, the law is looked for with that.
     intervals : int
         Of the grid, even. The duration is above the shortest by about one part in `intervals`.
+    certify : bool
+        Whether to prove that the limits are kept, rather than to evaluate them at twenty thousand instants.
     progress : callable, optional
         Called with a text on the progress.
 
@@ -81,7 +84,8 @@ def fastest(
     Reference
         The path with its times, at rest before and after.
     PlanReport
-        Duration, active constraints, and the certificate that the limits are kept.
+        Duration, active constraints, and whether it is proved that the limits are kept: for all times, and with
+        `robust` for all parameters in their ranges. Clearances from obstacles are evaluated at instants.
 
     Raises
     ------
@@ -122,8 +126,13 @@ def fastest(
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth
     quick = with_a_formula(bounded, corners, robust or {}, curve)
+
+    def judged(reference: Reference) -> KeptLimits:
+        planned_corners = [replace(corner, reference=reference) for corner in corners]
+        return kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
+
     if free is not None:
-        return _free(bounded, curve, (quick, corners), length, free, intervals, progress)
+        return _free(bounded, curve, quick, judged, length, free, intervals, progress)
     task = task_along(curve, quick, length)
     if progress is not None:
         progress("looking for a law to start from")
@@ -134,20 +143,20 @@ def fastest(
         )
     result = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
     reference = TimedPath.of(curve, result.outcome.law.path())
-    return reference, _reported(reference, corners, result, _compared(task, polynomial))
+    return reference, _reported(scene.name, reference, judged(reference), result, _compared(task, polynomial))
 
 
 def _free(
     scene: Scene,
     curve: PiecewisePolynomial,
-    both: tuple[Sequence[Problem], Sequence[Problem]],
+    corners: Sequence[Problem],
+    judged: Callable[[Reference], KeptLimits],
     length: int,
     space: Space,
     intervals: int,
     progress: Callable[[str], None] | None,
 ) -> tuple[Reference, PlanReport]:
-    """Plan with the way free between the ends of a line; `both` are the problems of planner and certificate."""
-    corners, certified = both
+    """Plan with the way free between the ends of a line."""
     if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
         raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
     limited = {limit.quantity for limit in scene.limits}
@@ -175,7 +184,7 @@ def _free(
         compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
     except LimitBroken:  # at rest on the line
         compared = (np.inf, np.inf)
-    return reference, _reported(reference, certified, result, compared, clearance)
+    return reference, _reported(scene.name, reference, judged(reference), result, compared, clearance)
 
 
 def _compared(task: Task, polynomial: float) -> tuple[float, float]:
@@ -185,25 +194,25 @@ def _compared(task: Task, polynomial: float) -> tuple[float, float]:
 
 
 def _reported(
+    name: str,
     reference: Reference,
-    corners: Sequence[Problem],
+    kept: KeptLimits,
     result: SearchResult,
     compared: tuple[float, float],
     clearance: float = np.inf,
 ) -> PlanReport:
-    """Certify a plan; raises `PlanningFailed` if it breaks a limit."""
-    certificate = certify(tuple(replace(corner, reference=reference) for corner in corners))
-    if certificate.violation > EXCESS:
+    """Report a plan; raises `PlanningFailed` if it breaks a limit."""
+    if kept.violation > EXCESS:
         raise PlanningFailed(
-            f"{corners[0].name}: the law that was found breaks the limit of {certificate.worst} by"
-            f" {certificate.violation:.2g} of half its range between the points of the solver's grid"
+            f"{name}: the law that was found breaks the limit of {kept.worst} by"
+            f" {kept.violation:.2g} of half its range between the points of the solver's grid"
         )
     return PlanReport(
         duration=reference.duration,
         degree9=compared[0],
         three_phase=compared[1],
         degree=2 * result.outcome.law.length + 1,
-        certificate=certificate,
+        limits=kept,
         grid_error=result.coarse - reference.duration,
         status=result.outcome.status,
         iterations=result.iterations,

@@ -1,19 +1,23 @@
-"""`PlanReport`: duration, certificate and solution process of a plan.
+"""`PlanReport`: duration, limits and solution process of a plan.
 
-The certificate evaluates the limits by exact inversion at twenty thousand instants.
+Limits are proved for all times and, with robust plans, for all parameters in between; where that is not decided, they
+are evaluated by exact inversion at twenty thousand instants and at the corners of the parameters' ranges.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from servocore.certificate.certify import certify
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import limited_values, motion_limits
 from servocore.model.limits import Limit
+from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solvers.branch_continuation import exact_states, prepared_table
@@ -31,9 +35,9 @@ class Active:
     told: str = ""
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """Limits of a plan at many instants.
+@dataclass(frozen=True, eq=False)
+class KeptLimits:
+    """How far a plan keeps its limits.
 
     Attributes
     ----------
@@ -41,16 +45,16 @@ class Certificate:
         Largest excess over any limit, divided by half its range; 0 if all are kept.
     worst : str
         The limit that is nearest to its bound, or broken most.
-    instants : int
-        Number of instants.
     active : tuple of Active
         Active constraints, and when they are.
+    evidence : str
+        Whether that is proved, or at how many instants it was evaluated and why.
     """
 
     violation: float
     worst: str
-    instants: int
     active: tuple[Active, ...]
+    evidence: str
 
 
 @dataclass(frozen=True)
@@ -67,8 +71,8 @@ class PlanReport:
         where it is not smooth enough or was not requested.
     degree : int
         Of that polynomial law.
-    certificate : Certificate
-        Limits at twenty thousand instants by exact inversion.
+    limits : KeptLimits
+        How far the limits are kept, and whether that is proved for all times.
     grid_error : float
         By how much the duration fell when the grid was made twice as fine, in s; the gain of another doubling is
         about half of that. NaN where half as many intervals were too few.
@@ -89,7 +93,7 @@ class PlanReport:
     degree9: float
     three_phase: float
     degree: int
-    certificate: Certificate
+    limits: KeptLimits
     grid_error: float
     status: str
     iterations: int
@@ -101,19 +105,19 @@ class PlanReport:
     @property
     def active(self) -> tuple[Active, ...]:
         """Active constraints, and when they are."""
-        return self.certificate.active
+        return self.limits.active
 
     @property
     def violation(self) -> float:
         """Largest excess over any limit, divided by half its range; 0 if all are kept."""
-        return self.certificate.violation
+        return self.limits.violation
 
     def __str__(self) -> str:
         lines = [
             f"duration        {self.duration:.4g} s",
             f"{f'degree {self.degree}':<16}{_taken(self.degree9)}",
             f"three-phase     {_taken(self.three_phase)}",
-            f"violation       {self.violation:.1e} of half a range at {self.certificate.instants} instants",
+            f"limits          {self.limits.evidence}",
             f"grid            {_gained(self.grid_error)}",
             f"solver          {in_words(self.status)}, {self.iterations} iterations, from {self.start}",
         ]
@@ -155,22 +159,68 @@ def _gained(grid_error: float) -> str:
 
 
 _INSTANTS = 20_001
+_SHOWN = 2001  # instants at which active constraints are looked for where the limits are proved
+_MOST_VARIED = 2  # parameters: a proof for the ranges of more takes minutes
 _MOMENT = 0.02  # of the duration
 _ACTIVE = 0.01  # of the range: so near to its bound a quantity holds the plan back
 
 
-def certify(problems: tuple[Problem, ...]) -> Certificate:
-    """Evaluate limits of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
-    certificates = [_certify(problem) for problem in problems]
-    worst = max(certificates, key=lambda each: each.violation)
-    active = tuple(dict.fromkeys(limit for one in certificates for limit in one.active))
-    return Certificate(worst.violation, worst.worst, _INSTANTS, active)
+def kept_limits(
+    scene: Scene,
+    model: str | None,
+    corners: Sequence[Problem],
+    factors: Mapping[str, tuple[float, float]],
+    proof: bool,
+) -> KeptLimits:
+    """Prove that a plan keeps its limits, or evaluate them at instants.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its limits, on the planned path.
+    model : str or None
+        Its model.
+    corners : sequence of Problem
+        At its own parameters, and at the corners of their ranges.
+    factors : mapping of str to (float, float)
+        The ranges, as factors of parameters.
+    proof : bool
+        Whether to prove it.
+
+    Raises
+    ------
+    InvalidReference
+        If the path is out of reach.
+    """
+    for problem in corners:
+        require_feasible(problem)
+    values = scene.parameter_values()
+    ranges = {
+        name: (min(each), max(each))
+        for name, ends in factors.items()
+        if len(each := {values[name] * factor for factor in ends}) == 2
+    }
+    proved, evidence = False, f"not proved for more than {_MOST_VARIED} ranges of parameters" if proof else "not proved"
+    if proof and len(ranges) <= _MOST_VARIED:
+        certificate = certify(
+            scene, parameters={name: (low, high) for name, (low, high) in ranges.items()}, model=model
+        )
+        proved, evidence = certificate.verdict == "proved", certificate.summary
+    sampled = [_sampled(problem, _SHOWN if proved else _INSTANTS) for problem in corners]
+    violation, worst, _ = max(sampled, key=lambda each: each[0])
+    active = tuple(dict.fromkeys(limit for *_, spells in sampled for limit in spells))
+    if not proved:
+        told = f"violation {max(violation, 0.0):.1e} of half a range at {_INSTANTS} instants"
+        return KeptLimits(max(violation, 0.0), worst, active, f"{told}; {evidence}")
+    units = {each.name: each.unit for each in corners[0].system.parameters.declared}
+    over = "".join(f", {name} from {low:.6g} to {high:.6g} {units[name]}" for name, (low, high) in ranges.items())
+    return KeptLimits(0.0, worst, active, f"proved to be kept at all times{over}")
 
 
-def _certify(problem: Problem) -> Certificate:
-    require_feasible(problem)
+def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]:
+    """Return the largest excess over a limit at instants, that limit, and the active constraints."""
     limits, path = motion_limits(problem), problem.reference
-    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    t = np.linspace(path.start_time, path.end_time, instants)
     values = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
@@ -181,7 +231,7 @@ def _certify(problem: Problem) -> Certificate:
             if excess > worst:
                 worst, name = excess, limit.quantity
             active += _spells(limit, bound, t, over > -_ACTIVE)
-    return Certificate(max(worst, 0.0), name, _INSTANTS, tuple(active))
+    return worst, name, active
 
 
 def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:

@@ -94,9 +94,9 @@ def sweep(
     Returns
     -------
     xarray.Dataset
-        ``peak_NAME`` of every input, ``margin_NAME`` of every limit (negative where it is broken), ``swing`` where the
-        model has it, and ``failure``: the message of a case that is not solved, with NaN as its numbers. Units are
-        attributes of the variables, settings those of the dataset.
+        ``peak_NAME`` of every input and quantity of drives, ``margin_NAME`` of every limit (negative where it is
+        broken), ``swing`` where the model has it, and ``failure``: the message of a case that is not solved, with NaN
+        as its numbers. Units are attributes of the variables, settings those of the dataset.
 
     Raises
     ------

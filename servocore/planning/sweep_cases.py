@@ -18,6 +18,7 @@ from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
@@ -45,9 +46,9 @@ class Work:
         Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
         Newton's method. They may be the same.
     inputs : tuple of str
-        The first rows are inputs of these names,
-    swing : bool
-        the next is the swing where there is one,
+        The first rows are inputs of these names.
+    peaks : tuple of str
+        Variables of the largest magnitudes of these and of the next rows, see `peaked`;
     bounds : tuple of (str, float, float)
         the next ones have limits of these names between these bounds; the rows after them must be positive.
     turns : tuple of int
@@ -62,7 +63,7 @@ class Work:
     by_expression: str
     by_newton: str
     inputs: tuple[str, ...]
-    swing: bool
+    peaks: tuple[str, ...]
     bounds: tuple[tuple[str, float, float], ...]
     turns: tuple[int, ...]
     kept: bool
@@ -88,6 +89,14 @@ class Cases:
     numbers: Array
 
 
+def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
+    """Return the quantities whose peaks a sweep reports, by its variables: inputs, those of drives, and the swing."""
+    of_drives = tuple(f"{quantity.name}." for quantity in system.inputs)
+    named = (each for each in system.observables if each.name.startswith(of_drives))
+    peaks = {f"peak_{each.name}": each for each in (*system.inputs, *named)}
+    return peaks | {each.name: each for each in system.observables if each.name == SWING}
+
+
 def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: bool | None) -> Work:
     """Compile the evaluation of the cases of a flat problem.
 
@@ -98,18 +107,18 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     """
     system = problem.system
     known = {quantity.name: (quantity, expression) for quantity, expression in observed(system)}
-    wanted = [known[quantity.name] for quantity in system.inputs]
-    swing = SWING in known
-    wanted += [known[SWING]] if swing else []
+    peaks = peaked(system)
+    wanted = [known[quantity.name] for quantity in peaks.values()]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
     texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
     bounds = tuple((limit.quantity, limit.bound, limit.upper) for limit in limits)
     inputs = tuple(quantity.name for quantity in system.inputs)
-    first = len(inputs) + swing
-    turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))
-    return Work(problem.name, texts[0], texts[1], inputs, swing, bounds, turns, kept, native)
+    turns = tuple(
+        len(peaks) + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system)
+    )
+    return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, kept, native)
 
 
 def _in_time(function: ca.Function) -> ca.Function:
@@ -176,11 +185,10 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
 
 def _told(work: Work, extremes: Array) -> dict[str, Array]:
     highest, lowest = extremes[:, 0], extremes[:, 1]
-    first = len(work.inputs) + work.swing
+    first = len(work.peaks)
     solved = np.isfinite(extremes).all(axis=(1, 2)) & (lowest[:, first + len(work.bounds) :] > 0.0).all(axis=1)
     extremes[~solved] = np.nan
-    names = (*map("peak_{}".format, work.inputs), *([SWING] if work.swing else []))
-    answers = {name: np.maximum(highest[:, k], -lowest[:, k]) for k, name in enumerate(names)}
+    answers = {name: np.maximum(highest[:, k], -lowest[:, k]) for k, name in enumerate(work.peaks)}
     for k, (name, low, high) in enumerate(work.bounds, first):
         answers[f"margin_{name}"] = np.minimum(lowest[:, k] - low, high - highest[:, k])
     return {**answers, "solved": solved.astype(float)}

@@ -15,7 +15,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
-from servocore.planning.sweep_cases import SWING
+from servocore.planning.sweep_cases import SWING, peaked
 from servocore.planning.sweep_settings import CASE, DURATION, PATH, Slices, SweepSettings
 
 INSTANT = "instant"
@@ -49,8 +49,10 @@ def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
         values = np.broadcast_to(np.nan, (*grid.shape, *over_time))
         return (*dimensions, *[INSTANT] * len(over_time)), values, {"long_name": described, "units": unit}
 
-    variables = {f"peak_{e.name}": numbers(f"largest magnitude of {e.name}", e.unit) for e in system.inputs}
-    variables |= {e.name: numbers("largest swing angle", e.unit) for e in system.observables if e.name == SWING}
+    variables = {
+        name: numbers("largest swing angle" if name == SWING else f"largest magnitude of {e.name}", e.unit)
+        for name, e in peaked(system).items()
+    }
     for limit in swept.limits:
         least = f"least distance of {limit.quantity} from its limit"
         variables[f"margin_{limit.quantity}"] = numbers(least, limit.unit)

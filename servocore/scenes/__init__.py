@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from servocore.importers.from_file import from_file
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.scenes.boom_crane import boom_crane
@@ -29,4 +30,4 @@ __all__ = [  # noqa: RUF022 - in the order in which they are listed everywhere
 REGISTRY: dict[str, Callable[[], Scene]] = {name: globals()[name] for name in __all__}
 """All scenes by name; each inherits the whole test suite."""
 
-__all__ += ["REGISTRY", "Limit", "Scene"]
+__all__ += ["REGISTRY", "Limit", "Scene", "from_file"]

@@ -18,6 +18,7 @@ from servocore.checks.better_solutions import (
     warn_and_state_branch,
 )
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.errors import InconsistentStart
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
@@ -41,6 +42,7 @@ from servocore.solvers.route import JudgedRoute
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
+from servocore.structure.inversion import inversion
 
 _BETTER_METHOD = RadauIIA(5)
 _POOR = 0.1  # of the smallest singular value that all candidates together have
@@ -116,7 +118,13 @@ class StateSelection(Stepped):
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native, len(times))
-        state, _ = first_state(problem, program, step)
+        try:
+            state, _ = first_state(problem, program, step)
+        except InconsistentStart:
+            # States were chosen where nothing is symmetric: where a linkage starts stretched, others may be needed.
+            formulation = _states_at_start(problem, formulation)
+            program = program_of(problem, formulation, self.method, self.native, len(times))
+            state, _ = first_state(problem, program, step)
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
         while at < count:
@@ -168,6 +176,15 @@ def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) ->
 
 def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
     return choose_states(array.signature, system_jacobians(problem, np.array([time]), values[:, None])[0])
+
+
+def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
+    """Return a form with the best states at the guess of the model where the path starts."""
+    array, time = formulation.array(problem.system), problem.reference.start_time
+    jet = problem.reference.jet(np.array([time]), array.reference_order)
+    values = np.asarray(inversion(array).guess(side_by_side(jet), problem.p)).ravel()
+    names = tuple((array.names[j], order) for j, order in _best_states(problem, array, time, values))
+    return replace(formulation, states=names)
 
 
 def _quality(array: DerivativeArray, J: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
 from servocore.errors import IntegrationFailed
+from servocore.model.quantity import energies_of
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
@@ -182,3 +183,21 @@ def _median_difference(row: Array) -> float:
     differences.partition(middle)  # one place at a time, which runs side by side
     upper = differences[middle]
     return float(upper if size % 2 else 0.5 * (upper + differences[:middle].max()))
+
+
+def with_energies(solution: Solution) -> Solution:
+    """Return a solution with the energy NAME.energy (J) of every power NAME.power (W) that it reports."""
+    energies = energies_of(solution.channels)
+    if not energies or len(solution.t) < 2:
+        return solution
+    values = integrated(solution.t, np.column_stack([solution[name] for name in energies]))
+    table = np.column_stack([solution.values, values])
+    return replace(solution, channels=(*solution.channels, *energies.values()), values=table)
+
+
+def integrated(t: Array, values: Array) -> Array:
+    """Return the integrals of trajectories (N, ...) from the first of the instants (N,) on, by Simpson's rule."""
+    from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
+
+    found: Array = cumulative_simpson(values, x=t, axis=0, initial=0.0)
+    return found

@@ -35,6 +35,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
 from servocore.solvers.fixed_step_loop import Progress
+from servocore.solvers.results import with_energies
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.warm_start import unknowns_near
 from servocore.solvers.within_limits import (
@@ -63,6 +64,7 @@ def solve(
     progress: Progress | None = None,
     native: bool | None = None,
     checks: bool = True,
+    certify: bool = False,
 ) -> Solution:
     """Compute the inputs that make the servo output follow the scene's reference.
 
@@ -86,6 +88,9 @@ def solve(
         Whether as machine code: True makes it first, False never; else it comes in the background for many solves.
     checks : bool
         False leaves out limits and warnings.
+    certify : bool
+        Whether the result must not be refuted by `servocore.certify`, by which inputs may be off by 1e-8 of their
+        peaks, and those of time steps by 5 %. Undecided certificates are warned of.
 
     Returns
     -------
@@ -97,7 +102,7 @@ def solve(
     ServocoreError
         If the path or the motion breaks a limit, the path lacks derivatives, the step does not fit, no compiler is
         there for `native`, no initial values are found, a step is not solved, or the motion changes branch where two
-        meet, or an input has a pole.
+        meet, or an input has a pole, or the certificate is refuted.
 
     Warns
     -----
@@ -126,7 +131,14 @@ def solve(
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
-    return replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
+    solution = with_energies(found)
+    if certify:
+        from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
+        from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
+
+        require_certified(solution, 1e-8 if isinstance(route, Pointwise) else LARGEST_UNWARNED)
+    return solution
 
 
 def _native_checks(route: Route, t: Array) -> bool | None:

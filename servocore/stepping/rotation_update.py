@@ -25,11 +25,10 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE, TICK
 from servocore.stepping.energy_momentum_terms import StepTerms, step_terms
 
 _DIRECTORS = tuple(f"d{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")
-_TICK = 1e-20  # as in `square_systems`: the clock counts iterations
 _ROUND_OFF = 1e-9
 
 
@@ -175,14 +174,14 @@ def _solved(unknowns: _Unknowns, terms: StepTerms, givens: ca.MX) -> tuple[ca.MX
     size = unknowns.count
     x, p = ca.MX.sym("x", size + 1), ca.MX.sym("p", givens.numel() + size)
     equations, J = _projected(unknowns, terms, x[:size], p[: givens.numel()], p[givens.numel() :])
-    late = ca.exp(-x[size] / _TICK)  # the clock of `square_systems`: every correction is a tick
+    late = ca.exp(-x[size] / TICK)  # the clock of `newton`: every correction is a tick
     g = ca.vertcat(equations, late)
-    look = ca.Function("sc_look", [x, p], [ca.diagcat(J, -late / _TICK), g], ["x", "p"], ["J", "g"])
+    look = ca.Function("sc_look", [x, p], [ca.diagcat(J, -late / TICK), g], ["x", "p"], ["J", "g"])
     options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "max_iter": MAX_ITERATIONS}
     newton = ca.rootfinder("sc_turn", "fast_newton", {"x": x, "p": p, "g": g}, {**options, "jacobian_function": look})
     handed = ca.vertcat(givens, scale)
     root = newton(ca.vertcat(start, 0), handed)
-    ticks = root[size] / _TICK
+    ticks = root[size] / TICK
     _, left = look(root, handed)
     residual = ca.mmax(ca.fabs(left[:size]))
     return root[:size] * scale * ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0), ticks, residual

@@ -13,7 +13,7 @@ from outside.systems import arm, named, symbols
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.square_systems import QUICK_ITERATIONS
+from servocore.numerics.newton import QUICK_ITERATIONS
 from servocore.rotationless import Assembly, RigidBody
 from servocore.scenes import jets
 

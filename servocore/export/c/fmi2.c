@@ -1,8 +1,11 @@
 /* FMI 2.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a number; those of choices
    follow after the last one. */
 
-#include "fmi2Functions.h"
 #include "model.h"
+#if !defined(FMI2_OVERRIDE_FUNCTION_PREFIX) && !defined(FMI2_FUNCTION_PREFIX)
+#define FMI2_FUNCTION_PREFIX FUNCTION_PREFIX
+#endif
+#include "fmi2Functions.h"
 #include KERNEL
 
 static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
@@ -16,7 +19,7 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
 }
 
 #define REQUIRE(phases, call) \
-    Instance *instance = component; \
+    Instance *instance = (Instance *)component; \
     if (refused(instance, phases, call)) return fmi2Error
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
@@ -33,7 +36,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment);
 }
 
-void fmi2FreeInstance(fmi2Component component) { free_instance(component); }
+void fmi2FreeInstance(fmi2Component component) { free_instance((Instance *)component); }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
 {

@@ -1,8 +1,11 @@
 /* FMI 3.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a variable among ARRAYS;
    those of choices, and of the time, follow after the last one. */
 
-#include "fmi3Functions.h"
 #include "model.h"
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX FUNCTION_PREFIX
+#endif
+#include "fmi3Functions.h"
 #include KERNEL
 
 #define TIME (N_ARRAYS + N_CHOICES)
@@ -16,7 +19,7 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
 }
 
 #define REQUIRE(phases, call) \
-    Instance *instance = component; \
+    Instance *instance = (Instance *)component; \
     if (refused(instance, phases, call)) return fmi3Error
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
@@ -38,7 +41,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return new_instance(name, NULL, token, report, (void (*)(void))logger, environment);
 }
 
-void fmi3FreeInstance(fmi3Instance component) { free_instance(component); }
+void fmi3FreeInstance(fmi3Instance component) { free_instance((Instance *)component); }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
 {
@@ -294,6 +297,10 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance component, const fmi3ValueRefer
 }
 
 /* What there is not ---------------------------------------------------------------------------------------------------- */
+
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
 
 #define NOT_OFFERED(name, ...) \
     fmi3Status name(fmi3Instance component, __VA_ARGS__) \

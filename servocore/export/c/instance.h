@@ -18,6 +18,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wtype-limits" /* a model may have no inputs or choices: loops from zero to zero */
+#endif
+
 #define LONGEST_STEP 3600.0       /* s; a longer one is refused as a mistake */
 #define MOST_INTERNAL_STEPS 100000.0
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
@@ -110,7 +114,7 @@ static size_t awaited(const State *state);
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
 
 /* Call one of the generated functions. */
-static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
+static inline int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
 {
     return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
 }
@@ -210,12 +214,12 @@ static void free_instance(Instance *instance)
 static Instance *new_instance(const char *name, const char *refusal, const char *token, Reporter report,
                               void (*logger)(void), void *environment)
 {
-    Instance *instance = calloc(1, sizeof *instance);
+    Instance *instance = (Instance *)calloc(1, sizeof *instance);
     if (instance == NULL) return NULL;
     if (name == NULL) name = MODEL_NAME;
     if (refusal == NULL && (token == NULL || strcmp(token, INSTANTIATION_TOKEN) != 0))
         refusal = "%s: the model description belongs to another build of the library";
-    instance->name = malloc(strlen(name) + 1);
+    instance->name = (char *)malloc(strlen(name) + 1);
     if (instance->name != NULL) {
         strcpy(instance->name, name);
         instance->report = logger == NULL ? NULL : report;
@@ -486,6 +490,7 @@ static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 static Outcome require_state(const Instance *instance, const State *saved)
 {
     int known = saved->stamp == STAMP && saved->phase >= INSTANTIATED && saved->phase <= TERMINATED;
+    known &= saved->steps >= 0 && saved->steps < INT64_MAX / 2; /* counting on must not overflow */
     for (size_t k = 0; k < N_CHOICES && !DEFERRED_CHECKS; k++)
         known &= saved->choices[k] >= 1 && saved->choices[k] <= CHOICES[k].count;
     if (!known)
@@ -505,7 +510,7 @@ static Outcome keep_state(const Instance *instance, const State *state, void **s
 static Outcome restore_state(Instance *instance, const void *saved)
 {
     if (saved == NULL) return say(instance, ERROR, "there is no saved state to restore");
-    if (require_state(instance, saved) != GOOD) return ERROR;
+    if (require_state(instance, (const State *)saved) != GOOD) return ERROR;
     memcpy(&instance->state, saved, sizeof(State));
     instance->state.checked = 0;
     instance->state.failure[sizeof instance->state.failure - 1] = '\0';
@@ -573,7 +578,7 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
 }
 
 /* Sensitivities of a weighted sum of unknowns by each known: one direction at a time, since a step may have substeps. */
-static Outcome adjoint(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
+static inline Outcome adjoint(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
                        size_t known_count, const double *weights, double *found)
 {
     const double one = 1.0;

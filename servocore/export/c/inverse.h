@@ -120,7 +120,7 @@ static int breaks(const Instance *instance, int k)
     return !(instance->scratch.margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->scratch.margins[k]));
 }
 
-static int outside(const Instance *instance)
+static inline int outside(const Instance *instance)
 {
     for (int k = 0; k < N_LIMITS; k++)
         if (breaks(instance, k)) return 1;
@@ -276,7 +276,7 @@ static Outcome require_agreement(Instance *instance, double time)
 {
     const State *state = &instance->state;
     const size_t top = ORDERS_CONNECTED(state) - 1, k = contradicted(state, instance->step_inputs);
-    const int again = state->now.is_odd;
+    const int again = state->now.is_odd != 0;
     char above[LONGEST_MESSAGE / 4] = "";
     instance->work.is_odd = k < ORDERS;
     if (k == ORDERS || (!again && instance->warned & 1)) return GOOD;
@@ -530,7 +530,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
 #if N_STATE > 0
     if (state->steps > 0) {
         Moment *work = &instance->work;
-        static const double none[N_PATH];
+        static const double none[N_PATH] = {0.0};
         double count;
         if (divided(instance, state->step, &count) != GOOD) return ERROR;
         *work = state->before;

@@ -276,7 +276,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
     const State *state = &instance->state;
     Work *scratch = &instance->scratch;
     const Outcome outcome = refresh(instance);
-    static const double none[N_INPUTS];
+    static const double none[N_INPUTS] = {0.0};
     double u[N_INPUTS], slope[N_INPUTS], u_seed[N_INPUTS] = {0.0}, slope_seed[N_INPUTS] = {0.0}, acting[N_INPUTS];
     if (outcome != GOOD) return outcome;
     prepare(instance);

@@ -1,0 +1,353 @@
+"""From a tree to equation (1): masses, forces, drives, constraints and servo outputs as expressions.
+
+For an elastic joint with motor theta behind its gear and link q (Spong),
+
+    M(q) q'' + h(q, q') + D q' = K (theta - q) + D_s (theta' - q'),
+    B theta'' + K (theta - q) + D_s (theta' - q') = u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.importers.coordinates import MOTOR, Layout, rope_of
+from servocore.importers.drives import Drive, chosen_drives, rotors
+from servocore.importers.options import Options, driven_joints
+from servocore.importers.outputs import rows_of_outputs
+from servocore.importers.tree import Closure, Tendon, Tree
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import filled
+
+_CLOSED = 1e-12  # m or rad: residual of closed loops at the posture
+_MOST_CORRECTIONS = 50
+_DEPENDENT = 1e-7  # of the largest singular value of the outputs and constraints at the posture
+_ROUND_OFF = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A factory of the model of a tree with the choices of a user.
+
+    Parameters
+    ----------
+    tree : Tree
+        The mechanism.
+    options : Options
+        The choices.
+    """
+
+    tree: Tree
+    options: Options
+
+    def __call__(self) -> MechanicalSystem:
+        """Return the model; raises `InvalidModel` or `InvalidSetting` if the choices do not fit the mechanism."""
+        return Assembly(self.tree, self.options).system()
+
+    @property
+    def left_out(self) -> list[str]:
+        """Elements of the file that have no part in the model."""
+        taut = {f"range of tendon {name}" for name in self.options.taut}
+        own = [each for each in self.tree.left_out if each.partition(",")[0] not in taut]
+        return [*own, *Assembly(self.tree, self.options).layout.left_out]
+
+
+class Assembly:
+    """The expressions of a mechanism; see `Mechanism`."""
+
+    def __init__(self, tree: Tree, options: Options) -> None:
+        options.require_known(tree)
+        self.tree, self.options = tree, options
+        self.layout = Layout(tree, options, driven_joints(tree, options))
+        self.q, self.v = self.layout.coordinates.q, self.layout.coordinates.v
+        self.p = self.layout.parameters
+
+    def system(self) -> MechanicalSystem:
+        """Return the model."""
+        tree, layout, u = self.tree, self.layout, ca.SX.sym("u", len(self.drives))
+        gamma, lam = reference_symbols(len(self.drives)), ca.SX.sym("lam", len(self.rows))
+        gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
+        posture = self.posture
+        outputs = rows_of_outputs(layout, self.output_names, posture)
+        if len(outputs) != len(self.drives):
+            one, other = (
+                ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.drives])
+            )
+            raise InvalidModel(
+                f"{tree.source}: {len(outputs)} outputs ({one}) need as many inputs, not {len(self.drives)} ({other});"
+                " choose others with outputs, inputs, passive or locked"
+            )
+        output = ca.vertcat(*outputs.values())
+        home, spread = self._prediction(output, list(outputs), posture)
+        return MechanicalSystem(
+            name=tree.name,
+            coordinates=layout.coordinates,
+            parameters=self.p,
+            inputs=tuple(drive.quantity for drive in self.drives),
+            outputs=tuple(outputs),
+            mass=self.mass,
+            gyroscopic=ca.mtimes(layout.reduction.T, layout.motion.inertia_forces()),
+            potential=self._potential(gravity),
+            force=self._damping(),
+            input_matrix=ca.sparsify(ca.vertcat(*[self._row(drive.power) for drive in self.drives])),
+            output=output,
+            constraints=ca.vertcat(ca.SX(0, 1), *self.rows.values()),
+            constraint_names=tuple(self.rows),
+            multipliers=lam,
+            u=u,
+            gamma=gamma,
+            guess=posture + ca.mtimes(ca.DM(spread), gamma[:, 0] - ca.DM(home)),
+            home=tuple(home),
+            observables={**self._tensions(lam), **self._observed(u)},
+        )
+
+    @property
+    def output_names(self) -> list[str]:
+        """Names of outputs: as chosen, or the joints that are driven."""
+        joints = [drive.joint for drive in self.drives]
+        if not self.options.outputs and not all(joints):
+            raise self.tree.fault("outputs must be named, for not all inputs act on joints")
+        return list(self.options.outputs) or joints
+
+    @property
+    def hint(self) -> str:
+        """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
+        tree, driven = self.tree, driven_joints(self.tree, self.options)
+        parents = {body.parent for body in tree.bodies}
+        hung = {
+            body.name: rope
+            for body in tree.bodies
+            if body.mass and body.name not in parents | {*self.options.points, *self.options.ropes}
+            if (rope := rope_of(tree, body.name, driven))
+        }
+        lines = [
+            f"if {name} hangs on a rope, ropes=['{name}'] replaces {', '.join(rope.dropped)} by its length,"
+            f" and points=['{name}'] makes it a point mass"
+            for name, rope in hung.items()
+        ]
+        rotors_on = {tree.frame(drive.rotor).body for drive in self.drives if drive.rotor}
+        for body in rotors_on:
+            wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
+            lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")
+        return "; ".join(lines)
+
+    @cached_property
+    def drives(self) -> list[Drive]:
+        """Inputs."""
+        return chosen_drives(self.layout, self)
+
+    def _row(self, power: ca.SX) -> ca.SX:
+        """Return a row of B from the power of a unit input, which is linear in the rates."""
+        return -ca.jacobian(power, self.v)
+
+    @cached_property
+    def mass(self) -> ca.SX:
+        """M, shape (n, n)."""
+        layout, motion, A = self.layout, self.layout.motion, self.layout.reduction
+        armature = {
+            joint.name: joint.armature
+            for joint in layout.joints
+            if joint.armature and joint.name not in self.options.elastic
+        }
+        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
+        for name in self.options.elastic:
+            k = layout.coordinates.index(f"{name}{MOTOR}")
+            mass[k, k] += self.p[f"{name}.motor_inertia"]
+        for body in (*self.options.points, *self.options.ropes):
+            first = layout.coordinates.index(f"{body}.x")
+            for k in range(first, first + 3):
+                mass[k, k] += self.tree.body[body].mass
+        return ca.sparsify(mass)
+
+    def _potential(self, gravity: ca.SX) -> ca.SX:
+        """Return V: weight, springs of joints and tendons, elastic joints."""
+        layout, tree = self.layout, self.tree
+        potential = layout.motion.weight(gravity)
+        for joint in layout.joints:
+            if joint.stiffness:
+                potential += joint.stiffness / 2 * (layout.motion.q[joint.name] - joint.rest) ** 2
+        for tendon in tree.tendons.values():
+            if tendon.stiffness and tendon.name not in self.options.taut:
+                potential += tendon.stiffness / 2 * (self.length(tendon) - tendon.rest) ** 2
+        for name in self.options.elastic:
+            potential += self.p[f"{name}.stiffness"] / 2 * self._twist(name, self.q) ** 2
+        for body in (*self.options.points, *self.options.ropes):
+            potential -= tree.body[body].mass * ca.dot(gravity, layout.point(body))
+        return potential
+
+    def _twist(self, name: str, values: ca.SX) -> ca.SX:
+        """Return the difference of motor and link of an elastic joint, of coordinates or rates."""
+        coordinates = self.layout.coordinates
+        return values[coordinates.index(f"{name}{MOTOR}")] - values[coordinates.index(name)]
+
+    def _damping(self) -> ca.SX:
+        """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
+        layout, motion, A = self.layout, self.layout.motion, self.layout.reduction
+        damping = {joint.name: joint.damping for joint in layout.joints if joint.damping}
+        forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
+        for tendon in self.tree.tendons.values():
+            if tendon.damping and tendon.name not in self.options.taut:
+                J = ca.jacobian(self.length(tendon), self.q)
+                forces -= tendon.damping * ca.mtimes(J.T, ca.mtimes(J, self.v))
+        for name, elastic in self.options.elastic.items():
+            if elastic.damping:
+                twist = ca.jacobian(self._twist(name, self.v), self.v)
+                forces -= self.p[f"{name}.spring_damping"] * ca.mtimes(twist.T, ca.mtimes(twist, self.v))
+        return forces
+
+    def length(self, tendon: Tendon) -> ca.SX:
+        """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
+        if tendon.refusal:
+            raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
+        length = sum((factor * self.layout.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
+        for divisor, frames in tendon.branches:
+            points = [self.layout.position(name) for name in frames]
+            length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
+        return length
+
+    # Constraints --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def rows(self) -> dict[str, ca.SX]:
+        """Holonomic constraints by name."""
+        layout, rows = self.layout, dict[str, ca.SX]()
+        for joint in layout.moving:
+            if joint.kind == "ball":
+                rows[f"{joint.name} unit quaternion"] = (
+                    ca.sumsqr(ca.vertcat(*[layout.motion.q[e] for e in joint.coordinates])) - 1
+                )
+        for body in self.options.points:
+            place = layout.places[body].moved(self.tree.body[body].centre)
+            gap = layout.point(body) - layout.motion.pose(place)[1]
+            rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
+        for body, rope in layout.ropes.items():
+            way = layout.point(body) - layout.motion.pose(rope.anchor)[1]
+            rows[f"rope of {body}"] = ca.sumsqr(way) - self._rope_length(body) ** 2
+        for name in self.options.taut:
+            if not np.isfinite(self.tree.tendons[name].longest):
+                raise self.tree.fault(f"taut: the tendon {name} has no upper limit of its length")
+            rows[f"tendon {name}"] = self.length(self.tree.tendons[name]) - self.tree.tendons[name].longest
+        for closure in self.tree.closures:
+            found = self._closed(closure)
+            rows |= {f"{closure.name} {k + 1}" if len(found) > 1 else closure.name: row for k, row in enumerate(found)}
+        return rows
+
+    def _rope_length(self, body: str) -> ca.SX:
+        rope = self.layout.ropes[body]
+        return rope.length + (rope.sign * self.layout.motion.q[rope.hoist] if rope.hoist else ca.SX(0))
+
+    def _closed(self, closure: Closure) -> list[ca.SX]:
+        """Return the rows of a constraint beside the tree."""
+        layout, tree = self.layout, self.tree
+        if closure.kind in ("joint", "tendon"):
+            one, other = (
+                None
+                if not name
+                else layout.motion.q[name]
+                if closure.kind == "joint"
+                else self.length(tree.tendons[name])
+                for name in (closure.first, closure.second)
+            )
+            moved = ca.SX(0) if other is None else other - closure.rest[1]
+            assert one is not None
+            return [one - closure.rest[0] - sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))]
+        rows = ca.vertsplit(layout.position(closure.first) - layout.position(closure.second))
+        if closure.kind != "connect":
+            turned = ca.mtimes(layout.rotation(closure.first).T, layout.rotation(closure.second))
+            skew = [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
+            rows += [each / 2 for each in skew] if closure.kind == "weld" else [turned[0, 2], turned[1, 2]]
+        return rows
+
+    def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
+        """Return the tension of every rope: the multiplier is the force for each metre of the length."""
+        index, found = {name: k for k, name in enumerate(self.rows)}, dict[Quantity, ca.SX]()
+        for body in self.options.ropes:
+            quantity = Quantity(f"{body}.tension", "N", f"tension of the rope of {body}", tension=True)
+            found[quantity] = 2 * lam[index[f"rope of {body}"]] * self._rope_length(body)
+        for name in self.options.taut:
+            quantity = Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)
+            found[quantity] = lam[index[f"tendon {name}"]]
+        return found
+
+    def _observed(self, u: ca.SX) -> dict[Quantity, ca.SX]:
+        found = dict[Quantity, ca.SX]()
+        for k, drive in enumerate(self.drives):
+            found |= {quantity: expression(u[k]) for quantity, expression in drive.observed.items()}
+        for actuator, factors in rotors(self.layout, self.drives):
+            force = sum((factor * u[k] for k, factor in factors.items()), ca.SX(0))
+            found[Quantity(f"{actuator.name}.drive", "N", f"drive of {actuator.name}")] = force
+        return found
+
+    # The posture, and the configuration near another value of the outputs --------------------------------------------
+
+    @cached_property
+    def posture(self) -> Array:
+        """A configuration that satisfies all constraints, near the posture, shape (n,)."""
+        layout, given = self.layout, self.options.posture
+        values = {
+            name: x for joint in layout.joints for name, x in zip(joint.coordinates, layout.start(joint), strict=True)
+        }
+        values |= {f"{name}{MOTOR}": values[name] for name in self.options.elastic}
+        values |= {name: float(x) for name, x in given.items() if name in layout.coordinates.names}
+        q = np.array([values.get(name, 0.0) for name in layout.coordinates.names])
+        if not self.rows:
+            return q
+        if layout.ropes or self.options.points:
+            q = self._hung(q)
+        g = ca.vertcat(*self.rows.values())
+        evaluate = ca.Function("posture", [self.q], [g, ca.jacobian(g, self.q)])
+        for _ in range(_MOST_CORRECTIONS):
+            residual, jacobian = (filled(each) for each in evaluate(q))
+            if np.abs(residual).max() < _CLOSED:
+                return q
+            q = q - np.linalg.lstsq(jacobian, residual.ravel(), rcond=1e-10)[0]
+        worst = list(self.rows)[int(np.abs(residual).argmax())]
+        raise self.tree.fault(
+            f"no configuration near the posture satisfies the constraint {worst}; give another posture"
+        )
+
+    def _hung(self, q: Array) -> Array:
+        """Return the configuration with every point mass where it is in the file, in the posture."""
+        q, names = q.copy(), self.layout.coordinates.names
+        whole = Layout(self.tree, Options(locked=self.options.locked, posture=self.options.posture), frozenset())
+        at = dict(zip(whole.coordinates.names, whole.coordinates.nominal, strict=True))
+        at |= {name: x for joint in whole.moving for name, x in zip(joint.coordinates, whole.start(joint), strict=True)}
+        for body in (*self.options.points, *self.options.ropes):
+            place = whole.places[body].moved(self.tree.body[body].centre)
+            where = ca.Function("where", [whole.coordinates.q], [whole.motion.pose(place)[1]])
+            first = names.index(f"{body}.x")
+            q[first : first + 3] = filled(where(np.array([at[name] for name in whole.coordinates.names]))).ravel()
+        return q
+
+    def _prediction(self, output: ca.SX, names: list[Quantity], q: Array) -> tuple[list[float], Array]:
+        """Return the outputs at the posture, and dq/d(outputs) there: the configuration to first order.
+
+        Coordinates that neither outputs nor constraints determine stay where they are; motors move with their links.
+        """
+        m = output.numel()
+        g = ca.vertcat(ca.SX(0, 1), *self.rows.values(), *[self._twist(name, self.q) for name in self.options.elastic])
+        evaluate = ca.Function("home", [self.q], [output, ca.jacobian(output, self.q), ca.jacobian(g, self.q)])
+        value, C, G = (filled(each) for each in evaluate(q))
+        stacked = np.vstack([C, G]) if G.size else C
+        free = len(q) - np.linalg.matrix_rank(G, _DEPENDENT * np.linalg.norm(G, 2)) if G.size else len(q)
+        rank = np.linalg.matrix_rank(stacked, _DEPENDENT * np.linalg.norm(stacked, 2))
+        if rank < len(q) - free + m:
+            listed = ", ".join(each.name for each in names)
+            raise self.tree.fault(
+                f"the outputs {listed} are dependent at the posture {self._listed(q)}: give another one with posture"
+            )
+        spread = np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m]
+        spread[np.abs(spread) < _ROUND_OFF] = 0.0
+        near = np.round(spread)
+        return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)
+
+    def _listed(self, q: Array) -> str:
+        names = self.layout.coordinates.names
+        return ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(names, q, strict=True))[:8])

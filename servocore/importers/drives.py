@@ -1,0 +1,195 @@
+"""Inputs of an imported mechanism: drives of joints, tendons and frames, and wrenches on free bodies."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidSetting
+from servocore.importers.coordinates import MOTOR, UNITS, Layout
+from servocore.importers.options import driven_joints
+from servocore.importers.recursion import Place
+from servocore.importers.tree import Actuator
+from servocore.model.quantity import Quantity
+from servocore.numerics.compiled_calls import Array
+
+if TYPE_CHECKING:
+    from servocore.importers.assembly import Assembly
+
+_WRENCH = re.compile(r"(.+)\.(force|torque)_([xyz])")
+_EXACT = 1e-9  # of a unit wrench that rotors must exert
+
+Bounds = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """An input.
+
+    Attributes
+    ----------
+    quantity : Quantity
+        Its name and unit.
+    power : casadi.SX
+        Power of a unit input, linear in the rates.
+    joint : str
+        The joint on which it acts; empty for others.
+    bounds : mapping of str to (float, float)
+        Limits of the input and of what is observed of it, by name.
+    observed : mapping of Quantity to callable
+        Quantities as functions of the input.
+    wrench : (str, int), optional
+        Body and number of the component of a wrench on it.
+    rotor : str
+        Frame on which a force along an axis acts; empty for others.
+    """
+
+    quantity: Quantity
+    power: ca.SX
+    joint: str = ""
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    observed: Mapping[Quantity, Callable[[ca.SX], ca.SX]] = field(default_factory=dict)
+    wrench: tuple[str, int] | None = None
+    rotor: str = ""
+
+
+def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
+    """Return the inputs: those that were chosen, or all drives of the file but passive ones.
+
+    Raises
+    ------
+    InvalidSetting
+        If a name is no joint, no drive and no component of a wrench, or stands twice.
+    """
+    tree, options = layout.tree, layout.options
+    driven = driven_joints(tree, options)
+    names = options.inputs
+    if names is None:
+        names = [name for name in tree.joints if name in driven]
+        names += [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+    drives = [_drive(name, layout, assembly) for name in names]
+    listed = [drive.quantity.name for drive in drives]
+    if len(set(listed)) < len(listed):
+        raise InvalidSetting(f"inputs: {next(name for name in listed if listed.count(name) > 1)} stands twice")
+    return drives
+
+
+def _drive(name: str, layout: Layout, assembly: Assembly) -> Drive:
+    tree = layout.tree
+    actuators = {each.name: each for each in tree.actuators}
+    if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
+        number = 3 * (part[2] == "torque") + "xyz".index(part[3])
+        unit = np.eye(6)[number]
+        power = layout.motion.power(_centre(layout, part[1]), unit[:3], unit[3:])
+        return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
+    joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
+    joint = joint if joint in tree.joints else joint.rpartition(".")[0]
+    if joint in tree.joints:
+        return _on_joint(joint, layout)
+    if name not in actuators:
+        raise InvalidSetting(
+            f"inputs: {tree.source} has no joint or drive {name}; there are {', '.join([*tree.joints, *actuators])},"
+            " and wrenches on bodies, as BODY.force_z"
+        )
+    actuator = actuators[name]
+    gear = np.array(actuator.gear)
+    if actuator.kind == "tendon":
+        length = assembly.length(tree.tendons[actuator.on])
+        rate = ca.jtimes(length, layout.coordinates.q, layout.coordinates.v)
+        return _of(Quantity(f"{name}.force", "N"), rate, actuator, float(gear[0]), length, rate)
+    size = float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
+    power = layout.motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    unit = ("force", "N") if gear[:3].any() else ("torque", "N.m")
+    drive = _of(Quantity(f"{name}.{unit[0]}", unit[1]), power, actuator, size, ca.SX(0), ca.SX(0))
+    return replace(drive, rotor=actuator.on)
+
+
+def _on_joint(name: str, layout: Layout) -> Drive:
+    """Return the drive of a joint, of its motor where it is elastic."""
+    tree, options = layout.tree, layout.options
+    joint = tree.joints[name]
+    _, unit, force = UNITS[joint.kind]
+    elastic = name in options.elastic
+    if name in options.locked or joint.mimic or joint.kind == "ball" or name not in layout.motion.v:
+        why = "a ball" if joint.kind == "ball" else "a mimic" if joint.mimic else "locked or part of a rope"
+        raise InvalidSetting(f"inputs: {name} is {why} and has no drive of its own")
+    rate = layout.coordinates.velocity(f"{name}{MOTOR}") if elastic else layout.motion.v[name]
+    length = layout.coordinates[f"{name}{MOTOR}"] if elastic else layout.motion.q[name]
+    quantity = Quantity(f"{name}.{force}", unit)
+    on = [actuator for actuator in tree.actuators if actuator.kind == "joint" and actuator.on == name]
+    drive = Drive(quantity, rate, name)
+    if len(on) == 1:
+        drive = _of(quantity, rate, on[0], on[0].gear[0], length, rate, name)
+    if np.isfinite(joint.effort) and quantity.name not in drive.bounds:
+        return Drive(
+            quantity, rate, name, {quantity.name: (-joint.effort, joint.effort), **drive.bounds}, drive.observed
+        )
+    return drive
+
+
+def _of(
+    quantity: Quantity, power: ca.SX, actuator: Actuator, gear: float, length: ca.SX, rate: ca.SX, joint: str = ""
+) -> Drive:
+    """Return the drive of an actuator: its limits, and ctrl where that is not the force itself."""
+    bounds = {quantity.name: _scaled((actuator.lower, actuator.upper), gear)}
+    observed = dict[Quantity, Callable[[ca.SX], ca.SX]]()
+    servo, gain = any(actuator.bias), actuator.gain
+    if servo or gear * gain != 1.0:
+        constant, position, damping = actuator.bias
+        bias = constant + gear * (position * length + damping * rate)
+        ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
+        observed[ctrl] = lambda u: (u / gear - bias) / gain
+        bounds[ctrl.name] = actuator.control
+    else:
+        low, high = bounds[quantity.name]
+        bounds[quantity.name] = (max(low, actuator.control[0]), min(high, actuator.control[1]))
+    return Drive(quantity, power, joint, {k: each for k, each in bounds.items() if np.isfinite(each).any()}, observed)
+
+
+def _scaled(bounds: Bounds, factor: float) -> Bounds:
+    low, high = sorted(factor * each for each in bounds)
+    return low, high
+
+
+def _centre(layout: Layout, body: str) -> Place:
+    return layout.places[body].moved(layout.tree.body[body].centre)
+
+
+def rotors(layout: Layout, drives: list[Drive]) -> list[tuple[Actuator, Mapping[int, float]]]:
+    """Return the drives of frames that share the wrenches among the inputs: force = sum of factor times input.
+
+    Raises
+    ------
+    InvalidSetting
+        If they cannot exert the wrenches alone.
+    """
+    found = list[tuple[Actuator, Mapping[int, float]]]()
+    for body in dict.fromkeys(drive.wrench[0] for drive in drives if drive.wrench):
+        parts = {drive.wrench[1]: k for k, drive in enumerate(drives) if drive.wrench and drive.wrench[0] == body}
+        centre = _centre(layout, body)
+        placed = [(each, layout.place(each.on)) for each in layout.tree.actuators if each.kind == "frame"]
+        on = [(each, place) for each, place in placed if place.stage == centre.stage]
+        if not on:
+            continue
+        G = np.column_stack([_wrench(each, place, centre) for each, place in on])
+        share = np.linalg.pinv(G, rcond=_EXACT)
+        if np.abs(G @ share[:, list(parts)] - np.eye(6)[:, list(parts)]).max() > _EXACT:
+            raise InvalidSetting(
+                f"inputs: {', '.join(each.name for each, _ in on)} cannot exert"
+                f" {', '.join(drives[k].quantity.name for k in parts.values())} independently of each other"
+            )
+        for row, (each, _) in zip(share, on, strict=True):
+            found.append((each, {k: float(row[number]) for number, k in parts.items()}))
+    return found
+
+
+def _wrench(actuator: Actuator, place: Place, centre: Place) -> Array:
+    """Return force and torque about the centre in the axes of the body, for a unit of the drive, shape (6,)."""
+    force, torque = (place.rotation @ np.array(actuator.gear)[part] for part in (slice(0, 3), slice(3, 6)))
+    torque = torque + np.cross(place.position - centre.position, force)
+    return np.concatenate([centre.rotation.T @ force, centre.rotation.T @ torque])

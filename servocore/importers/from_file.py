@@ -1,0 +1,236 @@
+"""`from_file`: a scene from a robot or crane file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from servocore.importers.assembly import Assembly, Mechanism
+from servocore.importers.mjcf import read_mjcf
+from servocore.importers.options import Elastic, Options
+from servocore.importers.tree import Tree
+from servocore.importers.urdf import read_urdf
+from servocore.importers.xml_files import XmlFile
+from servocore.model.drawing import Part
+from servocore.model.limits import RATE, Limit, Named
+from servocore.model.scene import Scene
+from servocore.references.base import Reference
+from servocore.references.profiles import DEGREE13
+from servocore.references.rest_to_rest import rest_to_rest
+
+SUFFIXES = (".urdf", ".xml", ".mjcf", ".sdf")
+"""Suffixes of files that are read; their kind is known by the root element."""
+
+_WAY = {"rad": 0.2, "m": 0.1}
+"""Length of the default path of an output."""
+
+_DURATION = 2.0  # s, of the default path
+_SHARE = 0.2  # of the range of an output, at most
+
+READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf}
+"""Readers by the root element."""
+
+
+def read_tree(path: str | PathLike[str]) -> Tree:
+    """Return the mechanism of a file.
+
+    Parameters
+    ----------
+    path : path-like
+        A URDF, MJCF or SDF file.
+
+    Returns
+    -------
+    Tree
+        Bodies, joints, drives and constraints.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read, contradicts itself, or holds an element that cannot be represented.
+    """
+    file = XmlFile.read(Path(path))
+    if file.root.tag not in READERS:
+        raise file.fault(file.root, "is no robot file: the root element is <robot> (URDF), <mujoco> (MJCF) or <sdf>")
+    return READERS[file.root.tag](file)
+
+
+def from_file(
+    path: str | PathLike[str],
+    outputs: Sequence[str] = (),
+    reference: Reference | None = None,
+    *,
+    inputs: Sequence[str] | None = None,
+    elastic: Mapping[str, Elastic] | None = None,
+    passive: Sequence[str] = (),
+    locked: Sequence[str] = (),
+    points: Sequence[str] = (),
+    ropes: Sequence[str] = (),
+    taut: Sequence[str] = (),
+    posture: Mapping[str, float] | None = None,
+    payload: Mapping[str, float] | None = None,
+    gravity: Sequence[float] | None = None,
+    limits: bool = True,
+) -> Scene:
+    """Return a scene of the mechanism in a URDF, MJCF or SDF file.
+
+    Coordinates are called as the joints, inputs ``JOINT.torque`` or ``JOINT.force`` for slides, motors ``JOINT.motor``.
+
+    Parameters
+    ----------
+    path : path-like
+        The file. MJCF needs the package mujoco (extra ``mjcf``).
+    outputs : sequence of str
+        What follows the path: joints; a frame for its place ``tool0.x``, ``tool0.y``, ``tool0.z`` in the axes of the
+        base (m); ``tool0.rx``, ``.ry``, ``.rz`` for its rotation vector from the posture (rad). All driven joints when
+        empty.
+    reference : Reference, optional
+        Path of the outputs; a short line from the posture when not given.
+    inputs : sequence of str, optional
+        Driven joints, drives of the file, or components of wrenches at the centre of mass of a body in its axes
+        (``drone.force_z``, ``drone.torque_x``); all drives of the file when not given.
+    elastic : mapping of str to Elastic, optional
+        Elastic joints; their stiffness, motor inertia and damping become parameters.
+    passive, locked : sequence of str
+        Joints without a drive; joints that are held in the posture.
+    points : sequence of str
+        Bodies that become point masses with coordinates of their own, tied to their joints by constraints: so a load on
+        a rope of hinges is seen to be flat.
+    ropes : sequence of str
+        Bodies that become point masses on a rope in the place of the free hinges above them.
+    taut : sequence of str
+        Tendons that are ropes of their largest length.
+    posture : mapping of str to float, optional
+        Values of joints (rad, m) at the start; zero, or the middle of limits that exclude zero, for others.
+    payload : mapping of str to float, optional
+        Point masses (kg) at frames; they become parameters.
+    gravity : sequence of float, optional
+        Acceleration of gravity in the axes of the base, m/s2; that of the file, or 9.81 m/s2 along -z, when not given.
+    limits : bool
+        Whether the limits of the file are kept.
+
+    Returns
+    -------
+    Scene
+        With one model, ``file``.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read, contradicts itself or holds an element that cannot be represented, or the outputs
+        are dependent at the posture.
+    InvalidSetting
+        If an option names something that the file does not have.
+
+    Examples
+    --------
+    >>> import servocore as sc
+    >>> arm = sc.scenes.from_file("arm.urdf", elastic={"elbow": sc.Elastic(1e4, motor_inertia=0.3)})  # doctest: +SKIP
+    """
+    options = Options(
+        outputs, inputs, elastic or {}, passive, locked, points, ropes, taut, posture or {}, payload or {}, gravity,
+        limits,
+    )  # fmt: skip
+    return scene_of(read_tree(path), options, reference)
+
+
+def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -> Scene:
+    """Return the scene of a mechanism; see `from_file`.
+
+    Parameters
+    ----------
+    tree : Tree
+        The mechanism.
+    options : Options
+        Choices.
+    reference : Reference, optional
+        Path of the outputs; a short line from the posture when not given.
+    """
+    assembly, factory = Assembly(tree, options), Mechanism(tree, options)
+    limits = limits_of(assembly) if options.limits else ()
+    system = factory()
+    if reference is None:
+        bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
+        target = [
+            _target(x, _WAY.get(each.unit, 0.1), *bounds.get(each.name, (-math.inf, math.inf)))
+            for x, each in zip(system.home, system.outputs, strict=True)
+        ]
+        reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
+    return Scene(
+        tree.name, {"file": factory}, reference, limits=limits, drawing=_Drawing(tree, options), hint=assembly.hint
+    )
+
+
+def _target(start: float, way: float, low: float, high: float) -> float:
+    """Return the end of the default path of an output, within its limits."""
+    way = min(way, _SHARE * (high - low))
+    return start + (way if start + 2 * way < high else -way)
+
+
+def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
+    """Return the limits of a file: of joints, their rates, inputs and controls."""
+    limits = list[Limit]()
+
+    def add(name: str, unit: str, low: float, high: float, rate: bool = False) -> None:
+        if low < high and (math.isfinite(low) or math.isfinite(high)):
+            what = f"{name}{RATE}" if rate else name
+            limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
+
+    for joint in assembly.layout.moving:
+        if joint.kind != "ball":
+            unit = "rad" if joint.kind == "hinge" else "m"
+            add(joint.name, unit, joint.lower, joint.upper)
+            add(joint.name, unit, -joint.velocity, joint.velocity, rate=True)
+    units = {each.name: each.unit for drive in assembly.drives for each in (drive.quantity, *drive.observed)}
+    for drive in assembly.drives:
+        for name, bounds in drive.bounds.items():
+            add(name, units[name], *bounds)
+    return tuple(limits)
+
+
+class _Drawing:
+    """The parts of a mechanism: links as bars between joints, joints as pins, frames that follow a path as bodies."""
+
+    def __init__(self, tree: Tree, options: Options) -> None:
+        self.tree, self.options = tree, options
+
+    def __call__(self, v: Mapping[str, Any]) -> list[Part]:
+        """Return the parts for symbols of the reported quantities by name."""
+        assembly = Assembly(self.tree, self.options)
+        layout, coordinates = assembly.layout, assembly.layout.coordinates
+        values = ca.vertcat(*[v[name] for name in coordinates.names])
+
+        def at(position: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(position, coordinates.q, values)))
+            return x, y, z
+
+        parts, ground = list[Part](), ca.SX(3, 1)
+        origins = [position for _, position in layout.motion.world]
+        for stage, origin in zip(layout.stages, origins, strict=True):
+            parent = origins[stage.parent] if stage.parent >= 0 else ground
+            if not (origin - parent).is_zero():
+                parts.append(Part("bar", (at(parent), at(origin))))
+            parts.append(Part("pin", (at(origin),)))
+        for body, rope in layout.ropes.items():
+            anchor = layout.motion.pose(rope.anchor)[1]
+            parts.append(Part("rope", (at(anchor), at(layout.point(body))), colour=f"{body}.tension"))
+        for name in dict.fromkeys(self._frames(assembly)):
+            place, tip = layout.place(name), layout.position(name)
+            if place.stage >= 0 and not (tip - origins[place.stage]).is_zero():
+                parts.append(Part("bar", (at(origins[place.stage]), at(tip))))
+            parts.append(Part("body", (at(tip),), name))
+        return parts
+
+    def _frames(self, assembly: Assembly) -> list[str]:
+        """Return the frames that follow a path, or the last body where joints do."""
+        names = [name for name in assembly.output_names if name not in self.tree.joints]
+        frames = [
+            name if name in self.tree.body or name in self.tree.frames else name.rpartition(".")[0] for name in names
+        ]
+        loads = [*self.options.points, *self.options.ropes]
+        return [*loads, *(frame for frame in frames if frame not in loads)] or [self.tree.bodies[-1].name]

@@ -1,0 +1,294 @@
+"""MJCF: mechanisms from the model that MuJoCo itself compiles: defaults, frames and inertias are its business.
+
+Coordinates are those of MuJoCo, but for balls and free bodies, whose quaternions count from the file's orientation.
+Limits, servo gains and rest positions become limits, observables and potentials; equality constraints are exact here,
+and soft in MuJoCo.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servocore.errors import InvalidModel, extra
+from servocore.importers.tree import GROUND, IDENTITY, Actuator, Body, Closure, Frame, Joint, Tendon, Tree
+from servocore.importers.xml_files import XmlFile
+from servocore.numerics.compiled_calls import Array
+
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+_KINDS = {2: "slide", 3: "hinge"}
+_FREE, _BALL = 0, 1
+
+
+def read_mjcf(file: XmlFile) -> Tree:
+    """Return the tree of an MJCF file.
+
+    Parameters
+    ----------
+    file : XmlFile
+        With the root ``mujoco``; URDF files that MuJoCo reads are accepted as well.
+
+    Returns
+    -------
+    Tree
+        With sites as frames.
+
+    Raises
+    ------
+    InvalidModel
+        If MuJoCo refuses the file, a path leads out of its folder, or an element cannot be represented; with its name.
+    InvalidSetting
+        If the package mujoco is missing.
+    """
+    _require_inside(file, file.path.parent.resolve(), {file.path.resolve()})
+    mujoco = extra("mujoco")
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)  # MuJoCo's own writes a file into the current folder
+    try:
+        model = mujoco.MjModel.from_xml_path(str(file.path))
+    except ValueError as error:
+        raise InvalidModel(f"{file.path.name}: MuJoCo refuses it: {' '.join(str(error).split())}") from None
+    finally:
+        mujoco.set_mju_user_warning(before)
+    return _Reader(file, model, mujoco).tree()
+
+
+def _require_inside(file: XmlFile, folder: Path, read: set[Path]) -> None:
+    """Refuse paths that lead out of the folder of the first file, in included files too."""
+    folders = [str(each.get(name)) for each in file.root.iter() for name in _FOLDERS if each.get(name)]
+    for element in file.root.iter():
+        if element.tag in ("plugin", "extension"):
+            raise file.fault(element, "is a plugin, which cannot be represented")
+        for path in [value for name, value in element.attrib.items() if name.startswith("file") or name in _FOLDERS]:
+            for base in ("", *folders):
+                if not (folder / base / path).resolve().is_relative_to(folder):
+                    raise file.fault(element, f"names {path}, which is outside the folder of {file.path.name}")
+        if element.tag in ("include", "model", "attach") and element.get("file"):
+            other = (folder / str(element.get("file"))).resolve()
+            if other not in read and other.suffix != ".obj":
+                read.add(other)
+                _require_inside(XmlFile.read(other), folder, read)
+
+
+class _Reader:
+    def __init__(self, file: XmlFile, model: Any, mujoco: Any) -> None:
+        self.file, self.m, self.mujoco = file, model, mujoco
+        self.left_out, self.frames = list[str](), dict[str, Frame]()
+        count = model.nbody
+        self.bodies = [GROUND, *(model.body(k).name or f"body{k}" for k in range(1, count))]
+        self.joints = [
+            model.joint(k).name
+            or f"{self.bodies[model.jnt_bodyid[k]]}.joint{k - model.body_jntadr[model.jnt_bodyid[k]]}"
+            for k in range(model.njnt)
+        ]
+        self.sites = [model.site(k).name or f"site{k}" for k in range(model.nsite)]
+        self.tendons = [model.tendon(k).name or f"tendon{k}" for k in range(model.ntendon)]
+
+    def fault(self, sentence: str) -> InvalidModel:
+        return InvalidModel(f"{self.file.path.name}: {sentence}")
+
+    def tree(self) -> Tree:
+        m = self.m
+        self._require_representable()
+        for k, name in enumerate(self.sites):
+            body = self.bodies[m.site_bodyid[k]]
+            self.frames[name if name not in self.bodies else f"{name}.site"] = self._frame(
+                body, m.site_pos[k], self._rotation(m.site_quat[k])
+            )
+        bodies = [self._body(k) for k in range(1, m.nbody)]
+        weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        x, y, z = (0.0, 0.0, 0.0) if weightless else m.opt.gravity.tolist()
+        name = self.file.root.get("model") or self.file.root.get("name") or self.file.path.stem
+        tendons = {name: self._tendon(k, name) for k, name in enumerate(self.tendons)}
+        actuators = self._actuators()
+        closures = [closure for k in range(m.neq) for closure in self._closure(k)]
+        self._list_left_out()
+        return Tree(
+            name.replace(" ", "_"), self.file.path.name, bodies, self.frames, actuators, tendons, closures, (x, y, z),
+            tuple(self.left_out),
+        )  # fmt: skip
+
+    def _frame(self, body: str, position: Array, rotation: Array = IDENTITY) -> Frame:
+        return Frame(body, np.array(position), rotation)
+
+    def _rotation(self, quaternion: Array) -> Array:
+        matrix = np.zeros(9)
+        self.mujoco.mju_quat2Mat(matrix, quaternion)
+        return matrix.reshape(3, 3)
+
+    def _require_representable(self) -> None:
+        """Refuse elements that change the motion and have no counterpart."""
+        m, bits = self.m, self.mujoco.mjtDisableBit
+        for count, what in ((m.nflex, "flex"), (m.nplugin, "plugin")):
+            if count:
+                raise self.fault(f"it holds a {what}, which cannot be represented")
+        for bit, what in (
+            (bits.mjDSBL_SPRING, "springs"),
+            (bits.mjDSBL_DAMPER, "dampers"),
+            (bits.mjDSBL_EQUALITY, "equality"),
+        ):
+            if m.opt.disableflags & int(bit):
+                raise self.fault(f"its flags disable {what}: delete these elements instead")
+        listed = (
+            ("body_gravcomp", self.bodies, "compensates gravity"),
+            ("jnt_stiffnesspoly", self.joints, "has a nonlinear spring"),
+            ("dof_dampingpoly", [self.joints[k] for k in m.dof_jntid], "has a nonlinear damper"),
+            ("tendon_stiffnesspoly", self.tendons, "has a nonlinear spring"),
+            ("tendon_dampingpoly", self.tendons, "has a nonlinear damper"),
+            ("tendon_armature", self.tendons, "has armature"),
+            ("actuator_dampingpoly", [m.actuator(k).name for k in range(m.nu)], "has a nonlinear damper"),
+        )
+        for attribute, names, what in listed:
+            for k in np.flatnonzero(np.atleast_2d(getattr(m, attribute, np.zeros(0)).T).any(axis=0)):
+                raise self.fault(f"{attribute.partition('_')[0]} {names[k]} {what}, which cannot be represented")
+
+    def _body(self, k: int) -> Body:
+        m = self.m
+        axes, rotation = self._rotation(m.body_iquat[k]), self._rotation(m.body_quat[k])
+        adr, count = m.body_jntadr[k], m.body_jntnum[k]
+        joints = [joint for j in range(adr, adr + count) for joint in self._joint(j, rotation)]
+        inertia = axes @ np.diag(m.body_inertia[k]) @ axes.T
+        return Body(
+            self.bodies[k], self.bodies[m.body_parentid[k]], np.array(m.body_pos[k]), rotation, float(m.body_mass[k]),
+            np.array(m.body_ipos[k]), inertia, tuple(joints),
+        )  # fmt: skip
+
+    def _joint(self, j: int, rotation: Array) -> list[Joint]:
+        """Return the elementary joints of a joint of a body with this rotation in its parent's axes."""
+        m, name, kind = self.m, self.joints[j], int(self.m.jnt_type[j])
+        dof, place = int(m.jnt_dofadr[j]), int(m.jnt_qposadr[j])
+        damping, armature = float(m.dof_damping[dof]), float(m.dof_armature[dof])
+        if kind in (_FREE, _BALL):
+            if m.jnt_stiffness[j]:
+                raise self.fault(f"joint {name} has a spring, which a ball or a free body cannot have here")
+            if m.jnt_limited[j]:
+                self.left_out.append(f"limit of joint {name}: a ball has none")
+            last = dof + 5 if kind == _FREE else dof
+            ball = Joint(
+                name,
+                "ball",
+                anchor=np.array(m.jnt_pos[j]),
+                damping=float(m.dof_damping[last]),
+                armature=float(m.dof_armature[last]),
+            )
+            slides = [
+                Joint(
+                    f"{name}.{'xyz'[k]}", "slide", rotation.T[:, k], damping=damping, armature=armature,
+                    zero=float(m.qpos0[place + k]),
+                )
+                for k in range(3)
+            ]  # fmt: skip
+            return [*slides, ball] if kind == _FREE else [ball]
+        lower, upper = m.jnt_range[j].tolist() if m.jnt_limited[j] else (-math.inf, math.inf)
+        effort = float(np.abs(m.jnt_actfrcrange[j]).max()) if m.jnt_actfrclimited[j] else math.inf
+        return [
+            Joint(
+                name, _KINDS[kind], np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper, effort=effort,
+                stiffness=float(m.jnt_stiffness[j]), rest=float(m.qpos_spring[place]), damping=damping,
+                armature=armature, zero=float(m.qpos0[place]),
+            )
+        ]  # fmt: skip
+
+    def _tendon(self, k: int, name: str) -> Tendon:
+        m, wraps = self.m, self.mujoco.mjtWrap
+        terms, branches, refusal = dict[str, float](), [(1.0, list[str]())], ""
+        for w in range(m.tendon_adr[k], m.tendon_adr[k] + m.tendon_num[k]):
+            kind, place, value = int(m.wrap_type[w]), int(m.wrap_objid[w]), float(m.wrap_prm[w])
+            if kind == wraps.mjWRAP_JOINT:
+                terms[self.joints[place]] = value
+            elif kind == wraps.mjWRAP_PULLEY:
+                branches.append((value, []))
+            elif kind == wraps.mjWRAP_SITE:
+                branches[-1][1].append(self.sites[place])
+            else:
+                refusal = f"wraps around the geom {m.geom(place).name or place}, which cannot be represented"
+        low, high = m.tendon_lengthspring[k].tolist()
+        if m.tendon_limited[k]:
+            self.left_out.append(f"range of tendon {name}, unless it is taut=['{name}']")
+        return Tendon(
+            name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), low if low == high else math.nan,
+            float(m.tendon_damping[k]), float(m.tendon_range[k][1]) if m.tendon_limited[k] else math.inf, refusal,
+        )  # fmt: skip
+
+    def _closure(self, k: int) -> list[Closure]:
+        """Return an equality constraint; none where it is not active."""
+        m, kinds, sites = self.m, self.mujoco.mjtEq, self.mujoco.mjtObj.mjOBJ_SITE
+        name, kind, data = m.eq(k).name or f"equality{k}", int(m.eq_type[k]), m.eq_data[k]
+        first, second = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+        if not m.eq_active0[k]:
+            self.left_out.append(f"equality {name}, which is not active")
+            return []
+        if kind in (kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
+            names = self.joints if kind == kinds.mjEQ_JOINT else self.tendons
+            values = m.qpos0[m.jnt_qposadr] if kind == kinds.mjEQ_JOINT else m.tendon_length0
+            rest = (float(values[first]), float(values[second]) if second >= 0 else 0.0)
+            one, other = names[first], names[second] if second >= 0 else ""
+            return [Closure(name, "joint" if kind == kinds.mjEQ_JOINT else "tendon", one, other, tuple(data[:5]), rest)]
+        if kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            raise self.fault(f"equality {name} has a type that cannot be represented")
+        weld = kind == kinds.mjEQ_WELD
+        if m.eq_objtype[k] == sites:
+            return [Closure(name, "weld" if weld else "connect", self.sites[first], self.sites[second])]
+        # A weld lists the point on the second body before the pose in the first one, a connect the other way round.
+        one, other = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
+        relative = self._rotation(data[6:10]) if weld else IDENTITY
+        self.frames[f"{name}.1"] = self._frame(self.bodies[first], one, relative)
+        self.frames[f"{name}.2"] = self._frame(self.bodies[second], other)
+        return [Closure(name, "weld" if weld else "connect", f"{name}.1", f"{name}.2")]
+
+    def _actuators(self) -> list[Actuator]:
+        m, found, on = self.m, list[Actuator](), set[str]()
+        kinds = self.mujoco.mjtTrn
+        for k in range(m.nu):
+            kind, target = int(m.actuator_trntype[k]), int(m.actuator_trnid[k][0])
+            name, gear = m.actuator(k).name, m.actuator_gear[k]
+            if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT) and m.jnt_type[target] in _KINDS:
+                where, place, gears = "joint", self.joints[target], (float(gear[0]),)
+            elif kind == kinds.mjTRN_TENDON:
+                where, place, gears = "tendon", self.tendons[target], (float(gear[0]),)
+            elif kind == kinds.mjTRN_SITE and m.actuator_trnid[k][1] < 0:
+                where, place, gears = "frame", self.sites[target], tuple(gear.tolist())
+            else:
+                raise self.fault(
+                    f"actuator {name or k} acts on something else than a hinge, a slide, a tendon or a site"
+                )
+            name = name or f"{place}.drive"
+            if where == "joint" and place in on:
+                self.left_out.append(f"gain and limits of actuator {name}: joint {place} has another drive")
+            on |= {place} if where == "joint" else set()
+            found.append(self._actuator(k, name, where, place, gears))
+        return found
+
+    def _actuator(self, k: int, name: str, where: str, place: str, gear: tuple[float, ...]) -> Actuator:
+        m, open_ended = self.m, (-math.inf, math.inf)
+        gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
+        affine = m.actuator_biastype[k] == biases.mjBIAS_AFFINE
+        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (
+            affine or m.actuator_biastype[k] == biases.mjBIAS_NONE
+        )
+        if not known or m.actuator_dyntype[k] in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
+            raise self.fault(f"actuator {name} is no motor and no position or velocity servo: it cannot be represented")
+        for attribute in ("actuator_armature", "actuator_damping"):
+            if getattr(m, attribute, np.zeros(m.nu))[k]:
+                raise self.fault(f"actuator {name} has {attribute[9:]}: give it to the joint instead")
+        if m.actuator_dyntype[k] != dynamics.mjDYN_NONE:
+            self.left_out.append(f"dynamics of actuator {name}: the input is its force")
+        lower, upper = m.actuator_forcerange[k].tolist() if m.actuator_forcelimited[k] else open_ended
+        control = tuple(m.actuator_ctrlrange[k].tolist()) if m.actuator_ctrllimited[k] else open_ended
+        bias = tuple(m.actuator_biasprm[k][:3].tolist()) if affine else (0.0, 0.0, 0.0)
+        return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, lower, upper, control)
+
+    def _list_left_out(self) -> None:
+        """List elements without a part in the model."""
+        m = self.m
+        if m.ngeom and (m.geom_contype.any() or m.geom_conaffinity.any()):
+            self.left_out.append("contact between geoms")
+        for k in np.flatnonzero(m.dof_frictionloss):
+            self.left_out.append(f"dry friction of joint {self.joints[m.dof_jntid[k]]}")
+        for k in np.flatnonzero(m.tendon_frictionloss):
+            self.left_out.append(f"dry friction of tendon {self.tendons[k]}")
+        if m.opt.density or m.opt.viscosity:
+            self.left_out.append("forces of the fluid")

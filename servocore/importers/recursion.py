@@ -1,0 +1,345 @@
+"""Dynamics of a tree of rigid bodies by recursion: composite bodies for M, Newton-Euler for the inertia forces.
+
+A `Stage` is a frame behind one hinge, one ball or up to three slides, with everything fixed to it as one inertia. With
+q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its parent's axes, and in its own axes
+
+    w = R^T w_p + W q_dot,    v = R^T (v_p + w_p x p) + V q_dot;
+
+W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, W = 2 E(e) for a unit quaternion e.
+
+R. Featherstone: Rigid Body Dynamics Algorithms. Springer 2008, chapters 5 and 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from servocore.importers.tree import GROUND, IDENTITY, ZERO, Joint, Tree
+from servocore.numerics.compiled_calls import Array
+
+_UNPHYSICAL = 1e-3  # relative: CAD exports round inertias to three or four digits
+_NEGLIGIBLE = 1e-9  # kg m2
+_TINY = 1e-14  # of the largest entry of an inertia: zero but for round-off
+_ROUND_OFF = 1e-12  # of a direction or a place in m: files write pi with twelve digits
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A pose fixed to a stage; -1 is the ground. Shapes (3,), (3, 3)."""
+
+    stage: int
+    position: Array
+    rotation: Array
+
+    def moved(self, position: Array, rotation: Array = IDENTITY) -> Place:
+        """Return the place with this pose in the axes of this one."""
+        return Place(self.stage, self.position + self.rotation @ position, self.rotation @ rotation)
+
+
+@dataclass(eq=False)
+class Stage:
+    """A frame behind joints, with its inertia.
+
+    Attributes
+    ----------
+    parent : int
+        Its parent stage; -1 for the ground.
+    base : Place
+        Pose of the joints' frame in the parent's axes.
+    joints : tuple of Joint
+        One hinge, one ball, or slides.
+    mass, moment, inertia : float, ndarray of shapes (3,) and (3, 3)
+        Mass, first moment and inertia about the origin, in its axes.
+    """
+
+    parent: int
+    base: Place
+    joints: tuple[Joint, ...]
+    mass: float = 0.0
+    moment: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def carry(self, mass: float, centre: Array, inertia: Array) -> None:
+        """Add the inertia of a body about its centre of mass, both in the axes of the stage."""
+        self.mass += mass
+        self.moment += mass * centre
+        self.inertia += inertia + mass * _about(centre)
+
+    def require_physical(self, tree: Tree) -> None:
+        """Raise `InvalidModel` if no distribution of mass has this inertia.
+
+        Bodies that are fixed to each other are judged as one: files share inertias among them carelessly.
+        """
+        centre = self.moment / self.mass if self.mass > 0.0 else ZERO
+        small, middle, large = np.linalg.eigvalsh(self.inertia - self.mass * _about(centre))
+        if small + middle < (1.0 - _UNPHYSICAL) * large - _NEGLIGIBLE:
+            body = next(body.name for body in tree.bodies if self.joints[0] in body.joints)
+            raise tree.fault(
+                f"the body {body}, with all that is fixed to it, has the principal inertias {small:.4g}, {middle:.4g}"
+                f" and {large:.4g} kg m2, which no distribution of mass has: the largest exceeds the sum of the others"
+            )
+
+
+def _about(point: Array) -> Array:
+    """Return the inertia of a unit mass at a point about the origin."""
+    return np.asarray(point @ point * IDENTITY - np.outer(point, point))
+
+
+def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
+    """Return numbers as an expression without those that are smaller than the least one: round-off of zeros."""
+    rounded = np.where(np.abs(values) < least, 0.0, values)
+    return ca.SX(ca.sparsify(ca.DM(rounded)))
+
+
+def stages_of(
+    tree: Tree, without: Sequence[str] = (), dropped: Sequence[str] = ()
+) -> tuple[list[Stage], dict[str, Place]]:
+    """Return the stages of a tree, and the place of every body.
+
+    Parameters
+    ----------
+    tree : Tree
+        The mechanism.
+    without : sequence of str
+        Bodies whose mass is left out, for it has coordinates of its own.
+    dropped : sequence of str
+        Joints that are held at their zero.
+    """
+    stages: list[Stage] = []
+    places = {GROUND: Place(-1, ZERO, IDENTITY)}
+    for body in tree.bodies:
+        here = places[body.parent].moved(body.position, body.rotation)
+        for group in _groups([joint for joint in body.joints if joint.name not in dropped]):
+            stages.append(Stage(here.stage, here.moved(group[0].anchor), group))
+            here = Place(len(stages) - 1, -group[0].anchor, IDENTITY)
+        places[body.name] = here
+        if here.stage >= 0 and body.name not in without:
+            turned = here.rotation @ body.inertia @ here.rotation.T
+            stages[here.stage].carry(body.mass, here.moved(body.centre).position, turned)
+    for stage in stages:
+        stage.require_physical(tree)
+    return stages, places
+
+
+def _groups(joints: Sequence[Joint]) -> Iterator[tuple[Joint, ...]]:
+    """Yield the joints of a body, slides in a row as one group: no rotation lies between them."""
+    group: tuple[Joint, ...] = ()
+    for joint in joints:
+        if group and joint.kind == group[-1].kind == "slide":
+            group += (joint,)
+            continue
+        if group:
+            yield group
+        group = (joint,)
+    if group:
+        yield group
+
+
+def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return the columns a x b of a vector and a matrix."""
+    return ca.mtimes(ca.sparsify(ca.skew(a)), b)
+
+
+def quaternion_rotation(e: ca.SX) -> ca.SX:
+    """Return R(e), shape (3, 3), of a unit quaternion, scalar part first."""
+    w, x, y, z = ca.vertsplit(e)
+    return ca.blockcat([
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ])  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Kinematics and dynamics of stages, for expressions of their coordinates.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        Parents before children.
+    q, v : mapping of str to casadi.SX
+        Coordinates and their rates by name.
+    loads : sequence of (Place, casadi.SX)
+        Further point masses, kg.
+    """
+
+    stages: Sequence[Stage]
+    q: Mapping[str, ca.SX]
+    v: Mapping[str, ca.SX]
+    loads: Sequence[tuple[Place, ca.SX]] = ()
+
+    @cached_property
+    def _inertias(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
+        """Mass, first moment and inertia about the origin of every stage."""
+        found = []
+        for stage in self.stages:
+            moment, inertia = (
+                sparse(each, _TINY * np.abs(each).max(initial=0.0)) for each in (stage.moment, stage.inertia)
+            )
+            found.append((ca.SX(stage.mass), moment, inertia))
+        for place, mass in self.loads:
+            if place.stage >= 0:
+                m, c, J = found[place.stage]
+                point = place.position
+                found[place.stage] = (m + mass, c + mass * sparse(point), J + mass * sparse(_about(point)))
+        return found
+
+    @cached_property
+    def columns(self) -> Mapping[str, int]:
+        """Number of every coordinate of the stages."""
+        names = [name for stage in self.stages for joint in stage.joints for name in joint.coordinates]
+        return {name: k for k, name in enumerate(names)}
+
+    @cached_property
+    def _local(self) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]]:
+        """R, p in the parent's axes, W, V, rates of every stage."""
+        local = []
+        for stage in self.stages:
+            names = [name for joint in stage.joints for name in joint.coordinates]
+            q, v = (ca.vertcat(*[values[name] for name in names]) for values in (self.q, self.v))
+            offset = ca.vertcat(*[q[k] - joint.zero for k, joint in enumerate(stage.joints)])
+            rotation, position = sparse(stage.base.rotation), sparse(stage.base.position)
+            axes = sparse(np.column_stack([joint.axis for joint in stage.joints]))
+            turn, slide = ca.SX(3, q.numel()), ca.SX(3, q.numel())
+            if stage.joints[0].kind == "slide":
+                position, slide = position + ca.mtimes(rotation, ca.mtimes(axes, offset)), axes
+            elif stage.joints[0].kind == "hinge":
+                rotation, turn = ca.mtimes(rotation, _turned(axes, offset)), axes
+            else:
+                w, x, y, z = ca.vertsplit(q)
+                turn = 2 * ca.blockcat([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+                rotation = ca.mtimes(rotation, quaternion_rotation(q))
+            local.append((rotation, position, turn, slide, v))
+        return local
+
+    @cached_property
+    def world(self) -> list[tuple[ca.SX, ca.SX]]:
+        """Rotation and position of every stage in the axes of the ground."""
+        found: list[tuple[ca.SX, ca.SX]] = []
+        for stage, (R, p, *_) in zip(self.stages, self._local, strict=True):
+            turned, origin = found[stage.parent] if stage.parent >= 0 else (ca.SX.eye(3), ca.SX(3, 1))
+            found.append((ca.mtimes(turned, R), origin + ca.mtimes(turned, p)))
+        return found
+
+    @cached_property
+    def rates(self) -> list[tuple[ca.SX, ca.SX]]:
+        """Angular velocity and velocity of the origin of every stage, in its own axes."""
+        found: list[tuple[ca.SX, ca.SX]] = []
+        for stage, (R, p, W, V, v) in zip(self.stages, self._local, strict=True):
+            w, u = found[stage.parent] if stage.parent >= 0 else (ca.SX(3, 1), ca.SX(3, 1))
+            found.append((ca.mtimes(R.T, w) + ca.mtimes(W, v), ca.mtimes(R.T, u + _cross(w, p)) + ca.mtimes(V, v)))
+        return found
+
+    def pose(self, place: Place) -> tuple[ca.SX, ca.SX]:
+        """Return rotation and position of a place in the axes of the ground."""
+        R, p = self.world[place.stage] if place.stage >= 0 else (ca.SX.eye(3), ca.SX(3, 1))
+        return ca.mtimes(R, sparse(place.rotation)), p + ca.mtimes(R, sparse(place.position))
+
+    def power(self, place: Place, force: Array, torque: Array) -> ca.SX:
+        """Return the power of a unit wrench that acts at a place, both in its axes."""
+        if place.stage < 0:
+            return ca.SX(0)
+        w, u = self.rates[place.stage]
+        along, about = sparse(place.rotation @ force), sparse(place.rotation @ torque)
+        return ca.dot(along, u + _cross(w, sparse(place.position))) + ca.dot(about, w)
+
+    def mass(self) -> ca.SX:
+        """Return M, shape (coordinates, coordinates), by composite bodies."""
+        count = len(self.columns)
+        mass = ca.SX(count, count)
+        starts = self._starts
+        composite = list(self._inertias)
+        for i in reversed(range(len(self.stages))):
+            m, c, J = composite[i]
+            _, _, W, V, _ = self._local[i]
+            # Momentum of the composite body for unit rates: m v + w x c and J w + c x v.
+            f, n, j = m * V - _cross(c, W), ca.mtimes(J, W) + _cross(c, V), i
+            rows = slice(starts[i], starts[i] + W.size2())
+            while True:
+                _, _, W, V, _ = self._local[j]
+                block = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
+                columns = slice(starts[j], starts[j] + W.size2())
+                mass[columns, rows] = block
+                mass[rows, columns] = block.T
+                R, p, j = *self._local[j][:2], self.stages[j].parent
+                f = ca.mtimes(R, f)
+                n = ca.mtimes(R, n) + _cross(p, f)
+                if j < 0:
+                    break
+            if (parent := self.stages[i].parent) >= 0:
+                above, added = composite[parent], _shifted(m, c, J, *self._local[i][:2])
+                composite[parent] = (above[0] + added[0], above[1] + added[1], above[2] + added[2])
+        return ca.sparsify(mass)
+
+    def spread(self, values: Mapping[str, float]) -> ca.SX:
+        """Return W^T W or V^T V times a value of every joint, shape (coordinates, coordinates).
+
+        So armature and damping act on the rates of joints, on the angular velocity of a ball.
+        """
+        matrix = ca.SX(len(self.columns), len(self.columns))
+        for stage, (_, _, W, _, _) in zip(self.stages, self._local, strict=True):
+            for joint in stage.joints:
+                if joint.name in values:
+                    k = self.columns[joint.coordinates[0]]
+                    block = ca.mtimes(W.T, W) if joint.kind == "ball" else ca.SX(1)
+                    matrix[k : k + block.size1(), k : k + block.size1()] = values[joint.name] * block
+        return ca.sparsify(matrix)
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        """Number of the first coordinate of every stage."""
+        return [self.columns[stage.joints[0].coordinates[0]] for stage in self.stages]
+
+    def inertia_forces(self) -> ca.SX:
+        """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
+        accelerations: list[tuple[ca.SX, ca.SX]] = []
+        wrenches: list[tuple[ca.SX, ca.SX]] = []
+        for k, (stage, (R, p, W, V, v), (w, _)) in enumerate(zip(self.stages, self._local, self.rates, strict=True)):
+            if stage.parent < 0:
+                alpha, a, carried = ca.SX(3, 1), ca.SX(3, 1), ca.SX(3, 1)
+            else:
+                (w_p, _), (alpha_p, a_p) = self.rates[stage.parent], accelerations[stage.parent]
+                carried, alpha = ca.mtimes(R.T, w_p), ca.mtimes(R.T, alpha_p)
+                a = ca.mtimes(R.T, a_p + _cross(alpha_p, p) + _cross(w_p, _cross(w_p, p)))
+            alpha = alpha + _cross(carried, ca.mtimes(W, v))
+            a = a + 2 * _cross(carried, ca.mtimes(V, v))
+            accelerations.append((alpha, a))
+            m, c, J = self._inertias[k]
+            force = m * a + _cross(alpha, c) + _cross(w, _cross(w, c))
+            wrenches.append((force, ca.mtimes(J, alpha) + _cross(w, ca.mtimes(J, w)) + _cross(c, a)))
+        forces = ca.SX(len(self.columns), 1)
+        for i in reversed(range(len(self.stages))):
+            (f, n), (R, p, W, V, _) = wrenches[i], self._local[i]
+            forces[self._starts[i] : self._starts[i] + W.size2()] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
+            if (parent := self.stages[i].parent) >= 0:
+                f, n = ca.mtimes(R, f), ca.mtimes(R, n)
+                wrenches[parent] = (wrenches[parent][0] + f, wrenches[parent][1] + n + _cross(p, f))
+        return forces
+
+    def weight(self, gravity: ca.SX) -> ca.SX:
+        """Return the potential of gravity, J, for its acceleration in the axes of the ground, shape (3,)."""
+        terms = [
+            m * ca.dot(gravity, p) + ca.dot(gravity, ca.mtimes(R, c))
+            for (m, c, _), (R, p) in zip(self._inertias, self.world, strict=True)
+        ]
+        return -sum(terms, ca.SX(0))
+
+
+def _turned(axis: ca.SX, angle: ca.SX) -> ca.SX:
+    """Return the rotation about a unit axis."""
+    along = ca.mtimes(axis, axis.T)
+    return ca.cos(angle) * ca.sparsify(ca.SX.eye(3) - along) + ca.sin(angle) * ca.sparsify(ca.skew(axis)) + along
+
+
+def _shifted(m: ca.SX, c: ca.SX, J: ca.SX, R: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return mass, first moment and inertia of a stage about the origin and in the axes of its parent."""
+    c, P = ca.mtimes(R, c), ca.sparsify(ca.skew(p))
+    C = ca.sparsify(ca.skew(c))
+    inertia = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
+    return m, c + m * p, inertia

@@ -1,0 +1,324 @@
+"""`Tree`: a mechanism of rigid bodies and joints, in the form that all readers produce.
+
+Every body has a pose in its parent's axes (where all joints are at their zero), inertia, and the joints, in order, that
+let it move against its parent; a body without joints is fixed to it. Joints of several degrees of freedom are made of
+hinges, slides and balls: a free body has three slides and a ball.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.numerics.compiled_calls import Array
+
+GROUND = ""
+"""Name of the parent of bodies that stand on the ground."""
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+"""Acceleration of gravity of files that do not state one, m/s2."""
+
+_LONGEST = 300.0  # m between two joints: cranes are smaller, robots in millimetres are larger
+_SLENDER = 30.0  # radius of gyration in lengths of the mechanism: inertias in kg mm2 are a thousand
+
+ZERO = np.zeros(3)
+ZERO.flags.writeable = False
+IDENTITY = np.eye(3)
+IDENTITY.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One elementary joint of a body.
+
+    Parameters
+    ----------
+    name : str
+        Name of its coordinate; a ball has four, ``name.e0`` ... ``name.e3``, a unit quaternion.
+    kind : str
+        ``hinge``, ``slide`` or ``ball``.
+    axis, anchor : ndarray, shape (3,)
+        Direction and point of the axis in the axes of the body, at zero; unit length, m.
+    lower, upper, velocity, effort : float
+        Limits in rad or m, rad/s or m/s, N m or N; infinite where there is none.
+    stiffness, rest, damping : float
+        Spring between body and parent, coordinate at which it is relaxed, viscous damping.
+    armature : float
+        Inertia of the motor behind its gear, kg m2 or kg.
+    zero : float
+        Coordinate at which the body has its pose.
+    mimic : (str, float, float), optional
+        Joint that this one follows, with factor and offset.
+    """
+
+    name: str
+    kind: str = "hinge"
+    axis: Array = field(default_factory=lambda: IDENTITY[2])
+    anchor: Array = field(default_factory=lambda: ZERO)
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    effort: float = math.inf
+    stiffness: float = 0.0
+    rest: float = 0.0
+    damping: float = 0.0
+    armature: float = 0.0
+    zero: float = 0.0
+    mimic: tuple[str, float, float] | None = None
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of its coordinates."""
+        return tuple(f"{self.name}.e{k}" for k in range(4)) if self.kind == "ball" else (self.name,)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body.
+
+    Parameters
+    ----------
+    name, parent : str
+        Names; `GROUND` is no body.
+    position : ndarray, shape (3,)
+        Of its origin in the parent's axes, m, where all joints are at their zero.
+    rotation : ndarray, shape (3, 3)
+        Columns are its axes in those of the parent.
+    mass : float
+        In kg.
+    centre : ndarray, shape (3,)
+        Centre of mass in its axes, m.
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass in its axes, kg m2.
+    joints : sequence of Joint
+        Between parent and body, in the order in which they act.
+    """
+
+    name: str
+    parent: str = GROUND
+    position: Array = field(default_factory=lambda: ZERO)
+    rotation: Array = field(default_factory=lambda: IDENTITY)
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: ZERO)
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    joints: Sequence[Joint] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A point with axes on a body: a tool, a site. Position (m) and rotation in the axes of the body."""
+
+    body: str
+    position: Array = field(default_factory=lambda: ZERO)
+    rotation: Array = field(default_factory=lambda: IDENTITY)
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator:
+    """A drive on a joint, a tendon or a frame; its input is the force behind the gear.
+
+    Parameters
+    ----------
+    name : str
+        In the file.
+    kind, on : str
+        ``joint``, ``tendon`` or ``frame``, and the name of that.
+    gear : tuple of float
+        Force per unit of the drive: one number, or force and torque in the axes of the frame.
+    gain, bias : float, tuple of float
+        Drive = gain ctrl + bias[0] + bias[1] length + bias[2] rate of the length.
+    lower, upper : float
+        Limits of the drive.
+    control : tuple of float
+        Limits of ctrl.
+    """
+
+    name: str
+    kind: str
+    on: str
+    gear: tuple[float, ...] = (1.0,)
+    gain: float = 1.0
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lower: float = -math.inf
+    upper: float = math.inf
+    control: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Tendon:
+    """A length: a combination of coordinates, or a path through frames with pulleys between.
+
+    Parameters
+    ----------
+    name : str
+        In the file.
+    terms : mapping of str to float
+        Coefficients of joints.
+    branches : sequence of (float, sequence of str)
+        Divisors and frames of the branches of a path through space.
+    stiffness, rest, damping : float
+        Of its spring.
+    longest : float
+        Upper limit of its length, at which a rope is taut, m.
+    refusal : str
+        Why its length cannot be computed; empty if it can.
+    """
+
+    name: str
+    terms: Mapping[str, float] = field(default_factory=dict)
+    branches: Sequence[tuple[float, Sequence[str]]] = ()
+    stiffness: float = 0.0
+    rest: float = 0.0
+    damping: float = 0.0
+    longest: float = math.inf
+    refusal: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """A constraint beside the tree.
+
+    Parameters
+    ----------
+    name, kind : str
+        ``connect`` (one common point), ``weld`` (one common frame), ``hinge`` (common point and axis z), ``joint`` or
+        ``tendon`` (first - rest = polynomial of second - rest).
+    first, second : str
+        Names of frames, joints or tendons; the second joint or tendon may be empty.
+    polynomial : tuple of float
+        Coefficients in rising order.
+    rest : (float, float)
+        Values of both at which the polynomial has its origin.
+    """
+
+    name: str
+    kind: str
+    first: str
+    second: str
+    polynomial: tuple[float, ...] = ()
+    rest: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """A mechanism: bodies, named frames, drives, constraints, and a list of all that the model leaves out.
+
+    Parameters
+    ----------
+    name, source : str
+        Name of the mechanism, and of its file in messages.
+    bodies : sequence of Body
+        In any order; `Tree` sorts parents before children.
+    frames : mapping of str to Frame
+        Beside those of the bodies.
+    actuators : sequence of Actuator
+        Drives.
+    tendons : mapping of str to Tendon
+        By name.
+    closures : sequence of Closure
+        Constraints beside the tree.
+    gravity : tuple of float
+        Acceleration in the axes of the ground, m/s2.
+    left_out : sequence of str
+        Elements of the file that have no part in the model, with the reason.
+
+    Raises
+    ------
+    InvalidModel
+        If a name stands twice, a parent is missing, bodies form a cycle, or mass or inertia are not physical.
+    """
+
+    name: str
+    source: str
+    bodies: Sequence[Body]
+    frames: Mapping[str, Frame] = field(default_factory=dict)
+    actuators: Sequence[Actuator] = ()
+    tendons: Mapping[str, Tendon] = field(default_factory=dict)
+    closures: Sequence[Closure] = ()
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    left_out: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        for kind, names in (
+            ("bodies", [body.name for body in self.bodies]),
+            ("joints", [joint.name for body in self.bodies for joint in body.joints]),
+        ):
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise self.fault(f"two {kind} are called {twice}")
+        object.__setattr__(self, "bodies", tuple(self._sorted()))
+        for body in self.bodies:
+            self._require_physical(body)
+        self._require_metres()
+
+    def fault(self, sentence: str) -> InvalidModel:
+        """Return the error of a sentence about the file."""
+        return InvalidModel(f"{self.source}: {sentence}")
+
+    def _sorted(self) -> list[Body]:
+        """Return the bodies, parents before children."""
+        known, left = {GROUND}, list(self.bodies)
+        placed: list[Body] = []
+        while left:
+            ready = [body for body in left if body.parent in known]
+            if not ready:
+                lost = {body.name: body.parent for body in left}
+                missing = next((body for body in left if body.parent not in lost), None)
+                if missing is not None:
+                    raise self.fault(f"the body {missing.name} hangs on {missing.parent}, which does not exist")
+                cycle = [left[0].name]
+                while cycle[-1] not in cycle[:-1]:
+                    cycle.append(lost[cycle[-1]])
+                raise self.fault(f"the bodies form a cycle: {' on '.join(cycle[cycle.index(cycle[-1]) :])}")
+            placed += ready
+            known |= {body.name for body in ready}
+            left = [body for body in left if body.name not in known]
+        return placed
+
+    def _require_physical(self, body: Body) -> None:
+        """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
+        values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
+        if not np.isfinite(values).all():
+            raise self.fault(f"the body {body.name} holds a number that is not finite")
+        if body.mass < 0.0:
+            raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
+
+    def _require_metres(self) -> None:
+        """Refuse sizes out of proportion: files in millimetres."""
+        far = max(self.bodies, key=lambda body: float(np.abs(body.position).max()), default=None)
+        if far is not None and np.abs(far.position).max() > _LONGEST:
+            raise self.fault(
+                f"the body {far.name} is {np.linalg.norm(far.position):.4g} m from its parent: lengths are in metres"
+                " here, and these are probably millimetres"
+            )
+        size = sum(float(np.linalg.norm(body.position) + np.linalg.norm(body.centre)) for body in self.bodies)
+        for body in self.bodies:
+            gyration = math.sqrt(max(0.0, float(np.trace(body.inertia)) / 2.0) / body.mass) if body.mass > 0.0 else 0.0
+            if gyration > _SLENDER * max(size, 1.0):
+                raise self.fault(
+                    f"the body {body.name} has a radius of gyration of {gyration:.4g} m in a mechanism of {size:.4g} m:"
+                    " inertias are in kg m2 here, and these are probably kg mm2"
+                )
+
+    @cached_property
+    def joints(self) -> Mapping[str, Joint]:
+        """All joints by name."""
+        return {joint.name: joint for body in self.bodies for joint in body.joints}
+
+    @cached_property
+    def body(self) -> Mapping[str, Body]:
+        """All bodies by name."""
+        return {body.name: body for body in self.bodies}
+
+    def frame(self, name: str) -> Frame:
+        """Return the frame of a name: of the file's frames, or a body's own; raises `InvalidModel` for others."""
+        if name in self.frames:
+            return self.frames[name]
+        if name not in self.body and name != GROUND:
+            raise self.fault(f"there is no frame {name}; there are {', '.join([*self.body, *self.frames])}")
+        return Frame(name)

@@ -1,0 +1,319 @@
+"""`Drive`: motor, transmission and losses behind an input, as a data sheet gives them.
+
+The motor turns n times as fast as the input moves: omega = n w, with w = -B v the rate that belongs to the input u and
+n = ratio x rope_falls, by the drum's radius where the input is a force. Of the input u = n tau the drive takes
+
+    n^2 J w_dot + n (c tanh(w / w_0) + d n w)        rotor, dry and viscous friction (as the effect `friction` has it)
+
+for itself: n^2 J B^T B joins M, the friction the forces. u keeps its name, place and unit, and what the motor does is
+reported beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import casadi as ca
+
+from servocore.errors import InvalidModel, described
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Parameter, Parameters
+from servocore.model.system import MechanicalSystem
+from servocore.model.units import in_unit
+
+CREEP = 0.01
+"""w_0 in rad/s or m/s: rate of the input at which dry friction is 76 % of its full value, as of `friction`."""
+
+_SMOOTH = 2e-3  # of the highest speed and torque: corners of a torque-speed curve are rounded off so far, downwards
+_BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls to zero
+_SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
+
+_MOST = 1e9
+_DATA = (  # neutral values as defaults: what is not given is no parameter of the model
+    Parameter("ratio", 1.0, "1", 1e-6, _MOST, "speed of the motor by that of the drum, wheel or bridge"),
+    Parameter("rope_falls", 1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum"),
+    Parameter("drum_radius", 1.0, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force"),
+    Parameter("motor_inertia", 0.0, "kg.m2", 0.0, _MOST, "of rotor, brake and coupling at the motor's shaft"),
+    Parameter("efficiency", 1.0, "1", 1e-3, 1.0, "of the transmission"),
+    Parameter("viscous", 0.0, "N.m.s/rad", 0.0, _MOST, "viscous friction at the motor's shaft"),
+    Parameter("coulomb", 0.0, "N.m", 0.0, _MOST, "dry friction at the motor's shaft"),
+    Parameter("torque_constant", 1.0, "N.m/A", 1e-9, _MOST, "torque of the motor by its current"),
+)
+_RATED = (
+    Parameter("rated_torque", 0.0, "N.m", 1e-9, 1e12, "continuous torque of the motor"),
+    Parameter("rated_power", 0.0, "W", 1e-9, 1e15, "rated power of the motor"),
+)
+
+Given = float | str
+"""A number in SI units, or a text with its unit."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Motor and transmission of an input, with the data of a data sheet; all but the gear at the motor's shaft.
+
+    Parameters
+    ----------
+    ratio : float or str
+        Speed of the motor by that of the drum, wheel or slewing bridge.
+    rope_falls : float or str
+        Rope falls that carry the hook, per rope end on the drum: the drum turns so many times faster.
+    drum_radius : float or str, optional
+        Radius (m) of the drum or wheel, for an input that is a force. Where the input is a torque on a winch, the
+        winch's radius is a parameter of the scene, and that of the drum belongs there.
+    motor_inertia : float or str
+        Moment of inertia (kg.m2) of rotor, brake and coupling.
+    efficiency : float or str
+        Of the transmission: the reported torque of the motor is larger by it while the motor drives the load, and
+        smaller while the load drives the motor. It does not change the motion or the input.
+    viscous : float or str
+        Viscous friction (N.m.s/rad).
+    coulomb : float or str
+        Dry friction (N.m), smooth below a rate of the input of 0.01 m/s or rad/s.
+    torque_constant : float or str, optional
+        Torque by current (N.m/A); the current is reported if it is given.
+    torque_speed : sequence of (speed, torque)
+        Corners of the curve of the largest torque (N.m) over the speed (rad/s), from speed 0 to the highest speed that
+        it allows: five per cent above, no torque is left. The torque in reserve is then reported. Corners are rounded
+        off downwards, by the change of the slope times a thousandth of the highest speed: two per cent at the end.
+    rated_torque : float or str, optional
+        Continuous torque (N.m), which the duty compares with the effective one.
+    rated_power : float or str, optional
+        Rated power (W), which the duty compares with the peak.
+
+    Raises
+    ------
+    InvalidSetting
+        If a text is no number with a unit of the right kind.
+    InvalidModel
+        If a value is outside its range, or the curve is none.
+
+    Examples
+    --------
+    >>> import servocore as sc
+    >>> hoist = sc.Drive(ratio=42.1, motor_inertia="0.03 kg m^2", torque_speed=[(0, 60), ("1450 rpm", "55 N m")])
+    >>> crane = sc.scenes.overhead_crane().with_drives(M_w=hoist)
+    >>> sc.solve(crane).unit("M_w.motor_speed")
+    'rad/s'
+    """
+
+    ratio: Given = 1.0
+    rope_falls: Given = 1.0
+    drum_radius: Given | None = None
+    motor_inertia: Given = 0.0
+    efficiency: Given = 1.0
+    viscous: Given = 0.0
+    coulomb: Given = 0.0
+    torque_constant: Given | None = None
+    torque_speed: Sequence[tuple[Given, Given]] = ()
+    rated_torque: Given | None = None
+    rated_power: Given | None = None
+
+    def __post_init__(self) -> None:
+        for each in (*_DATA, *_RATED):
+            value = getattr(self, each.name)
+            if value is not None:
+                object.__setattr__(self, each.name, _checked(each, value))
+        object.__setattr__(self, "torque_speed", self._curve())
+
+    def _curve(self) -> tuple[tuple[float, float], ...]:
+        """Return the corners of the torque-speed curve in SI units."""
+        speed, torque = (Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
+                         for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
+        rows = self.torque_speed
+        if isinstance(rows, str) or not all(isinstance(row, Sequence) and len(row) == 2 for row in rows):
+            raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {described(rows)}")
+        corners = tuple((_checked(speed, row[0]), _checked(torque, row[1])) for row in rows)
+        rising = all(a[0] < b[0] for a, b in pairwise(corners))
+        if corners and not (len(corners) > 1 and corners[0][0] == 0.0 and rising):
+            raise InvalidModel(
+                "torque_speed needs two corners or more, at rising speeds from 0 on: ((0, 60), (150, 40))"
+            )
+        return corners
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the torque-speed curve, (rad/s, N.m)."""
+        return tuple((float(speed), float(torque)) for speed, torque in self.torque_speed)
+
+    @property
+    def rated(self) -> dict[str, float]:
+        """Rated torque (N.m) and power (W) by name, those that are given."""
+        return {each.name: float(value) for each in _RATED if (value := getattr(self, each.name)) is not None}
+
+    def parameters(self, name: str) -> list[Parameter]:
+        """Return the data that are given, as parameters of a model; `name` is that of the input."""
+        given = [(each, getattr(self, each.name), f"{each.description}, of {name}") for each in _DATA]
+        return [
+            replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
+            for each, value, text in given
+            if value != getattr(Drive, each.name)
+        ]
+
+
+def _checked(of: Parameter, value: object) -> float:
+    return of.check(in_unit(value, of.unit, of.name) if isinstance(value, str) else value)  # type: ignore[arg-type]  # checked there
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Factory of a model with drives; equal factories share one model."""
+
+    factory: Callable[[], MechanicalSystem]
+    drives: tuple[tuple[str, Drive], ...]
+
+    def __call__(self) -> MechanicalSystem:
+        """Assemble the model."""
+        return driven(self.factory(), dict(self.drives))
+
+
+def with_drives(factory: Callable[[], MechanicalSystem], drives: Mapping[str, Drive]) -> Callable[[], MechanicalSystem]:
+    """Return the factory of a model with drives in place of those that it may have."""
+    bare = factory.factory if isinstance(factory, Driven) else factory
+    return Driven(bare, tuple(drives.items())) if drives else bare
+
+
+def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalSystem:
+    """Return a system with drives at some of its inputs.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        Without drives.
+    drives : mapping of str to Drive
+        By the names of inputs.
+
+    Returns
+    -------
+    MechanicalSystem
+        With reflected inertia and friction, and further parameters and observables.
+
+    Raises
+    ------
+    InvalidModel
+        If an input has no place for a drive, or its radius is missing or given twice.
+    """
+    declared = [each for name, drive in drives.items() for each in drive.parameters(name)]
+    parameters = system.parameters.extended(*declared)
+    q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
+    mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
+    observables = dict(system.observables)
+    for name, drive in drives.items():
+        k = _place(system, name, drive)
+        B, p = system.input_matrix[k, :], _Data(name, parameters)
+        rate, n = -ca.mtimes(B, v), p["ratio"] * p["rope_falls"] / p["drum_radius"]
+        taken = ca.SX(0)
+        if p.gives("motor_inertia"):
+            # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
+            inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
+            mass += inertia * ca.mtimes(B.T, B)
+            gyroscopic += inertia * B.T * along
+            taken -= inertia * (ca.mtimes(B, v_dot) + along)
+        if p.gives("coulomb") or p.gives("viscous"):
+            friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
+            force += B.T * friction
+            taken += friction
+        left[k] -= taken
+        observables |= _observed(name, drive, p, system.u[k] / n, n * rate, ca.tanh(rate / CREEP))
+    # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
+    known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
+    return replace(
+        system,
+        name=f"{system.name} with drives",
+        parameters=parameters,
+        home_parameters=(*system.home_parameters, *(each.default for each in declared)),
+        mass=mass,
+        gyroscopic=gyroscopic,
+        force=force,
+        observables=observables,
+        reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
+    )
+
+
+def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
+    """Return the number of an input; raises `InvalidModel` if there is none, or unit and radius disagree."""
+    names = [quantity.name for quantity in system.inputs]
+    if name not in names:
+        raise InvalidModel(f"{system.name} has no input {name} that a drive could act on; it has {', '.join(names)}")
+    unit = system.inputs[names.index(name)].unit
+    if unit not in ("N", "N.m"):
+        raise InvalidModel(
+            f"the input {name} of {system.name} is in {unit}: a drive makes a torque in N.m or a force in N"
+        )
+    if (unit == "N") != (drive.drum_radius is not None):
+        raise InvalidModel(
+            f"{name} is a force: its drive needs drum_radius, the radius of its wheel or drum"
+            if unit == "N"
+            else f"{name} is a torque: its drive has no drum_radius; the radius of a winch's drum is a parameter of the"
+            " scene, such as winch_radius"
+        )
+    return names.index(name)
+
+
+class _Data:
+    """The data of a drive by name: symbols of those that are parameters, neutral numbers of the others."""
+
+    def __init__(self, name: str, parameters: Parameters) -> None:
+        self._name, self._parameters = name, parameters
+
+    def gives(self, data: str) -> bool:
+        """Whether it is given."""
+        return f"{self._name}.{data}" in self._parameters.names
+
+    def __getitem__(self, data: str) -> ca.SX:
+        if self.gives(data):
+            return self._parameters[f"{self._name}.{data}"]
+        return ca.SX(next(each.default for each in _DATA if each.name == data))
+
+
+def _observed(name: str, drive: Drive, p: _Data, torque: ca.SX, speed: ca.SX, driving: ca.SX) -> dict[Quantity, ca.SX]:
+    """Return what the motor does; `driving` is the smooth sign of the speed."""
+    if p.gives("efficiency"):  # tau / eta where the motor drives, tau eta where the load does
+        more, less = 1 / p["efficiency"], p["efficiency"]
+        torque = (more + less) / 2 * torque + (more - less) / 2 * _size(torque, _SLIGHT) * driving
+    known = {
+        Quantity(f"{name}.motor_torque", "N.m", f"torque of the motor of {name}"): torque,
+        Quantity(f"{name}.motor_speed", "rad/s", f"speed of the motor of {name}"): speed,
+        Quantity(f"{name}.power", "W", f"power at the motor's shaft of {name}"): torque * speed,
+    }
+    if p.gives("torque_constant"):
+        known[Quantity(f"{name}.current", "A", f"current of the motor of {name}")] = torque / p["torque_constant"]
+    if drive.corners:
+        about = f"torque that the motor of {name} could add at its speed"
+        used = _size(torque, _SMOOTH * max(most for _, most in drive.corners))
+        known[Quantity(f"{name}.torque_reserve", "N.m", about)] = largest_torque(drive, speed) - used
+    return known
+
+
+def _size(value: ca.SX, rounding: float) -> ca.SX:
+    """Return the magnitude of a value, smooth at zero and nowhere below it."""
+    return ca.sqrt(value**2 + rounding**2)
+
+
+def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
+    """Return the torque (N.m) on the torque-speed curve of a drive at a speed (rad/s), for both directions.
+
+    An even, piecewise linear function of the speed is a sum of |speed - corner|, one for every change of slope. With
+    sqrt(x^2 + e^2) or sqrt(x^2 + e^2) - e for |x|, whichever lowers the sum, it is smooth and nowhere above the curve.
+    """
+    speed_most, torque_last = drive.corners[-1]
+    corners, e = [*drive.corners, ((1.0 + _BEYOND) * speed_most, 0.0)], _SMOOTH * speed_most
+    if not torque_last:
+        corners.pop()
+    slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
+    torque = ca.SX(corners[0][1])
+    for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):
+        raised = e if change > 0.0 else 0.0
+        sides = [_size(speed - place, e) - raised for place in {corner, -corner}]
+        torque += change / 2 * (sum(sides) * (1 if corner else 2) - 2 * corner)
+    return torque
+
+
+def _reaction(function: ca.Function, left: ca.Function) -> ca.Function:
+    """Return a reaction (q, v, v_dot, u, d, p) of a mechanism without drives for one with them."""
+    q, v, v_dot, u, d = (ca.MX.sym(f"a{k}", function.size1_in(k)) for k in range(5))
+    p = ca.MX.sym("p", left.size1_in(4))
+    own = p[: function.size1_in(5)]
+    return ca.Function("reaction", [q, v, v_dot, u, d, p], [function(q, v, v_dot, left(q, v, v_dot, u, p), d, own)])

@@ -1,0 +1,363 @@
+"""Inputs on any form by any method, prepared once: whole runs of long steps, read between them.
+
+All steps of a run, with Newton's method in each, are one call of CasADi's interpreter or of machine code. Steps may be
+long, since the method's own polynomial answers between them; `solve` takes a step for every reported instant instead,
+and checks every run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Integral
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    require_formulation,
+    require_kind,
+    require_method,
+    require_real,
+)
+from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Method
+from servocore.methods.collocation import RadauIIA
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.just_in_time import in_machine_code
+from servocore.numerics.memoization import made_once
+from servocore.problem import Problem
+from servocore.references.base import Reference, numbers_of, time_grid
+from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.fixed_step_loop import first_state
+from servocore.solvers.solve import solve
+from servocore.stepping.observation import observed
+from servocore.stepping.program import Program, program_of
+
+_FEWEST, _GROWTH, _MOST = 4, 1.15, 2000  # elements that are tried
+_DIVERGED = 100.0  # times the least error, with several times as many elements: round-off grows
+_MOST_LOOPS = 32  # functions of whole runs that are kept
+_TRUTH = Reduced(), RadauIIA(5)
+
+
+def prepare(
+    scene: Scene,
+    formulation: Formulation,
+    method: Method,
+    *,
+    elements: int | None = None,
+    tolerance: float | None = None,
+    model: str | None = None,
+    start: Mapping[str, float] | None = None,
+    native: bool | None = None,
+) -> PreparedInversion:
+    """Prepare runs of a form by a method, to be called with instants, parameters and paths.
+
+    Once, `solve` runs the scene on the reduced form with all its checks, and the fewest elements are determined
+    with which all inputs agree with it to the tolerance. Local error control would fail on forms of index 3, where
+    steps that vary add an error that does not fall with them.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its reference and parameters; its internal dynamics, if any, must be stable.
+    formulation, method : Formulation, Method
+        Form, of index one or more, and method: the more stages, the longer its steps may be.
+    elements : int, optional
+        Number of steps from start to end of a path, whatever the error.
+    tolerance : float, optional
+        Largest error of any input, relative to its peak, at any instant; 1e-6 when neither is given.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+    start : mapping of str to float, optional
+        Initial values of the internal dynamics, as for `solve`.
+    native : bool, optional
+        Whether as machine code; see `ExactInversion`.
+
+    Returns
+    -------
+    PreparedInversion
+        A function of instants, parameters and a path.
+
+    Raises
+    ------
+    InvalidSetting
+        If both elements and a tolerance are given, or a value is out of range.
+    InvalidModel
+        If the form has nothing to integrate, or the internal dynamics are unstable.
+    IntegrationFailed
+        If no number of elements keeps the tolerance, with the least error found.
+    ServocoreError
+        As `solve`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import servocore as sc
+    >>> crane = sc.scenes.rotary_crane()
+    >>> run = sc.prepare(crane, sc.Projected(), sc.RadauIIA(7), elements=40)
+    >>> run.inputs, run(np.linspace(0.0, 20.0, 201)).shape, bool(run.error < 1e-4)
+    (('M_b', 'F', 'M_w'), (201, 3), True)
+    >>> run([0.0, 10.0], {"load_mass": 80.0}).shape
+    (2, 3)
+    """
+    require_scene(scene, "prepare")
+    require_formulation(formulation)
+    require_method(method, routes=False)
+    if elements is not None:
+        require_kind(elements, Integral, "the number of elements", "a whole number", InvalidSetting)
+        if tolerance is not None or not 0 < elements <= _MOST:
+            raise InvalidSetting(f"prepare takes a tolerance, or 1 to {_MOST} elements: not {tolerance} and {elements}")
+    tolerance = 1e-6 if tolerance is None else tolerance
+    require_real(tolerance, "the tolerance", "a number", InvalidSetting)
+    if not 0.0 < tolerance < 1.0:
+        raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {tolerance}")
+    problem = Problem.of(scene, model, start)
+    if not problem.dae(formulation).x.numel():
+        raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
+    if not problem.flat and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+        raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
+    exact = solve(scene, *_TRUTH, model=model, start=start)
+    trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
+    found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
+    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements)
+    run.error = found.error
+    return run
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Runs that are compared with exact inputs at so many instants."""
+
+    problem: Problem
+    route: FixedStep
+    t: Array
+    exact: Array
+
+    def run(self, elements: int) -> PreparedInversion:
+        """Prepare a run, interpreted, and measure its error."""
+        run = PreparedInversion(self.problem, self.route, elements)
+        exact = self.exact[:, : len(run.inputs)]
+        with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
+            off = np.abs(run._read(run._own, self.t) - exact).max(axis=0)
+            run.error = float(np.nan_to_num(off / np.maximum(np.abs(exact).max(axis=0), 1e-300), nan=np.inf).max())
+        return run
+
+    def fewest(self, tolerance: float) -> PreparedInversion:
+        """Return the run with the fewest elements that keeps a tolerance."""
+        best, count = None, float(_FEWEST)
+        while count <= _MOST and (best is None or best.error > tolerance):
+            with suppress(InconsistentStart):  # steps so long that the past of a multistep method has no solution
+                found = self.run(round(count))
+                best = found if best is None or found.error < best.error else best
+                if found.error > _DIVERGED * best.error and count > 4 * best.elements:
+                    break
+            count = max(count * _GROWTH, count + 1)
+        if best is None or best.error > tolerance:
+            least = "" if best is None else f", the error is {best.error:.2g} of the peaks with {best.elements}"
+            raise IntegrationFailed(
+                f"{self.problem.name}, {self.route.method.name}: no number of elements keeps a tolerance of"
+                f" {tolerance:g}{least}; take a method with more stages, or a larger tolerance: round-off grows"
+                " as elements get shorter"
+            )
+        return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """A whole run as one function: (state, gamma, h, p) -> entries of the states at both ends of every step."""
+
+    run: ca.Function
+
+
+@partial(made_once, most=_MOST_LOOPS)
+def _whole(program: Program, elements: int) -> _Whole:
+    """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
+    step, (_, entries) = program.step, _dense_output(program)
+    state, h, p = (ca.MX.sym("argument", step.numel_in(k)) for k in (0, 2, 3))
+    gamma = ca.MX.sym("gamma", step.size1_in(1), step.size2_in(1) * elements)
+    loop = step.mapaccum("sc_elements", elements)
+    after, _, worst = loop(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
+    verdict = _verdict(program).map(elements)(after, worst, ca.repmat(p, 1, elements))
+    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
+    return _Whole(ca.Function("sc_run", [state, gamma, h, p], [solved]))
+
+
+def _verdict(program: Program) -> ca.Function:
+    """Return (state, residual, p) -> zero, or NaN where a step is not solved or a quantity has a wrong sign."""
+    step, dae, system = program.discretization, program.dae, program.array.system
+    signs = ca.vertcat(ca.SX(0, 1), *[each for quantity, each in observed(system) if quantity.positive])
+    physical = [dae.physical[name] for name in ("q", "v", "lam", "u")]
+    signs = ca.substitute(signs, ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(*physical))
+    signs = ca.substitute(signs, ca.vertcat(dae.x, dae.z), ca.vertcat(step.x, step.z))
+    residual, positive = ca.SX.sym("residual"), ca.SX(1)
+    for sign in ca.vertsplit(signs) if signs.numel() else ():
+        if not ca.depends_on(sign, system.gamma):
+            positive = ca.logic_and(positive, sign > 0)
+    verdict = ca.if_else(ca.logic_and(positive, residual < np.inf), 0.0, np.nan)
+    return ca.Function("sc_verdict", [step.state, residual, system.p], [verdict])
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """What a run depends on: parameters, path, its jets at all nodes, and the first state."""
+
+    problem: Problem
+    gamma: Array
+    first: Array
+    h: float
+
+
+class PreparedInversion:
+    """Inputs of a scene on a form, integrated by every call; made by `prepare`.
+
+    Calls check convergence and, at the ends of steps, signs; `solve` checks a path and parameters. The path of a call
+    may have another duration, which is divided into as many elements.
+
+    Attributes
+    ----------
+    inputs : tuple of str
+        Names of the columns that a call returns.
+    elements : int
+        Number of steps from start to end.
+    error : float
+        Largest error of the inputs on the scene's own path, relative to their peaks, at 201 instants.
+    program : Program
+        The compiled form and method.
+    """
+
+    def __init__(self, problem: Problem, route: FixedStep, elements: int) -> None:
+        self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
+        self.elements, self.error = elements, float("nan")
+        self.program = program = program_of(problem, route.formulation, route.method)
+        self._interpreted = _whole(program, elements)
+        self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
+        self._route = route
+        self._own = self._posed(problem)
+        self._known: dict[tuple[bytes, float, float], csr_array] = {}
+
+    def __call__(
+        self,
+        t: npt.ArrayLike,
+        parameters: Mapping[str, float] | None = None,
+        path: Reference | None = None,
+    ) -> Array:
+        """Integrate, and return the inputs at the times `t`.
+
+        Parameters
+        ----------
+        t : array_like, shape (N,) or ()
+            Times in s between start and end of the path, in any order.
+        parameters : mapping of str to float, optional
+            Values by name; the scene's own for those that are not given.
+        path : Reference, optional
+            The scene's own when not given.
+
+        Returns
+        -------
+        ndarray, shape (N, inputs) or (inputs,)
+            In the units of the scene's inputs.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such parameter, or a value lies outside its bounds.
+        InvalidReference
+            If a path does not fit or lacks derivatives, or a time lies outside it.
+        InconsistentStart, IntegrationFailed
+            If no initial values are found, a step is not solved, or a quantity has a sign that it must not have.
+        """
+        posed, times = self._own, numbers_of(t, "the times of inputs")
+        if parameters or path is not None:
+            posed = self._posed(self._changed(parameters or {}, path))
+        reference = posed.problem.reference
+        if times.size and not (times.min() >= reference.start_time and times.max() <= reference.end_time):
+            raise InvalidReference(
+                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
+                f" {reference.end_time:g} s, not from {times.min():g} s to {times.max():g} s"
+            )
+        found = self._read(posed, times.ravel())
+        if not np.isfinite(found).all():
+            self._route.run(posed.problem, time_grid(reference, posed.h))  # names instant, quantity and causes
+            raise IntegrationFailed(f"{self.program.name}: the inputs are not finite numbers")
+        return found.reshape(*times.shape, len(self.inputs))
+
+    def _changed(self, parameters: Mapping[str, float], path: Reference | None) -> Problem:
+        """Return the problem with other parameters and another path."""
+        problem = self._own.problem
+        declared = problem.system.parameters
+        values = declared.values({**dict(zip(declared.names, problem.p.tolist(), strict=True)), **parameters})
+        changed = replace(problem, p=values)
+        if path is None:
+            return changed
+        require_kind(path, Reference, "the path", "a Reference", InvalidReference)
+        if path.dimension != problem.reference.dimension:
+            raise InvalidReference(
+                f"{problem.name} needs a path with {problem.reference.dimension} components, not {path.dimension}"
+            )
+        return replace(changed, reference=path)
+
+    def _posed(self, problem: Problem) -> _Posed:
+        program, reference = self.program, problem.reference
+        h = reference.duration / self.elements
+        first, _ = first_state(problem, program, h)
+        ends = time_grid(reference, h)[1:]
+        nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * h).ravel()
+        return _Posed(problem, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), first, h)
+
+    def _read(self, posed: _Posed, t: Array) -> Array:
+        """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
+        whole = self._code.best(self.elements) or self._interpreted
+        (states,) = call_of(whole.run)(posed.first, posed.gamma, posed.h, posed.problem.p)
+        found: Array = self._weights(posed, t) @ states.ravel(order="F")
+        return found.reshape(len(t), len(self.inputs))
+
+    def _weights(self, posed: _Posed, t: Array) -> csr_array:
+        """Return the matrix from states to inputs; the last is kept: callers often use the same times again."""
+        key = t.tobytes(), posed.h, posed.problem.reference.start_time
+        if key not in self._known:
+            place = (t - key[2]) / posed.h
+            step = np.clip(np.ceil(place), 0, self.elements).astype(np.int32)
+            # The first state is that at the end of a step before the path.
+            fractions = np.where(step > 0, place - step + 1, 1.0)
+            dense, entries = _dense_output(self.program)
+            rows = [call_of(dense)(fraction, posed.h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
+            size, count = len(self.inputs), len(entries)
+            columns = np.repeat(step * count, size)[:, None] + np.arange(count, dtype=np.int32)
+            values = np.array(rows).reshape(columns.shape)
+            ends = np.arange(len(values) + 1, dtype=np.int32) * count
+            shape = len(values), (self.elements + 1) * count
+            self._known = {key: csr_array((values.ravel(), columns.ravel(), ends), shape)}
+        return self._known[key]
+
+
+@made_once
+def _dense_output(program: Program) -> tuple[ca.Function, list[int]]:
+    """Compile (fraction, h) -> weights of the inputs within a step, and list the entries of the state they belong to.
+
+    Raises
+    ------
+    InvalidSetting
+        If the dense output of the method is not linear in its state.
+    """
+    step, names = program.discretization, [unknown.name for unknown in program.dae.unknowns]
+    wanted = ca.vertcat(step.x, step.z)[[names.index(f"u.{each.name}") for each in program.array.system.inputs]]
+    moved = ca.substitute(wanted, step.state, step.between)
+    by_state = ca.jacobian(moved, step.state)
+    if ca.depends_on(by_state, step.state):
+        raise InvalidSetting(f"{program.name}: prepare needs a method whose dense output is linear in its state")
+    entries = sorted(set(by_state.sparsity().get_triplet()[1]))
+    weights = ca.densify(by_state[:, entries])
+    return ca.Function("sc_weights", [step.fraction, step.step], [weights]), entries

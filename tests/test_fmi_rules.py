@@ -1,0 +1,390 @@
+"""What the standards ask of exported FMUs beyond their schemas: sources, descriptions, systems."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from command_lines import CommandLine
+from fmpy import read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.ssp.ssd import validate_tree
+from lxml import etree
+from native_fmu import FULL, Native, exported, native_file, path_of
+from present import present
+
+import servocore as sc
+from servocore.cli.commands import app
+from servocore.export import targets
+from servocore.export.c_source import c_files
+from servocore.export.sources import compiled_files, fmu_sources
+from servocore.export.system import Element, structure, wires_by_name
+
+pytestmark = pytest.mark.usefixtures("compiler")
+run = CommandLine(app, "servocore")
+
+# Sources -------------------------------------------------------------------------------------------------------------
+
+PROBE = """
+#include "model.h"
+#define FMI2_FUNCTION_PREFIX FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX FUNCTION_PREFIX
+#if FMI == 2
+#include "fmi2Functions.h"
+static void logger(fmi2ComponentEnvironment e, fmi2String i, fmi2Status s, fmi2String c, fmi2String m, ...) {}
+double PROBE(void)
+{
+    const fmi2CallbackFunctions host = {logger, 0, 0, 0, 0};
+    const fmi2ValueReference output = N_INPUTS;
+    double found = NAN;
+    fmi2Component c = fmi2Instantiate("probe", fmi2CoSimulation, INSTANTIATION_TOKEN, "", &host, 0, 0);
+    if (c == NULL || fmi2EnterInitializationMode(c) || fmi2ExitInitializationMode(c) || fmi2DoStep(c, 0.0, 0.1, 1)
+        || fmi2GetReal(c, &output, 1, &found)) return NAN;
+    fmi2FreeInstance(c);
+    return found;
+}
+#else
+#include "fmi3Functions.h"
+double PROBE(void)
+{
+    double found[16] = {NAN}, last;
+    fmi3Boolean event, end, early;
+    fmi3ValueReference output = 0;
+    fmi3Instance c = fmi3InstantiateCoSimulation("probe", INSTANTIATION_TOKEN, "", 0, 0, 0, 0, 0, 0, 0, 0, 0);
+    while (ARRAYS[output].first < N_INPUTS) output++;
+    if (c == NULL || fmi3EnterInitializationMode(c, 0, 0.0, 0.0, 0, 0.0) || fmi3ExitInitializationMode(c)
+        || fmi3DoStep(c, 0.0, 0.1, 1, &event, &end, &early, &last)
+        || fmi3GetFloat64(c, &output, 1, found, ARRAYS[output].size)) return NAN;
+    fmi3FreeInstance(c);
+    return found[0];
+}
+#endif
+"""
+TEN = ("cars", "mass_on_car", "overhead_crane", "elastic_hoist", "rotary_crane trajectory", "cars plant",
+       *(f"{name} trajectory" for name in ("cars", "mass_on_car", "overhead_crane", "gantry_crane")))  # fmt: skip
+
+
+@pytest.mark.parametrize(("names", "fmi"), [(TEN[:2], 2), (TEN[:2], 3), (TEN, 2)])
+def test_models_are_linked_into_one_program(
+    names: tuple[str, ...], fmi: int, compiler: list[str], tmp_path: Path
+) -> None:
+    """FMI 2.0.5, 2.1.1: functions of sources begin with the model identifier, by the official headers."""
+    if len(names) > 2 and not FULL:
+        names = names[:2] + names[-4:]
+    objects, probes = [], [f"probe_{k}" for k in range(len(names))]
+    for name, probe in zip(names, probes, strict=True):
+        folder = tmp_path / probe
+        folder.mkdir()
+        for file, text in (fmu_sources(exported(name), fmi) | {"probe.c": PROBE}).items():
+            (folder / file).write_text(text, encoding="utf-8")
+        files = *compiled_files(exported(name), fmi), "probe.c"
+        subprocess.run([*compiler, "-std=c99", "-O0", "-w", "-c", f"-DFMI={fmi}", f"-DPROBE={probe}", *files],
+                       cwd=folder, check=True)  # fmt: skip
+        objects += [folder / Path(file).with_suffix(".o") for file in files]
+    calls = "".join(f'printf("%.17g\\n", {each}());' for each in probes)
+    declared = "".join(f"double {each}(void);" for each in probes)
+    (tmp_path / "main.c").write_text(f"#include <stdio.h>\n{declared}\nint main(void) {{ {calls} return 0; }}\n")
+    subprocess.run([*compiler, tmp_path / "main.c", *objects, "-o", tmp_path / "all", "-lm"], check=True)
+    printed = subprocess.run([tmp_path / "all"], capture_output=True, text=True, check=True).stdout.split()
+    for name, found in zip(names, printed, strict=True):
+        with Native(name, fmi) as host:
+            assert host.start().step(0.0, 0.1)
+            assert float(found) == pytest.approx(host.values()[0], rel=1e-12, abs=1e-12)
+        assert np.isfinite(float(found))
+
+
+# Start values --------------------------------------------------------------------------------------------------------
+
+CRANE = sc.scenes.rotary_crane()
+
+
+@pytest.mark.parametrize(
+    ("start", "sentence"),
+    [
+        ({"load_mass": -5.0}, r"load_mass = -5 kg is outside its range \[0.001, 1e\+09\] kg"),
+        ({"load.position[2]": np.nan}, r"load.position\[2\] = nan m is not a finite number"),
+        ({"gravity": "earth"}, "gravity = 'earth' m/s2 is not a finite number"),
+        ({"load_mas": 5.0}, "rotary_crane has no input or parameter 'load_mas' to start with; there are load.position"),
+        ({"M_b": 5.0}, "no input or parameter 'M_b'"),
+        ({"input_time": "middle"}, "input_time = 'middle' is unknown; it may be start, end"),
+    ],
+)
+def test_start_values_that_an_fmu_would_refuse_are_refused_by_the_export(
+    start: dict[str, float | str], sentence: str, tmp_path: Path
+) -> None:
+    with pytest.raises(sc.InvalidSetting, match=sentence):
+        sc.export_fmu(CRANE, tmp_path / "crane.fmu", start=start, targets="none")
+    assert not list(tmp_path.iterdir())
+
+
+def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path) -> None:
+    """Also where a host cannot set enumerations."""
+    options = sc.PlantOptions(start={"wind[2]": 3.0, "hold": "zero_order"})
+    made = [
+        sc.export_fmu(CRANE, tmp_path / "a.fmu", start={"load_mass": 140.0, "input_time": "end"}, targets="none"),
+        sc.export_plant(CRANE, tmp_path / "b.fmu", options, targets="none"),
+        sc.export_trajectory(
+            CRANE, tmp_path / "c.fmu", sc.TrajectoryOptions(start={"duration": 9.0}, profile="degree13"), targets="none"
+        ),
+    ]
+    found = [{each.name: each.start for each in read_model_description(str(file)).modelVariables} for file in made]
+    assert (found[0]["load_mass"], found[0]["input_time"]) == ("140.0", "2")
+    assert (found[1]["wind"], found[1]["hold"]) == ("0.0 3.0 0.0", "2")
+    assert (found[2]["duration"], found[2]["profile"]) == ("9.0", "2")
+    with pytest.raises(sc.InvalidSetting, match="duration = -1 s is outside its range"):
+        sc.export_trajectory(CRANE, tmp_path / "c.fmu", sc.TrajectoryOptions(start={"duration": -1.0}), targets="none")
+    with pytest.raises(sc.InvalidSetting, match="no input or parameter 'winds'"):
+        sc.export_plant(CRANE, tmp_path / "b.fmu", sc.PlantOptions(start={"winds": 1.0}), targets="none")
+
+
+# Systems -------------------------------------------------------------------------------------------------------------
+
+
+def crane_elements() -> list[Element]:
+    kinds = ("trajectory", "loop", "plant")
+    return [Element(kind, kind, native_file(f"rotary_crane {kind}", 2).read_bytes()) for kind in kinds]
+
+
+def test_a_system_is_valid_and_declares_its_units() -> None:
+    """SSP 1.0, 5.1.3: the name of a unit must match a Unit entry of the top element; schemas do not see it."""
+    elements = crane_elements()
+    root = ET.fromstring(structure("system", elements, wires_by_name(elements), 20.0))
+    validate_tree(etree.fromstring(ET.tostring(root)), "SystemStructureDescription.xsd")
+    names = [unit.attrib["name"] for unit in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Unit")]
+    used = {real.attrib["unit"] for real in root.iter("{http://ssp-standard.org/SSP1/SystemStructureCommon}Real")}
+    assert used <= set(names)
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", ["rotary_crane loop", "rotary_crane", "mass_on_car", "cars plant"])
+def test_outputs_list_the_inputs_of_their_derivatives_and_no_others(name: str, fmi: int) -> None:
+    """No declared feedthrough where setting an input changes no output; those with derivatives list their inputs."""
+    description = read_model_description(str(native_file(name, fmi)))
+    text = zipfile.ZipFile(native_file(name, fmi)).read("modelDescription.xml")
+    offers = b"providesDirectionalDerivative" in text
+    assert offers == exported(name).differentiable
+    assert any(each.dependencies for each in description.outputs) == offers
+    with Native(name, fmi) as host:
+        assert host.start().step(0.0, 0.01)
+        before, told = host.values(), host.get(*host.inputs) + 1e-3
+        host.tell(told)
+        assert (host.values() == before).all()
+
+
+def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
+    elements = crane_elements()
+    wires = [*wires_by_name(elements), (("plant", "phi"), ("loop", "measured.phi"))]
+    edges: dict[tuple[str, str], set[tuple[str, str]]] = {}
+    for source, sink in wires:
+        edges.setdefault(source, set()).add(sink)
+    for element in elements:
+        for output in read_model_description(io.BytesIO(element.fmu)).outputs:
+            for each in output.dependencies or ():
+                edges.setdefault((element.name, each.name), set()).add((element.name, output.variable.name))
+    reached = {node: set(after) for node, after in edges.items()}
+    for _ in reached:
+        for after in reached.values():
+            after |= {end for node in list(after) for end in edges.get(node, ())}
+    assert not [node for node, after in reached.items() if node in after]
+
+
+# About ---------------------------------------------------------------------------------------------------------------
+
+VENDOR = """
+version = "4.2"
+author = "Jane Doe"
+company = "ACME"
+license = "proprietary"
+license_text = "terms.txt"
+copyright = "Copyright 2026 ACME */"
+description = "A component of ACME"
+icon = "icon.png"
+documentation = "page.html"
+[annotations."com.acme"]
+order = "17"
+[defaults]
+"""
+
+
+@pytest.fixture
+def vendor(tmp_path: Path) -> Path:
+    """Return a folder with a vendor's files."""
+    contents = {
+        "terms.txt": b"All rights reserved.",
+        "icon.png": b"\x89PNG and so on",
+        "page.html": b"<html>ACME</html>",
+    }
+    for name, content in (contents | {"vendor.toml": VENDOR.encode()}).items():
+        (tmp_path / name).write_bytes(content)
+    return tmp_path
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("kind", "default"), [((), "input_time"), (("--plant",), "hold"), (("--trajectory",), "profile")]
+)
+def test_a_vendor_s_words_stand_in_description_sources_and_documentation(
+    kind: tuple[str, ...], default: str, fmi: int, vendor: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(vendor)
+    (vendor / "vendor.toml").write_text(VENDOR + f'{default} = "{LAST[default]}"\n')
+    line = ("export", "mass_on_car", *kind, "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--about", "vendor.toml")
+    assert run(*line).exit_code == 0
+    with zipfile.ZipFile("x.fmu") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    root = ET.fromstring(members["modelDescription.xml"])
+    wanted = {"version": "4.2", "author": "Jane Doe, ACME", "license": "proprietary",
+              "copyright": "Copyright 2026 ACME */", "description": "A component of ACME"}  # fmt: skip
+    assert {name: root.get(name) for name in wanted} == wanted
+    assert str(root.get("generationTool")).startswith("servocore ")
+    assert root.get("generationDateAndTime")
+    assert [(each.get("name"), each.get("value")) for each in root.iter("Entry")] == [("order", "17")]
+    described = read_model_description("x.fmu", validate=True)  # against the schemas of FMI
+    assert [each.start for each in described.modelVariables if each.name == default] != ["1"]
+    ours = [text for name, text in members.items() if name.startswith("sources/") and "fmi/" not in name
+            and name.endswith((".c", ".h")) and not re.search(r"fmi[23][A-Z]", name)]  # fmt: skip
+    assert all(text.startswith(b"/* Copyright 2026 ACME * /. Licence: proprietary.") for text in ours)
+    assert len(ours) > 4
+    assert members["documentation/index.html"] == b"<html>ACME</html>"
+    assert b"mass_on_car" in members["documentation/model.html"]
+    assert members["documentation/licenses/license.txt"] == b"All rights reserved."
+    assert members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] == b"\x89PNG and so on"
+
+
+LAST = {"input_time": "end", "hold": "zero_order", "profile": "degree13"}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("licence = 'MIT'", "there is no key 'licence'; there are version, author, company, license"),
+        ("version = 3", "version must be a text, not 3"),
+        ("icon = 'none.png'", "icon none.png cannot be read: No such file or directory"),
+        ("icon = 'terms.txt'", "icon = 'terms.txt' must end with .png or .svg"),
+        ("icon = 'page.png'", "page.png is no PNG picture"),
+        ("icon = 'icon.svg'", "FMI 2 has PNG icons only"),
+        ("annotations = 3", "annotations are a table for each tool"),
+        ("[defaults]\ninput_time = 'middle'", "input_time = 'middle' is unknown; it may be start, end"),
+        ("[defaults]\nthe_time = 'end'", "no input or parameter 'the_time'"),
+    ],
+)
+def test_what_a_vendor_cannot_say_is_refused(
+    text: str, sentence: str, vendor: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(vendor)
+    for name in ("page.png", "icon.svg"):
+        (vendor / name).write_text("<svg/>")
+    (vendor / "vendor.toml").write_text(text)
+    line = ("export", "cars", "-o", "x.fmu", "--fmi", "2", "--targets", "none", "--about", "vendor.toml")
+    run.assert_refused(run(*line), sentence)
+    assert not (vendor / "x.fmu").exists()
+
+
+@pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("rotary_crane plant", 3)])
+def test_without_a_vendor_the_project_s_own_words_stand(name: str, fmi: int) -> None:
+    with zipfile.ZipFile(native_file(name, fmi)) as archive:
+        root = ET.fromstring(archive.read("modelDescription.xml"))
+        assert archive.read("sources/instance.h").startswith(
+            b"/* Copyright (c) 2026 the servocore authors. Licence: MIT."
+        )
+    assert (root.get("author"), root.get("license")) == ("The authors of servocore", "MIT")
+    assert root.get("version") in str(root.get("generationTool"))
+
+
+# Warnings of compilers -----------------------------------------------------------------------------------------------
+
+MODELS = [
+    "mass_on_car",
+    "rotary_crane plant",
+    "rotary_crane trajectory",
+    *(["rotary_crane loop", "limited"] if FULL else []),
+]
+STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only")
+LANGUAGES = {"C99": ("-std=c99", "-Wconversion"), "C11": ("-std=c11",), "C++17": ("-x", "c++", "-std=c++17")}
+
+
+def compilers() -> dict[str, list[str]]:
+    """Return the commands of gcc, and of clang, which is zig's, in `make native`."""
+    found = {"gcc": ["g++"]} if shutil.which("g++") else {}
+    return found | ({"clang": [*zig, "c++", "-Wno-deprecated"]} if FULL and (zig := targets.zig()) else {})
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("name", MODELS)
+def test_compilers_have_nothing_to_say_about_sources(name: str, language: str, tmp_path: Path) -> None:
+    for what in (2, 3, "c"):
+        if what == "c" and " " in name:
+            continue
+        model, folder = exported(name), tmp_path / str(what)
+        folder.mkdir()
+        sources = c_files(model) if what == "c" else fmu_sources(model, int(what))
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        files = [file for file in sources if file.endswith(".c")]
+        for command in compilers().values():
+            words = [*command, *(("-x", "c") if language != "C++17" else ()), *LANGUAGES[language], *STRICT]
+            for file in files:
+                done = subprocess.run([*words, file], cwd=folder, capture_output=True, text=True, check=False)
+                assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_state_with_a_count_of_steps_that_would_overflow_is_refused() -> None:
+    with Native("cars", 2) as host:
+        assert host.start().step(0.0, 0.1)
+        state, after = host.saved(), []
+        for value in (1, 2**63 - 1, -1):
+            (place,) = [k for k in range(0, 80, 8) if state[k : k + 8] == (1).to_bytes(8, "little") and k > 8 * 3]
+            after.append(state[:place] + value.to_bytes(8, "little", signed=True) + state[place + 8 :])
+        host.restore(after[0])
+        for wrong in after[1:]:
+            with pytest.raises(FMICallException):
+                host.restore(wrong)
+
+
+# Descriptions and pages ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", ["rotary_crane trajectory", "mass_on_car"])
+def test_outputs_depend_on_choices_at_the_start(name: str, fmi: int) -> None:
+    description = read_model_description(str(native_file(name, fmi)))
+    choices = {each.name for each in description.modelVariables if each.type == "Enumeration"}
+    for unknown in description.initialUnknowns:
+        assert choices <= {each.name for each in unknown.dependencies}
+
+
+@pytest.mark.parametrize("name", ["rotary_crane plant", "mass_on_car"])
+def test_the_page_tells_ranges_and_what_may_change(name: str) -> None:
+    with zipfile.ZipFile(native_file(name, 2)) as archive:
+        page = archive.read("documentation/index.html").decode()
+    rows = {row.split("</td>")[0].removeprefix("<td>"): row for row in page.split("<tr>") if row.startswith("<td>")}
+    for each in exported(name).of("parameter"):
+        row = rows[each.name + (f"[{each.size}]" if each.size else "")]
+        assert f"<td>{'fixed' if each.fixed else 'tunable'} parameter</td>" in row
+        assert f"{each.low:g} to {each.high:g}" in row or not np.isfinite([each.low, each.high]).all()
+    assert "Parameters may be changed at any time" not in page
+
+
+def test_rates_of_internal_states_are_described_as_rates() -> None:
+    texts = {each.name: each.description for each in exported("mass_on_car").variables}
+    assert texts["internal.s.velocity"].startswith("velocity of s")
+    assert texts["start.s.velocity"].startswith("added to the velocity of s")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_outputs_read_before_the_initialization_are_those_of_its_time(fmi: int) -> None:
+    """Read before the start, and in the initialization, of a run that does not begin at zero."""
+    name = "rotary_crane trajectory"
+    path = present(path_of("rotary_crane"))
+    with Native(name, fmi) as host:
+        host.values()
+        host.start(time=7.0)
+        np.testing.assert_allclose(host.values(), path.jet(7.0, 4).ravel(), atol=1e-9)
