@@ -90,6 +90,8 @@ def _sentence(proof: Proof, each: Interval) -> str:
     rows = dict.fromkeys(names[array.rows[k][0]] for k in blocks_of(proof.equations).around(max(each.failed, 0)))
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
     singular = ": the configuration is singular there, or two branches meet"
+    if not all(_is_solved(other) for other in proof.intervals[proof.intervals.index(each) :][:2]):
+        singular = ": the configuration is singular there, and beyond it the path may be out of reach"
     return where + (slack or (": they have a kink or a jump there" if _is_kinked(proof, each) else singular))
 
 
