@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -50,8 +51,9 @@ class Rows:
 
     def missed(self, left: Moments, right: Moments) -> Array:
         """Return by how much more values change than their rates say, shape (rows, N)."""
-        first, last = (np.where(self.rates[:, None] < 0, 0.0, side.states[self.rates]) for side in (left, right))
-        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) / 2.0 * (first + last)
+        mean = (left.states[self.rates] + right.states[self.rates]) / 2.0
+        mean[self.rates < 0] = 0.0
+        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) * mean
         if self.wraps.any():
             way[self.wraps] = wrapped_angle(way[self.wraps])
         missed: Array = np.abs(way)
@@ -65,7 +67,7 @@ class Moments:
     t: Array
     states: Array
 
-    def of(self, chosen: Places | npt.NDArray[np.bool_]) -> Moments:
+    def of(self, chosen: Places | npt.NDArray[np.bool_] | slice) -> Moments:
         """Return some of them."""
         return Moments(self.t[chosen], self.states[:, chosen])
 
@@ -96,9 +98,9 @@ class Looked:
 
 def look(beside: Beside, at: Moments, rows: Rows, share: float) -> Looked:
     """Halve the intervals over which values change by `share` of their ranges more than their rates say."""
-    at = at.of(_known(at))
+    at = at if np.isfinite(at.states).all() else at.of(_known(at))
     values, inserted, gaps = at.states[rows.values], at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]]()
-    left, right = at.of(np.arange(len(at.t) - 1)), at.of(np.arange(1, len(at.t)))
+    left, right = at.of(slice(-1)), at.of(slice(1, None))
     ranges = np.ptp(values, axis=1) if len(at.t) else np.zeros(len(values))
     least = np.where(ranges > _ROUND_OFF * np.abs(values).max(axis=1, initial=0.0), share * ranges, np.inf)[:, None]
     for _ in range(_HALVINGS):
@@ -211,8 +213,13 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
 
 def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
     """Return all observed quantities at moments, shape (channels, N)."""
-    jets = problem.reference.jet(at.t, program.start_order)
-    return at_instants(program.observe, at.states, jets=jets, p=problem.p)[0]
+    return read_at(problem, program.observe, at)[0]
+
+
+def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]:
+    """Return the results of a function of (unknowns, gamma, p) at moments, shape (rows, N) each."""
+    jets = problem.reference.jet(at.t, function.size2_in(1) - 1)
+    return list(at_instants(function, at.states, jets=jets, p=problem.p))
 
 
 # Angles ---------------------------------------------------------------------------------------------------------------

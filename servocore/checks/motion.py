@@ -17,6 +17,7 @@ from servocore.checks.branches import (
     Branch,
     Passage,
     Places,
+    Signs,
     ahead,
     is_closed_form,
     on_one_branch,
@@ -108,7 +109,9 @@ class Motion:
         return unknowns_from(self.problem, t[full], guess[:, full])[:, : len(t)] if len(t) else guess
 
 
-def motion_of(problem: Problem, t: Array | None = None, states: Array | None = None) -> Motion:
+def motion_of(
+    problem: Problem, t: Array | None = None, states: Array | None = None, known: Signs | None = None
+) -> Motion:
     """Return the exact motion of a flat problem on one branch.
 
     Parameters
@@ -119,6 +122,8 @@ def motion_of(problem: Problem, t: Array | None = None, states: Array | None = N
         Instants in rising order; enough ones along the path when not given.
     states : ndarray, shape (size, N), optional
         Answers there from the guess of the model, NaN where there is none.
+    known : tuple of (ndarray, ndarray), optional
+        Determinants there; see `Signs`.
 
     Raises
     ------
@@ -134,7 +139,7 @@ def motion_of(problem: Problem, t: Array | None = None, states: Array | None = N
         states, by_expression = exact_unknowns(problem, t)
     if len(t) < 2 or len(states) != len(problem.array.unknowns):
         return Motion(problem, t, states, by_guess=True)
-    kept, how, passages, far = on_one_branch(problem, t, states)
+    kept, how, passages, far = on_one_branch(problem, t, states, known)
     by_guess = False if how == FOLLOWED else True if by_expression or how == CLOSED_FORM else None
     return Motion(problem, t, kept, how, passages, far, by_guess=by_guess)
 
