@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import LESS_THAN_HALF, LOST, Branch, Places
+from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Places
 from servocore.checks.findings import Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -194,13 +194,14 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
-    between = look(motion.beside, Moments(motion.t, motion.states), _highest(motion.problem.array), _DOUBTED).between
+    some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
+    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED).between
     if len(between.t):  # less regular, values are all round-off
         branch, regular = Branch.of(motion.problem, motion.states), np.ones(len(between.t), dtype=bool)
         for each in motion.passages:
             regular &= (between.t < each.before) | (between.t > each.after)
-        least = branch.determinants(motion.t, motion.states)[1].max(axis=0) + np.log(LOST)
-        regular &= (branch.determinants(between.t, between.states)[1] > least).all(axis=1)
+        least = LOST * np.abs(branch.determinants(motion.t, motion.states)).max(axis=1, keepdims=True)
+        regular &= (np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0)
         between = between.of(regular)
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:

@@ -17,7 +17,6 @@ from servocore.checks.branches import (
     Branch,
     Passage,
     Places,
-    Signs,
     ahead,
     is_closed_form,
     on_one_branch,
@@ -110,7 +109,7 @@ class Motion:
 
 
 def motion_of(
-    problem: Problem, t: Array | None = None, states: Array | None = None, known: Signs | None = None
+    problem: Problem, t: Array | None = None, states: Array | None = None, known: Array | None = None
 ) -> Motion:
     """Return the exact motion of a flat problem on one branch.
 
@@ -122,8 +121,8 @@ def motion_of(
         Instants in rising order; enough ones along the path when not given.
     states : ndarray, shape (size, N), optional
         Answers there from the guess of the model, NaN where there is none.
-    known : tuple of (ndarray, ndarray), optional
-        Determinants there; see `Signs`.
+    known : ndarray, shape (blocks, N), optional
+        Determinants there; see `block_determinants`.
 
     Raises
     ------
@@ -187,10 +186,10 @@ def poles_passed(motion: Motion, steps: Places, values: Array, channels: Sequenc
 
     For integrated internal dynamics, whose configurations between the instants are not known.
     """
-    signs, _ = Branch.of(motion.problem, motion.states).determinants(motion.t, motion.states)
+    signs = np.sign(Branch.of(motion.problem, motion.states).determinants(motion.t, motion.states))
     for k in steps:
         near = slice(max(k - 2, 0), k + 4)
-        if (np.diff(signs[near], axis=0) != 0.0).any():
+        if (np.diff(signs[:, near], axis=1) != 0.0).any():
             worst = int(np.abs(np.diff(values[:, k : k + 2], axis=1)[:, 0]).argmax())
             quantity, (before, after) = channels[worst], values[worst, k : k + 2]
             yield Finding(

@@ -139,19 +139,16 @@ def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
     return tuple(blocks)
 
 
-def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> tuple[Array, Array]:
-    """Return signs and logarithms of the determinants of the diagonal blocks at N instants, shape (N, blocks) each.
+def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
+    """Return the determinants of the diagonal blocks at N instants, shape (blocks, N).
 
-    `found` and `entries` are the results of `determinants` at the instants. The sign of the whole determinant would
-    hide a singular block of which there are two, as there are of constraints: one holds the motion, the other the
-    forces.
+    `found` and `entries` are the results of `determinants` at the instants. The determinant of the whole would hide a
+    singular block of which there are two, as there are of constraints: one holds the motion, the other the forces.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        signs, logarithms = np.sign(found.T), np.log(np.abs(found.T))
-        for k, block in enumerate(diagonal_blocks(array) if entries is not None else ()):
-            if not _by_formula(block):
-                signs[:, k], logarithms[:, k] = np.linalg.slogdet(block.dense(np.asarray(entries)))
-    return np.nan_to_num(signs), logarithms
+    for k, block in enumerate(diagonal_blocks(array) if entries is not None else ()):
+        if not _by_formula(block):
+            found[k] = np.linalg.det(block.dense(np.asarray(entries)))
+    return found
 
 
 def _by_formula(block: Part) -> bool:
