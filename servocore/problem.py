@@ -77,6 +77,11 @@ class ResolvedSystem:
         ]
         return signs + margins
 
+    @property
+    def mass_varies(self) -> bool:
+        """Whether the mass matrix depends on the configuration."""
+        return _mass_varies(self)
+
     def holds(self, operations: set[int]) -> bool:
         """Whether the equations hold one of some operations, such as `KINKS`, given by their numbers in CasADi."""
         return _holds(self, frozenset(operations))
@@ -106,6 +111,11 @@ _FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "
 def equations_of(system: MechanicalSystem) -> list[ca.SX]:
     """Return all expressions that make up the equations of a system."""
     return [getattr(system, name) for name in _FIELDS]
+
+
+@made_once
+def _mass_varies(resolved: ResolvedSystem) -> bool:
+    return bool(ca.depends_on(resolved.system.mass, resolved.system.q))
 
 
 @made_once

@@ -20,6 +20,7 @@ from servocore.stepping.path_function import PathFunction
 
 _CALLER = 6  # the line that called `solve`
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
+_FEWER = 4  # of the survey's instants one is enough where all margins are large
 _SECTIONS, _ROUNDS = 21, 4  # between the neighbours of the lowest margin
 
 
@@ -106,13 +107,16 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
-    t = survey(problem.reference)
-    margins = _margins(problem, limits, t, native)
-    _require_kept(limits, margins, t)
-    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+    every = survey(problem.reference)
+    for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
+        margins = _margins(problem, limits, grid, native)
+        _require_kept(limits, margins, grid)
+        bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+        if (margins.min(axis=1) > bends).all():
+            return
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
         k = int(margins[row].argmin())
-        first, last = t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)]
+        first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
         for _ in range(_ROUNDS):
             at = np.linspace(first, last, _SECTIONS)
             inside = _margins(problem, limits[row : row + 1], at, False)

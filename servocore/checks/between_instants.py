@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import LESS_THAN_HALF, LOST, Branch, Places
+from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Places
 from servocore.checks.findings import Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -50,8 +51,9 @@ class Rows:
 
     def missed(self, left: Moments, right: Moments) -> Array:
         """Return by how much more values change than their rates say, shape (rows, N)."""
-        first, last = (np.where(self.rates[:, None] < 0, 0.0, side.states[self.rates]) for side in (left, right))
-        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) / 2.0 * (first + last)
+        mean = (left.states[self.rates] + right.states[self.rates]) / 2.0
+        mean[self.rates < 0] = 0.0
+        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) * mean
         if self.wraps.any():
             way[self.wraps] = wrapped_angle(way[self.wraps])
         missed: Array = np.abs(way)
@@ -65,7 +67,7 @@ class Moments:
     t: Array
     states: Array
 
-    def of(self, chosen: Places | npt.NDArray[np.bool_]) -> Moments:
+    def of(self, chosen: Places | npt.NDArray[np.bool_] | slice) -> Moments:
         """Return some of them."""
         return Moments(self.t[chosen], self.states[:, chosen])
 
@@ -96,9 +98,9 @@ class Looked:
 
 def look(beside: Beside, at: Moments, rows: Rows, share: float) -> Looked:
     """Halve the intervals over which values change by `share` of their ranges more than their rates say."""
-    at = at.of(_known(at))
+    at = at if np.isfinite(at.states).all() else at.of(_known(at))
     values, inserted, gaps = at.states[rows.values], at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]]()
-    left, right = at.of(np.arange(len(at.t) - 1)), at.of(np.arange(1, len(at.t)))
+    left, right = at.of(slice(-1)), at.of(slice(1, None))
     ranges = np.ptp(values, axis=1) if len(at.t) else np.zeros(len(values))
     least = np.where(ranges > _ROUND_OFF * np.abs(values).max(axis=1, initial=0.0), share * ranges, np.inf)[:, None]
     for _ in range(_HALVINGS):
@@ -192,13 +194,14 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
-    between = look(motion.beside, Moments(motion.t, motion.states), _highest(motion.problem.array), _DOUBTED).between
+    some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
+    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED).between
     if len(between.t):  # less regular, values are all round-off
         branch, regular = Branch.of(motion.problem, motion.states), np.ones(len(between.t), dtype=bool)
         for each in motion.passages:
             regular &= (between.t < each.before) | (between.t > each.after)
-        least = branch.determinants(motion.t, motion.states)[1].max(axis=0) + np.log(LOST)
-        regular &= (branch.determinants(between.t, between.states)[1] > least).all(axis=1)
+        least = LOST * np.abs(branch.determinants(motion.t, motion.states)).max(axis=1, keepdims=True)
+        regular &= (np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0)
         between = between.of(regular)
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
@@ -211,8 +214,13 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
 
 def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
     """Return all observed quantities at moments, shape (channels, N)."""
-    jets = problem.reference.jet(at.t, program.start_order)
-    return at_instants(program.observe, at.states, jets=jets, p=problem.p)[0]
+    return read_at(problem, program.observe, at)[0]
+
+
+def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]:
+    """Return the results of a function of (unknowns, gamma, p) at moments, shape (rows, N) each."""
+    jets = problem.reference.jet(at.t, function.size2_in(1) - 1)
+    return list(at_instants(function, at.states, jets=jets, p=problem.p))
 
 
 # Angles ---------------------------------------------------------------------------------------------------------------

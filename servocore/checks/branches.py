@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
@@ -26,6 +26,7 @@ from servocore.stepping.exact_evaluation import guessed_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import (
     block_determinants,
+    determinants,
     diagonal_blocks,
     inversion,
     system_jacobian,
@@ -47,10 +48,12 @@ _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is sing
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
 
-_LOOKED_AT = 300  # intervals at most, for the signs of determinants; in those over which they differ, all instants
 _ENDED = 1e-8  # of a determinant along the path: with less at its ends it begins or ends where constraints lose rank
 
 Places = npt.NDArray[np.intp]
+MANY = 1000
+"""Intervals that are compared; of more some are left out, though of no instant the determinants."""
+
 LESS_THAN_HALF = 0.4531
 """Of an interval: in the middle of symmetric paths singular instants are to be expected."""
 
@@ -152,10 +155,11 @@ class Branch:
         jolted: npt.NDArray[np.bool_] = (change > _JOLT * np.ptp(v, axis=1, keepdims=True)).any(axis=0)
         return jolted
 
-    def determinants(self, t: Array, states: Array) -> tuple[Array, Array]:
-        """Return signs and logarithms of the determinants of the system Jacobian's diagonal blocks, (N, blocks)."""
+    def determinants(self, t: Array, states: Array) -> Array:
+        """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
         jets = self.problem.reference.jet(t, self.problem.array.reference_order)
-        return block_determinants(self.problem.array, states, jets, self.problem.p)
+        found = at_instants(determinants(self.problem.array), states, jets=jets, p=self.problem.p)
+        return block_determinants(self.problem.array, *found)
 
     def follow(self, state: Array, begin: float, end: float, across: bool = False) -> tuple[Array, float]:
         """Follow the branch of an answer at `begin`; return the last answer and its time, `end` if it goes so far.
@@ -188,7 +192,7 @@ class Branch:
             )
         return reached
 
-    def _continued(self, state: Array, begin: float, end: float, own: tuple[Array, Array] | None) -> Array | None:
+    def _continued(self, state: Array, begin: float, end: float, own: Array | None) -> Array | None:
         """Return the answer at `end`, None if it is not seen to be on the branch, with determinants like `own`."""
         problem, h, t = self.problem, np.array([end - begin]), np.array([end])
         guess = ahead(problem.array, state[:, None], h)[:, 0]
@@ -200,8 +204,8 @@ class Branch:
             return None
         if own is None:
             return found
-        signs, sizes = self.determinants(t, found[:, None])
-        return found if ((signs == own[0]) & (sizes > own[1] + np.log(LOST))).all() else None
+        now = self.determinants(t, found[:, None])
+        return found if (now * np.sign(own) > LOST * np.abs(own)).all() else None
 
     def same(self, one: Array, other: Array) -> bool:
         """Whether two answers at one instant are the same."""
@@ -222,9 +226,12 @@ def places_of(array: DerivativeArray) -> tuple[Places, Places, Places, npt.NDArr
 
 
 def on_one_branch(
-    problem: Problem, t: Array, states: Array
+    problem: Problem, t: Array, states: Array, known: Array | None = None
 ) -> tuple[Array, str, tuple[Passage, ...], npt.NDArray[np.bool_]]:
-    """Return answers on the branch of the first, how that is known, the singularities passed, and what is `far`."""
+    """Return answers on the branch of the first, how that is known, the singularities passed, and what is `far`.
+
+    `known` are the determinants of the answers that are given, where they are known.
+    """
     solved = np.flatnonzero(np.isfinite(states).all(axis=0))
     if not len(solved):
         name = problem.system.name
@@ -235,9 +242,10 @@ def on_one_branch(
         if time != t[k - 1]:
             name = problem.system.name
             raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
-    far = branch.apart(kept[:, :-1], kept[:, 1:], np.diff(t)) | branch.jolts(kept, np.diff(t))
+    far = _far(branch, t, kept)
     suspects = np.flatnonzero(far)
-    changes, passages = _sign_changes(branch, t, kept, suspects)
+    known = branch.determinants(t, kept) if known is None or kept is not states else known
+    changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced, tried = sorted({*suspects.tolist(), *changes}, reverse=True), False, 0
     while waiting:
         k, tried = waiting.pop(), tried + 1
@@ -262,18 +270,27 @@ def on_one_branch(
     return kept, FOLLOWED if replaced else CONTINUOUS, tuple(passages), far
 
 
+def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
+    """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
+    every = -(-(len(t) - 1) // MANY)
+    looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
+    some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
+    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps) | branch.jolts(some, steps)
+    return np.repeat(far, np.diff(looked)) if every > 1 else far
+
+
 def _passage(
     branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
 ) -> Passage:
-    signs, _ = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
+    ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     blocks, names = diagonal_blocks(problem.array), problem.signature.equations.equations
-    changed = [tuple(names[row] for row in blocks[k].rows) for k in np.flatnonzero(signs[0] != signs[1])]
+    changed = [tuple(names[row] for row in blocks[k].rows) for k in np.flatnonzero(ends[:, 0] * ends[:, 1] < 0.0)]
     passages = [Passage(begin, end, time, equations) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
     return next((each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ())))
 
 
-def _sign_changes(branch: Branch, t: Array, states: Array, far: Places) -> tuple[list[int], list[Passage]]:
+def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
     """Return intervals over which a determinant changes its sign, and ends of a motion at which it is that of none.
 
     Raises
@@ -281,40 +298,23 @@ def _sign_changes(branch: Branch, t: Array, states: Array, far: Places) -> tuple
     IntegrationFailed
         For an instant that is singular itself.
     """
-    every = -(-(len(t) - 1) // _LOOKED_AT)
-    looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
-    signs, sizes = _regular(branch, t, states, looked)
-    ends, names = list[Passage](), branch.problem.signature.equations.equations
+    problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
+    sizes = np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
-        lost = np.flatnonzero(sizes[k] < sizes.max(axis=0) + np.log(_ENDED))
-        blocks = [diagonal_blocks(branch.problem.array)[j] for j in lost]
+        lost = np.flatnonzero(sizes[:, k] < _ENDED * np.fmax.reduce(sizes, axis=1))
+        blocks = [diagonal_blocks(problem.array)[j] for j in lost]
         found = (Passage(time, time, time, tuple(names[row] for row in block.rows)) for block in blocks)
-        ends += [each for each in found if each.of_constraints][:1]
-    if every > 1:
-        differ = np.flatnonzero((signs[:-1] != signs[1:]).any(axis=1))
-        ranges = [*((looked[k], looked[k + 1]) for k in differ), *((k, k + 1) for k in far[:_LOOKED_AT])]
-        if not ranges:
-            return [], ends
-        near = np.concatenate([np.arange(first - 1, last + 2) for first, last in ranges])
-        looked = np.unique(np.clip(near, 0, len(t) - 1))
-        signs, _ = _regular(branch, t, states, looked)
-    changed = (signs[:-1] != signs[1:]).any(axis=1) & (np.diff(looked) == 1)
-    return [int(k) for k in looked[:-1][changed]], ends
-
-
-def _regular(branch: Branch, t: Array, states: Array, looked: Places) -> tuple[Array, Array]:
-    """Return signs and sizes of determinants at some instants; raise `IntegrationFailed` for one that is singular."""
-    signs, sizes = branch.determinants(t[looked], states[:, looked])
-    small = sizes[1:-1] < np.log(_ON_IT) + np.minimum(sizes[:-2], sizes[2:])
+        passages += [each for each in found if each.of_constraints][:1]
+    small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():
-        at = int(looked[small.any(axis=1).argmax() + 1])
-        jet = branch.problem.reference.jet(float(t[at]), branch.problem.array.reference_order)
-        matrix = call_of(system_jacobian(branch.problem.array))(states[:, at], jet.T, branch.problem.p)[0]
+        k = int(small.any(axis=0).argmax()) + 1
+        jet = problem.reference.jet(float(t[k]), problem.array.reference_order)
+        matrix = call_of(system_jacobian(problem.array))(states[:, k], jet.T, problem.p)[0]
         raise IntegrationFailed(
-            f"{branch.problem.system.name} is singular at t = {t[at]:.6g} s: the system Jacobian has condition"
+            f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
             f" {condition_number(matrix):.2g}"
         )
-    return signs, sizes
+    return np.flatnonzero((~(known[:, :-1] * known[:, 1:] > 0.0)).any(axis=0)).tolist(), passages
 
 
 def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
@@ -328,5 +328,5 @@ def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
     off = np.abs(guessed_unknowns(problem, t)[branch.q] - states[branch.q])
     if not (off <= _EXACT * np.maximum(np.abs(states[branch.q]), branch.scale[:, None])).all():
         return False
-    signs, _ = branch.determinants(t, states)
-    return bool((signs == signs[0]).all() and signs.all())
+    found = branch.determinants(t, states)
+    return bool((found * np.sign(found[:, :1]) > 0.0).all())

@@ -108,7 +108,9 @@ class Motion:
         return unknowns_from(self.problem, t[full], guess[:, full])[:, : len(t)] if len(t) else guess
 
 
-def motion_of(problem: Problem, t: Array | None = None, states: Array | None = None) -> Motion:
+def motion_of(
+    problem: Problem, t: Array | None = None, states: Array | None = None, known: Array | None = None
+) -> Motion:
     """Return the exact motion of a flat problem on one branch.
 
     Parameters
@@ -119,6 +121,8 @@ def motion_of(problem: Problem, t: Array | None = None, states: Array | None = N
         Instants in rising order; enough ones along the path when not given.
     states : ndarray, shape (size, N), optional
         Answers there from the guess of the model, NaN where there is none.
+    known : ndarray, shape (blocks, N), optional
+        Determinants there; see `block_determinants`.
 
     Raises
     ------
@@ -134,7 +138,7 @@ def motion_of(problem: Problem, t: Array | None = None, states: Array | None = N
         states, by_expression = exact_unknowns(problem, t)
     if len(t) < 2 or len(states) != len(problem.array.unknowns):
         return Motion(problem, t, states, by_guess=True)
-    kept, how, passages, far = on_one_branch(problem, t, states)
+    kept, how, passages, far = on_one_branch(problem, t, states, known)
     by_guess = False if how == FOLLOWED else True if by_expression or how == CLOSED_FORM else None
     return Motion(problem, t, kept, how, passages, far, by_guess=by_guess)
 
@@ -182,10 +186,10 @@ def poles_passed(motion: Motion, steps: Places, values: Array, channels: Sequenc
 
     For integrated internal dynamics, whose configurations between the instants are not known.
     """
-    signs, _ = Branch.of(motion.problem, motion.states).determinants(motion.t, motion.states)
+    signs = np.sign(Branch.of(motion.problem, motion.states).determinants(motion.t, motion.states))
     for k in steps:
         near = slice(max(k - 2, 0), k + 4)
-        if (np.diff(signs[near], axis=0) != 0.0).any():
+        if (np.diff(signs[:, near], axis=1) != 0.0).any():
             worst = int(np.abs(np.diff(values[:, k : k + 2], axis=1)[:, 0]).argmax())
             quantity, (before, after) = channels[worst], values[worst, k : k + 2]
             yield Finding(

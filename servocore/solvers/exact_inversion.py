@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
-from servocore.checks.between_instants import Moments, continuous_angles, observed_at
+from servocore.checks.between_instants import Moments, continuous_angles, observed_at, read_at
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
 from servocore.checks.motion import Motion, enough, motion_of
@@ -21,9 +22,10 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS
-from servocore.problem import Problem
+from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
@@ -31,7 +33,7 @@ from servocore.solvers.results import Run, Segment, require_derivatives, solutio
 from servocore.solvers.route import JudgedRoute
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities, unknowns_from
 from servocore.stepping.program import Program, program_of
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import block_determinants, determinants, inversion
 
 if TYPE_CHECKING:
     from servocore.checks.better_solutions import BetterSolver
@@ -64,16 +66,18 @@ class Pointwise(JudgedRoute):
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
+        evaluation, kept = self._evaluation(problem), slice(None)
+        program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
         if problem.follow_branch:
-            program = program_of(problem, self.formulation, self.method, bool(self.native))
-            done, observed, kept = run_steps(problem, program, times, progress), None, slice(None)
+            done, looked = run_steps(problem, program, times, progress), list[Array]()
         else:
-            evaluation, (grid, parts) = self._evaluation(problem), enough(times)
-            program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
-            times, kept = grid, slice(None, None, parts)
-            done, observed = _at_every_instant(problem, program, grid, evaluation, progress, kept)
+            times, parts = enough(times)
+            kept = slice(None, None, parts)
+            done, looked = _at_every_instant(problem, program, times, evaluation, progress, kept)
+        read = _looking(problem.resolved, program)
+        looked = looked or read_at(problem, read, Moments(times, done.states))
         try:
-            motion = motion_of(problem, times, done.states)
+            motion = motion_of(problem, times, done.states, block_determinants(problem.array, *looked[2:]))
         except IntegrationFailed as error:
             solved = np.isfinite(done.states).all(axis=0)
             if solved.all():
@@ -82,15 +86,12 @@ class Pointwise(JudgedRoute):
                 raise
             raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
         if motion.states is not done.states:
-            done, observed = replace(done, states=motion.states), None
-        if observed is None:
-            jets = problem.reference.jet(times, program.start_order)
-            values, violations = at_instants(program.observe, done.states, jets=jets, p=problem.p)
-            observed = values, violations
-        continuous_angles(motion, program, observed[0])
+            done = replace(done, states=motion.states)
+            looked = read_at(problem, read, Moments(times, done.states))
+        continuous_angles(motion, program, looked[0])
         branch = FOLLOWED if problem.follow_branch else motion.branch
-        solution = solution_of(problem, [Segment(program, times, done, observed)], branch=branch)
-        motion = replace(motion, values=observed[0])
+        solution = solution_of(problem, [Segment(program, times, done, (looked[0], looked[1]))], branch=branch)
+        motion = replace(motion, values=looked[0])
         return replace(solution, t=solution.t[kept], values=solution.values[kept], motion=motion)
 
     def better(self, _: Problem) -> BetterSolver:
@@ -104,10 +105,19 @@ class Pointwise(JudgedRoute):
         exact = self.formulation == Reduced() and not problem.follow_branch
         if not exact or inversion(problem.array).expression is None:
             return None
-        observe = program_of(problem, self.formulation, self.method).observe
-        evaluation = exact_evaluation(problem.resolved, observe, self.native, True)
+        read = _looking(problem.resolved, program_of(problem, self.formulation, self.method))
+        evaluation = exact_evaluation(problem.resolved, read, self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         return evaluation
+
+
+@made_once
+def _looking(resolved: ResolvedSystem, program: Program) -> ca.Function:
+    """Compile (unknowns, gamma, p) -> observed values, violations, and what `determinants` returns."""
+    array, observe = resolved.array, program.observe
+    arguments = [ca.SX.sym(name, *observe.size_in(k)) for k, name in enumerate(("x", "gamma", "p"))]
+    regular = determinants(array).call([arguments[0], arguments[1][:, : array.reference_order + 1], arguments[2]])
+    return ca.Function("sc_look", arguments, [*observe.call(arguments), *regular], {"cse": True})
 
 
 _ASIDE = 1e-7  # relative
@@ -160,20 +170,20 @@ def _at_every_instant(
     evaluation: ExactEvaluation | None,
     progress: Progress | None,
     kept: slice,
-) -> tuple[Run, tuple[Array, Array] | None]:
-    """Solve every instant from the guess of the model, NaN where that fails; with observed values if known.
+) -> tuple[Run, list[Array]]:
+    """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking` if known.
 
     The counts are those of the instants that are kept.
     """
     require_derivatives(problem, program)
     results = _all_results(problem, program, times, evaluation, progress)
-    states, counts, residuals, *observed = results
+    states, counts, residuals, *looked = results
     good = np.isfinite(residuals[0])
     if not good.all():
         states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
     iterations, factorizations = counts[:, kept].sum(axis=1).round()
     worst = float(np.max(residuals[0, good], initial=0.0))
-    return Run(states, int(iterations), int(factorizations), worst), (observed[0], observed[1]) if observed else None
+    return Run(states, int(iterations), int(factorizations), worst), looked
 
 
 def _all_results(

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 
 from servocore.checks.before_run import require_feasible, warn_before_run
@@ -194,7 +193,7 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
         q = np.stack([solution[name] for name in problem.system.coordinates.names])
     else:
         return  # a user's route reports what it will
-    if problem.resolved.redundant or ca.depends_on(problem.system.mass, problem.system.q):
+    if problem.resolved.redundant or problem.resolved.mass_varies:
         from servocore.checks.away_from_home import left_out, negative_masses  # noqa: PLC0415 - many need neither
 
         yield from negative_masses(problem, t, q)

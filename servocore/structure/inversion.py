@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
@@ -139,20 +139,16 @@ def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
     return tuple(blocks)
 
 
-def block_determinants(array: DerivativeArray, unknowns: Array, jets: Array, p: Array) -> tuple[Array, Array]:
-    """Return signs and logarithms of the determinants of the diagonal blocks at N instants, shape (N, blocks) each.
+def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
+    """Return the determinants of the diagonal blocks at N instants, shape (blocks, N).
 
-    `unknowns` of the array have shape (size, N), `jets` (N, orders, m). The sign of the whole determinant would hide a
+    `found` and `entries` are the results of `determinants` at the instants. The determinant of the whole would hide a
     singular block of which there are two, as there are of constraints: one holds the motion, the other the forces.
     """
-    blocks, function = diagonal_blocks(array), _determinants(array)
-    found, *entries = at_instants(function, unknowns, jets=jets, p=p)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        signs, logarithms = np.sign(found.T), np.log(np.abs(found.T))
-        for k, block in enumerate(blocks):
-            if not _by_formula(block):
-                signs[:, k], logarithms[:, k] = np.linalg.slogdet(block.dense(entries[0]))
-    return np.nan_to_num(signs), logarithms
+    for k, block in enumerate(diagonal_blocks(array) if entries is not None else ()):
+        if not _by_formula(block):
+            found[k] = np.linalg.det(block.dense(np.asarray(entries)))
+    return found
 
 
 def _by_formula(block: Part) -> bool:
@@ -160,7 +156,7 @@ def _by_formula(block: Part) -> bool:
 
 
 @made_once
-def _determinants(array: DerivativeArray) -> ca.Function:
+def determinants(array: DerivativeArray) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> determinants of small blocks, and all entries if some are large."""
     (arguments, J), blocks = _system_jacobian(array), diagonal_blocks(array)
     small = [
