@@ -56,7 +56,17 @@ def crossing() -> sc.Scene:
     return replace(sc.scenes.rotary_crane(across_axis=True).with_reference(path), name="crossing")
 
 
+ARM = Path(__file__).resolve().parents[1] / "examples" / "ur5.urdf"
+
+
+def elastic_arm() -> sc.Scene:
+    """Return the UR5 of the examples with elastic joints."""
+    joints = [each.name for each in sc.scenes.from_file(ARM).model().outputs]
+    return sc.scenes.from_file(ARM, elastic=dict.fromkeys(joints, sc.Elastic(1e4, 0.3)))
+
+
 OTHERS: dict[str, Callable[[], sc.Scene]] = {
+    "elastic_arm": elastic_arm,
     "crossing": crossing,
     "elastic_hoist": users_scene,
     "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),

@@ -25,7 +25,7 @@ import servocore as sc
 
 FLAT = (("rotary_crane", 2), ("rotary_crane", 3), ("elastic_hoist", 3))
 INTERNAL = ("mass_on_car", 2)
-SOME: tuple[tuple[str, int], ...] = (*FLAT, INTERNAL, ("ship", 3))
+SOME: tuple[tuple[str, int], ...] = (*FLAT, INTERNAL, ("ship", 3), ("elastic_arm", 2))
 if FULL:
     SOME = tuple((name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist", "ship", "wind") for fmi in (2, 3))
 SYSTEM = [(f"rotary_crane {what}", 2) for what in ("plant", "trajectory", "loop")]

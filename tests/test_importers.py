@@ -134,6 +134,25 @@ def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:
     assert apart([(inputs[0][name], inputs[1][name]) for name in inputs[0]]) < 1e-12
 
 
+def test_an_sdf_slider_crank_moves_and_takes_the_power_as_by_hand() -> None:
+    scene = sc.scenes.from_file(OWN / "loop.sdf", ["turn"], inputs=["turn"], posture={"turn": 0.7})
+    solution = sc.solve(scene, step=0.005)
+    a = solution["turn"]
+    rod = np.arcsin(-0.4 * np.sin(a))  # its angle from the line of the slider; both turn about y
+    places = {"crank": 0.1 * np.exp(-1j * a), "rod": 0.2 * np.exp(-1j * a) + 0.25 * np.exp(-1j * rod)}
+    slider = 0.2 * np.cos(a) + 0.5 * np.cos(rod)
+    assert np.abs(solution["slide"] - (slider - 0.7)).max() < 1e-14
+
+    def rate(values: np.ndarray) -> np.ndarray:
+        return np.convolve(values, DIFFERENCE[::-1], "valid") / 0.005
+
+    energy = 0.5 * (0.004 * rate(a) ** 2 + 0.03 * rate(rod) ** 2 + 2.0 * rate(slider) ** 2)
+    for name, mass in (("crank", 1.0), ("rod", 1.5)):
+        energy = energy + mass * (0.5 * np.abs(rate(places[name])) ** 2 + 9.8 * places[name].imag[4:-4])
+    power = rate(energy) + 2.0 * rate(slider)[4:-4] ** 2
+    assert apart([(power, solution["turn.torque"][8:-8] * rate(a)[4:-4])]) < 1e-8
+
+
 @pytest.mark.parametrize(("name", "options", "hint"), [
     ("gantry.xml", {"outputs": ["load"], "posture": {"hoist": 4.0}}, "ropes=['load'] replaces swing_y, swing_x by its"),
     ("drone.xml", ALOFT | {"inputs": ["front", "left", "rear", "right"]}, ""),

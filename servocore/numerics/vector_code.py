@@ -101,7 +101,8 @@ class NoCounterpart(Exception):
 def build_of_source(source: Callable[[], str], of_what: str, *functions: ca.Function) -> Build | None:
     """Return the build of the source of functions; None if they cannot be written as vector code, or are too long."""
     try:
-        short = sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS
+        plain = all(each.is_a("SXFunction") for each in functions)  # machine code has no operations to count
+        short = plain and sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS
         return Build(source(), of_what, True) if short else None
     except NoCounterpart:
         return None
