@@ -125,7 +125,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
         )  # fmt: skip
     crane = bare.with_drives(**drives).with_limits(**{f"{name}.torque_reserve": (0.0, None) for name in drives})
     plan, report = sc.fastest(crane, (line_.start, line_.end), intervals=40)
-    assert report.limits.violation <= 1e-9
+    assert report.limits.evidence == "proved to be kept at all times"
     problem = Problem.of(crane.with_reference(plan))
     t = np.linspace(plan.start_time, plan.end_time, 50_001)
     reserves = limited_values(prepared_motion(problem), t)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
+from servocore.certificate.chebyshev import UNIT, Arithmetic, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.walk import Walk
@@ -27,6 +27,7 @@ LIMIT = "limit of "
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _AT_ONCE = 48
+_HALVED_FIRST = 0, 4, 7  # how often intervals are halved, the next number where a limit is undecided otherwise
 _LIGHT, _HEAVY = 1e-2, 1e4  # times the largest mass: the weight of constraints beside it
 _POSITIVE = 1e-300  # a pivot that is not zero
 
@@ -112,25 +113,31 @@ class Enclosed:
                 low, high = own.low.copy(), own.high.copy()
                 (high if early else low)[:, k] = middle
                 parts.append(Enclosed(self.ring, c, r, low, high))
-        return Enclosed(
-            self.ring, *(np.concatenate([getattr(part, name) for part in parts], axis=axis)
-                         for name, axis in (("c", 2), ("r", 1), ("low", 0), ("high", 0))),
-        )  # fmt: skip
+        return _joined(parts)
 
 
-def enclosed(proofs: Sequence[Proof], walk: Walk) -> Enclosed:
-    """Return enclosures of the results of a walk on all intervals within the path."""
-    ring, parts, corners = proofs[0].ring, list[Model](), list[list[tuple[float, ...]]]()
+def _joined(parts: Sequence[Enclosed]) -> Enclosed:
+    """Return enclosures on the boxes of several."""
+    fields = (("c", 2), ("r", 1), ("low", 0), ("high", 0))
+    return Enclosed(parts[0].ring, *(np.concatenate([getattr(e, name) for e in parts], axis) for name, axis in fields))
+
+
+def enclosed(proofs: Sequence[Proof], walk: Walk, halvings: int = 0) -> Enclosed:
+    """Return enclosures of the results of a walk on all intervals within the path, halved so often before it."""
+    ring, parts = proofs[0].ring, list[Enclosed]()
     for proof in proofs:
-        inner, boxes = [k for k, each in enumerate(proof.intervals) if not each.outside], list(proof.boxed.values())
-        for k in range(0, len(inner), _AT_ONCE):
-            c, r = (part[..., inner[k : k + _AT_ONCE]] for part in proof.enclosures)
-            parts.append(walk(ring, (c, r)))
-        for each in (proof.intervals[k] for k in inner):
-            corners.append([(each.begin, *(low for low, _ in boxes)), (each.end, *(high for _, high in boxes))])
-    c, r = np.concatenate([c for c, _ in parts], axis=2), np.concatenate([r for _, r in parts], axis=1)
-    ends = np.array(corners)
-    return Enclosed(ring, c, r, ends[:, 0], ends[:, 1])
+        within = [k for k, each in enumerate(proof.intervals) if not each.outside]
+        boxes, count = list(proof.boxed.values()), max(_AT_ONCE >> halvings, 1)
+        for first in range(0, len(within), count):
+            some = within[first : first + count]
+            c, r = (part[..., some] for part in proof.enclosures)
+            low = np.array([(proof.intervals[k].begin, *(least for least, _ in boxes)) for k in some])
+            high = np.array([(proof.intervals[k].end, *(most for _, most in boxes)) for k in some])
+            given = Enclosed(ring, c, r, low, high)
+            for _ in range(halvings):
+                given = given.halved()
+            parts.append(Enclosed(ring, *walk(ring, (given.c, given.r)), given.low, given.high))
+    return _joined(parts)
 
 
 @dataclass(frozen=True)
@@ -221,9 +228,16 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
                 statements.append(Statement(what(limit), "undecided", begin, end, text))
         if not usable:
             continue
-        quantities = enclosed(proofs, walk_of_limits(equations, usable, rates))
+        # Where a magnitude or a tanh turns within an interval, its enclosure is wide: halves of that say nothing new.
+        decisions, todo = dict[int, Decision](), list(range(len(usable)))
+        for halvings in _HALVED_FIRST:
+            quantities = enclosed(proofs, walk_of_limits(equations, usable, rates), halvings)
+            decisions |= {k: decided(quantities, k, usable[k].bound, usable[k].upper) for k in todo}
+            todo = [k for k in todo if decisions[k].verdict == "undecided" and np.isfinite(decisions[k].value)]
+            if not todo:
+                break
         for k, limit in enumerate(usable):
-            decision = decided(quantities, k, limit.bound, limit.upper)
+            decision = decisions[k]
             if decision.at is None:
                 extent = f"it stays from {limit.with_unit(decision.least)} to {limit.with_unit(decision.most)}"
                 sentence, time = extent, None
