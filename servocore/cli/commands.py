@@ -12,7 +12,7 @@ import rich.table
 from rich.markup import escape
 
 from servocore.analysis import analyse
-from servocore.cli import cache, effects, export, feedforward, plan, sensitivities, sweep, view
+from servocore.cli import cache, effects, export, feedforward, identification, plan, sensitivities, sweep, view
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import Subject
@@ -84,6 +84,8 @@ app = CommandLine(
         Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
         Command("sweep", sweep.sweep_scene, sweep.EXAMPLES),
         Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
+        Command("identify", identification.identify_scene, identification.EXAMPLES, {"model": None}),
+        Command("excite", identification.excite_scene, identification.EXCITE_EXAMPLES, {"model": None}),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
         Command("cache", cache.show_cache, cache.EXAMPLES),
