@@ -14,7 +14,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test quick versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects levels pictures docs dist clean
+.PHONY: help demo test quick versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects identification levels pictures docs dist clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -105,6 +105,9 @@ jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (som
 
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
+
+identification: $(INSTALLED)  ## identify random cranes from synthetic logs, into docs/identification (an hour)
+	$(RUN) benchmarks.identification
 
 docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples and notebooks (three minutes)
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b html docs build/docs

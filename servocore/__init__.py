@@ -52,6 +52,10 @@ if TYPE_CHECKING:
     from servocore.formulations.original import Original as Original
     from servocore.formulations.projected import Projected as Projected
     from servocore.formulations.reduced import Reduced as Reduced
+    from servocore.identification.excitation import excitation as excitation
+    from servocore.identification.identify import identify as identify
+    from servocore.identification.result import Identified as Identified
+    from servocore.identification.synthetic_log import measured as measured
     from servocore.importers.options import Elastic as Elastic
     from servocore.methods.backward_euler import BackwardEuler as BackwardEuler
     from servocore.methods.base import (

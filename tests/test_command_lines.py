@@ -24,8 +24,14 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
+<<<<<<< HEAD
 ALONG = {"feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export", "ssp"}
 SUBJECT = ALONG | {"analyse", "import"}
+=======
+SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
+IDENTIFYING = {"identify", "excite"}
+ALONG = SUBJECT - {"analyse"}
+>>>>>>> g
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
 BOUND = {"crane-fmu feedforward", "crane-fmu plan", "crane-fmu view"}
@@ -51,8 +57,12 @@ class Option(NamedTuple):
 
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
+<<<<<<< HEAD
     "--parameters": Option(of_both(SUBJECT) | FMUS, "crane.toml", Path("crane.toml")),
     "--drives": Option(of_both(SUBJECT) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")),
+=======
+    "--parameters": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "crane.toml", Path("crane.toml")),
+>>>>>>> g
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
     "--servo-output": Option(of_servocore(SUBJECT), "tool0", ("tool0",)),
     "--elastic": Option(of_servocore(SUBJECT), "elbow=1e4", ({"elbow": 1e4},)),
@@ -64,11 +74,11 @@ OPTIONS = {
     "--from": Option(of_both(ALONG) | DRIVEN, "5 0 -5", (5.0, 0.0, -5.0)),
     "--to": Option(of_both(ALONG) | DRIVEN, "5,0,-5", (5.0, 0.0, -5.0)),
     "--via": Option(of_both({"plan"}), "1 -2e-1 -.5", ((1.0, -0.2, -0.5),)),
-    "--duration": Option(LINES, "20s", 20.0),
+    "--duration": Option(LINES | {"servocore excite"}, "20s", 20.0),
     "--profile": Option(LINES, "degree-9"),
     "--ramp": Option(LINES, "500ms", 0.5),
-    "--limit": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "swing=5deg", ({"swing": "5deg"},)),
-    "--limits": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "limits.toml", Path("limits.toml")),
+    "--limit": Option(of_both(BOUNDED) | {"servocore excite", "crane-fmu drive"}, "swing=5deg", ({"swing": "5deg"},)),
+    "--limits": Option(of_both(BOUNDED) | {"servocore excite", "crane-fmu drive"}, "limits.toml", Path("limits.toml")),
     "--step": Option(
         of_both({"feedforward", "plan", "sensitivities", "drives", "view"}) | {"crane-fmu drive"}, "0.1", 0.1
     ),
@@ -81,7 +91,12 @@ OPTIONS = {
     "--plot": Option(of_both({"feedforward", "plan", "sensitivities"}), "p.png", Path("p.png")),
     "--verbose": Option(of_both({"feedforward"}), "", True),
     "--output": Option(
+<<<<<<< HEAD
         of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export", "ssp"}) | FMUS | {"crane-fmu demo"},
+=======
+        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | of_servocore(IDENTIFYING)
+        | FMUS | {"crane-fmu demo"},
+>>>>>>> g
         "result", Path("result"),
     ),
     "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ({"load_mass": (0.9, 1.1)},)),
@@ -92,17 +107,22 @@ OPTIONS = {
     "--wrt": Option(of_servocore({"sensitivities"}), "load_mass", ("load_mass",)),
     "--vary": Option(of_servocore({"sweep"}), "load_mass=50..150:3", ({"load_mass": (50.0, 150.0, 3)},)),
     "--sample": Option(of_servocore({"sweep"}), "9", 9),
-    "--seed": Option(of_servocore({"sweep"}), "0", 0),
+    "--seed": Option(of_servocore({"sweep", "excite"}), "0", 0),
     "--instants": Option(of_servocore({"sweep"}), "11", 11),
     "--inputs": Option(of_servocore({"sweep"}), "", True),
     "--scheduler": Option(of_servocore({"sweep"}), "tcp://here:1", "tcp://here:1"),
     "--resume": Option(of_servocore({"sweep"}), "", True),
     "--parquet": Option(of_servocore({"sweep"}), "", True),
     "--deviation": Option(of_servocore({"effects"}), "5mm", "5mm"),
-    "--bandwidth": Option(of_servocore({"effects"}), "3", 3.0),
+    "--bandwidth": Option(of_servocore({"effects", "identify"}), "3", 3.0),
     "--open-loop": Option(of_servocore({"effects"}), "", True),
     "--simulate": Option(of_servocore({"effects"}), "", True),
     "--markdown": Option(of_servocore({"effects"}), "e.md", Path("e.md")),
+    "--estimate": Option(of_servocore(IDENTIFYING), "load_mass", "load_mass"),
+    "--effects": Option(of_servocore(IDENTIFYING), "friction", "friction"),
+    "--uncertainty": Option(of_servocore(IDENTIFYING), "20%", "20%"),
+    "--job": Option(of_servocore({"identify"}), "job.csv", (Path("job.csv"),)),
+    "--page": Option(of_servocore({"identify"}), "page.html", Path("page.html")),
     "--fmi": Option(of_servocore({"export"}), "2", 2),
     "--targets": Option(
         {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),

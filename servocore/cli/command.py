@@ -43,7 +43,9 @@ def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str =
     if kind is not None:
         about = {"type": kind, "metavar": metavar, "help": help, "required": default is ...}
         about |= {} if default is ... else {"default": default}
-    if isinstance(default, tuple):
+    if isinstance(default, tuple) and not flags:
+        about["nargs"] = -1
+    elif isinstance(default, tuple):
         about |= {"multiple": True, "help": f"{help} May be repeated."}
     declared = {"flags": flags, "kind": kind, "about": about}
     return field(metadata=declared, **{"default": about["default"]} if "default" in about else {})
@@ -91,7 +93,8 @@ class Command(click.Command):
         files, folders = (
             {flag: place for role, flag, place in places if role == kind} for kind in ("written", "folder")
         )
-        require_places(files, [place for role, _, place in places if role == "read"], folders)
+        read = [place if isinstance(place, tuple) else (place,) for role, _, place in places if role == "read"]
+        require_places(files, [place for several in read for place in several], folders)
         for each in self.params:
             if each.type is PICTURE:
                 require_picture(values[str(each.name)])

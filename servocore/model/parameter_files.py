@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, ServocoreWarning
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
 
@@ -37,6 +38,13 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
     declared = {parameter.name: parameter for parameter in (*scene.model().parameters.declared, *more)}
     values: dict[str, float] = {}
     for key, value in read_table(path).items():
+        if key not in declared and key in scene.effects.parameters:
+            warnings.warn(
+                f"{path}: {key} is not used: it belongs to an effect that this model leaves out",
+                ServocoreWarning,
+                stacklevel=2,
+            )
+            continue
         if key not in declared:
             raise InvalidModel(f"{path}: no parameter is called {key!r}; there are {', '.join(declared)}")
         values[key] = _number(path, key, value)

@@ -7,7 +7,6 @@ look like milliseconds, are refused with the remedy.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import re
@@ -22,6 +21,7 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
+from servocore.references.csv_header import bytes_of, header_of
 from servocore.references.likely_units import UndeclaredUnits, doubtful_units
 from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
@@ -36,11 +36,9 @@ _LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "km": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": 180.0 / np.pi, "°": 180.0 / np.pi}
 _EPOCHS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _SINCE_1970 = 1e9, 4e9  # s: the years 2001 to 2096
-_WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _CLOCK = re.compile(r"\d[:/.-]\d+[:/.-]\d|\d:\d\d")
 _RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
 _POWERS = {"²": 2, "³": 3, "⁴": 4}
-_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # spreadsheets write it above a header
 _SHOWN = 80  # letters of a header that is none
 _YES, _NO = ("1", "1.0", "yes", "true", "x", "stop"), ("", "0", "0.0", "no", "false")
 
@@ -111,20 +109,14 @@ def read_table(
     file, components = Path(path), tuple(columns)
     if not components or len({"time", *components}) <= len(components):
         raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
-    data, notes = _bytes_of(file)
+    data, notes = bytes_of(file)
     known = units or (("m",) * 3 if components == ("x", "y", "z") else ("",) * len(components))
     layout, more = _layout(file, data, dict(zip(components, known, strict=True)), groups, waypoints)
     body, layout, dated = _body(file, data, layout)
     lines, numbers, stops, commas = _numbers_of(file, body, layout)
     notes += more + dated + commas + _since_1970(numbers, layout)
     numbers /= layout.factors
-    stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
-    if stuck.size:
-        late = stuck[0] + 1
-        raise InvalidReference(
-            f"{file}, line {lines[late]}, column time: {_digits(numbers[late, 0])} s does not come after "
-            f"{_digits(numbers[late - 1, 0])} s of the row before"
-        )
+    _require_increasing(file, lines, numbers[:, 0])
     far = int(np.abs(numbers[:, 0]).argmax())
     if abs(numbers[far, 0]) > LONGEST_TIME:
         raise InvalidReference(
@@ -161,22 +153,70 @@ class _Layout(NamedTuple):
     clock: Callable[[str], float] | None = None  # from dates to seconds, where times are dates
 
 
-def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
-    """Return a file as UTF-8 with LF at ends of lines, and notes of conversions."""
-    try:
-        data = file.read_bytes()
-        notes = []
-        if data.startswith(codecs.BOM_UTF8):
-            data = data.removeprefix(codecs.BOM_UTF8)
-        elif data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) or b"\0" in data[:2]:
-            encoding = "utf-16" if data[:1] in b"\xff\xfe" else "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
-            data, notes = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
-        data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
-    except OSError as error:
-        raise InvalidReference(f"{file} cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise InvalidReference(f"{file} cannot be read as a table: {error}; save it as CSV in UTF-8") from None
-    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
+def read_columns(
+    path: str | PathLike[str], known: Mapping[str, str], factor: Callable[[str, str], float]
+) -> tuple[FloatArray, dict[str, FloatArray], set[str]]:
+    """Read the time and the columns with known names, in any order, from a table; empty cells are NaN.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; the time is its first column.
+    known : mapping of str to str
+        Names of columns and their SI units; other columns are left out.
+    factor : callable
+        (unit, SI unit) -> how many of it make one of SI; raises `ValueError` if there is no such conversion.
+
+    Returns
+    -------
+    t : ndarray, shape (N,)
+        Times in s, increasing.
+    columns : dict of str to ndarray, shape (N,)
+        By name, in SI units.
+    declared : set of str
+        Names of the columns whose unit is in the header.
+
+    Raises
+    ------
+    InvalidReference
+        As `read_table`.
+    """
+    file = Path(path)
+    data, notes = bytes_of(file)
+    header = header_of(file, data, f"time,{','.join(known)}")
+    named = [unit[1] if unit else cell for cell, unit in header.cells]
+    names = _without_capitals(["time" if named[0].casefold() == "t" else named[0], *named[1:]], ["time", *known])
+    if names[0] != "time" or len(set(names)) < len(names):
+        raise InvalidReference(f"{file}, line {header.line}: its first column must be time, and no name may repeat")
+    units = {name: unit[2].replace("\u03bc", "µ") for name, (_, unit) in zip(names, header.cells, strict=True) if unit}
+    factors = np.ones(len(names))
+    for k, name in enumerate(names):
+        try:
+            if k == 0:
+                factors[k] = _factor(file, header.line, name, units.get(name), 0, ["s"])
+            elif name in units and name in known:
+                factors[k] = factor(units[name], known[name])
+        except ValueError as error:
+            raise InvalidReference(f"{file}, line {header.line}, column {name}: {error}") from None
+    layout = _Layout(names, header.delimiter, factors, units, header.first, header.line + 1, False, 1)
+    body, layout, dated = _body(file, data, layout)
+    lines, numbers, _, commas = _numbers_of(file, body, layout)
+    notes += dated + commas + _since_1970(numbers, layout)
+    numbers /= factors
+    _require_increasing(file, lines, numbers[:, 0])
+    if notes:
+        warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
+    return numbers[:, 0], {name: numbers[:, k] for k, name in enumerate(names) if name in known}, set(units)
+
+
+def _require_increasing(file: Path, lines: Sequence[int], t: FloatArray) -> None:
+    stuck = np.flatnonzero(np.diff(t) <= 0.0)
+    if stuck.size:
+        late = stuck[0] + 1
+        raise InvalidReference(
+            f"{file}, line {lines[late]}, column time: {_digits(t[late])} s does not come after "
+            f"{_digits(t[late - 1])} s of the row before"
+        )
 
 
 def _layout(
@@ -186,19 +226,11 @@ def _layout(
     blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
     wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
     shortest = ",".join(wanted[0])
-    first, line, header = 0, 0, ""
-    while first < len(data) and (not header or _SEPARATOR.fullmatch(header)):
-        end = data.find(b"\n", first) % (len(data) + 1)
-        header, first, line = data[first:end].decode(errors="replace").strip(), end + 1, line + 1
-    if not header:
-        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
-    delimiter = next((mark for mark in ";\t" if mark in header), ",")
-    cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
-    with_units = [_WITH_UNIT.fullmatch(cell) for cell in cells]
-    written = [unit[1] if unit else cell for unit, cell in zip(with_units, cells, strict=True)]
+    header, with_units, delimiter, first, line = header_of(file, data, shortest)
+    written = [unit[1] if unit else cell for cell, unit in with_units]
     usual = ["time", *written[1:]] if written[0] == "t" and "t" not in components else written
     names = _without_capitals(usual, [*wanted[-1], *([STOP] if waypoints else [])])
-    units = {name: unit[2].replace("\u03bc", "µ") for name, unit in zip(names, with_units, strict=True) if unit}
+    units = {name: unit[2].replace("\u03bc", "µ") for name, (_, unit) in zip(names, with_units, strict=True) if unit}
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:
         more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""

@@ -1,0 +1,278 @@
+"""`excitation`: a path within limits whose log shows parameters best."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.errors import InvalidReference, InvalidSetting, PlanningFailed, require_real
+from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
+from servocore.identification.information import information
+from servocore.identification.prediction import Prediction
+from servocore.model.limits import Bounds
+from servocore.model.scene import Scene, require_scene, within_limits
+from servocore.numerics.compiled_calls import Array
+from servocore.planning.report import Certificate, certify, sides
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.splines import through
+from servocore.stepping.exact_evaluation import exact_unknowns
+
+_FASTEST, _MOST = 0.4, 12  # Hz and number of harmonics: faster ones excite what models leave out
+_SPACING, _GRID = 0.5, 0.1  # s between waypoints, and between instants of the search
+_WINDOW = 2.0  # s in which the harmonics grow from rest
+_STARTS, _TRIALS = 30, 1000
+_MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
+_SAMPLE = 0.005  # s between samples of the log that is predicted
+_SHRUNK, _SHRINKS = 0.97, 20
+
+
+@dataclass(frozen=True)
+class ExcitationReport:
+    """How well the log of a path will show parameters.
+
+    Attributes
+    ----------
+    standard_errors : mapping of str to float
+        Predicted, relative to the values, with what was believed; by name.
+    of_scene : mapping of str to float
+        Those of the scene's own path with the same noise, as long as that takes.
+    gain : float
+        Geometric mean of their ratios.
+    certificate : Certificate
+        Limits at twenty thousand instants by exact inversion.
+    trials : int
+        Paths that were tried.
+    """
+
+    standard_errors: Mapping[str, float]
+    of_scene: Mapping[str, float]
+    gain: float
+    certificate: Certificate
+    trials: int
+
+    def __str__(self) -> str:
+        width = max(map(len, self.standard_errors))
+        rows = [
+            f"{name:<{width}}  {100 * error:8.3g} %  {100 * self.of_scene[name]:8.3g} %"
+            for name, error in self.standard_errors.items()
+        ]
+        return "\n".join([
+            f"{'standard error':<{width}}  {'this path':>10}  {'scene':>10}",
+            *rows,
+            f"geometric mean  {self.gain:.3g} times less",
+            f"violation       {self.certificate.violation:.1e} of half a range at {self.certificate.instants} instants",
+        ])  # fmt: skip
+
+
+def excitation(
+    scene: Scene,
+    parameters: str | Sequence[str],
+    limits: Mapping[str, Bounds | None] | None = None,
+    *,
+    duration: float = 20.0,
+    effects: Sequence[str] = (),
+    criterion: str = "D",
+    noise: float = 0.01,
+    believed: Mapping[str, float] | float = UNCERTAINTY,
+    seed: int = 0,
+) -> tuple[Reference, ExcitationReport]:
+    """Return a path from rest to rest within limits whose log shows parameters best, and a report.
+
+    A sum of harmonics about the home of the scene, improved by random search ((1+1) evolution with Rechenberg's rule of
+    success) for the determinant (D) or the trace (A) of the predicted covariance.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the believed values of its parameters. Without internal dynamics.
+    parameters : str or sequence of str
+        Names or patterns, see `identify`.
+    limits : mapping of str to bounds
+        More limits than the scene has, as `Scene.with_limits` takes them; the inputs need some.
+    duration : float
+        In s.
+    effects : sequence of str
+        Effects that the model has beside those of the scene.
+    criterion : str
+        ``"D"`` or ``"A"``.
+    noise : float
+        Standard deviation of the measured inputs every 5 ms, relative to that of the inputs along the scene's own path.
+    believed : mapping of str to float, or float
+        See `identify`.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    Reference
+        The path.
+    ExcitationReport
+        Predicted standard errors, and the certificate that the limits are kept.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no limits, or a setting is invalid.
+    InvalidModel
+        If the scene has internal dynamics, or no such parameter.
+    PlanningFailed
+        If no path about home keeps the limits.
+    """
+    require_scene(scene, "excitation")
+    for what, value in (("duration", duration), ("noise", noise)):
+        require_real(value, f"the {what} of an excitation", "a positive number", InvalidSetting)
+        if not 0.0 < value < np.inf or (what == "duration" and value < 4 * _WINDOW):
+            raise InvalidSetting(
+                f"the {what} of an excitation is {value:g}: it must be positive, a duration 8 s or more"
+            )
+    if criterion not in ("A", "D"):
+        raise InvalidSetting(f"the criterion of an excitation is 'A' or 'D', not {criterion!r}")
+    extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
+    problem = Problem.of(extended)
+    if not motion_limits(problem):
+        raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
+    names = chosen_parameters(parameters, problem)
+    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), criterion, noise)
+    best, trials = search.improved(np.random.default_rng(seed))
+    path, certificate = search.certified(best)
+    errors, own = (search.errors(each) for each in (path, scene.reference))
+    gain = float(np.exp(np.mean(np.log(own / errors))))
+    named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
+    return path, ExcitationReport(named[0], named[1], gain, certificate, trials)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Harmonics about a place, and how good they are.
+
+    Attributes
+    ----------
+    problem : Problem
+        With its limits.
+    prediction : Prediction
+        Of the inputs.
+    basis : PiecewisePolynomial
+        The path through one waypoint for each of its components.
+    harmonics : ndarray, shape (waypoints, 2 harmonics)
+        Windowed, at the waypoints.
+    spreads, noise : ndarray
+        Relative uncertainties of the parameters, and noise of the inputs at the instants of the search.
+    criterion : str
+        See `excitation`.
+    """
+
+    problem: Problem
+    prediction: Prediction
+    basis: PiecewisePolynomial
+    harmonics: Array
+    spreads: Array
+    noise: Array
+    criterion: str
+
+    @classmethod
+    def of(
+        cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, criterion: str, noise: float
+    ) -> _Search:
+        """Return the search for parameters of a problem."""
+        order = problem.array.reference_order
+        columns = tuple(problem.system.parameters.names.index(name) for name in names)
+        prediction = Prediction(problem.resolved, (), columns)
+        t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
+        basis = through(np.eye(len(t)), t, rest_order=order)
+        count = int(np.clip(round(_FASTEST * duration), 2, _MOST))
+        grown = np.clip(np.minimum(t, duration - t) / _WINDOW, 0.0, 1.0)
+        phases = 2 * np.pi * np.arange(1, count + 1) * t[:, None] / duration
+        harmonics = np.hstack([np.sin(phases), np.cos(phases)]) * (grown**3 * (10 - 15 * grown + 6 * grown**2))[:, None]
+        own = problem.reference
+        jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
+        size = prediction.values(jets, problem.p).std(axis=0)
+        floor = 1e-3 * float(size.max(initial=1e-12))
+        per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
+        return cls(problem, prediction, basis, harmonics, spreads, per_instant, criterion)
+
+    def path(self, x: Array) -> PiecewisePolynomial:
+        """Return the path of amplitudes (2 harmonics, outputs)."""
+        points = self.problem.system.home[: x.shape[1]] + self.harmonics @ x
+        coefficients = self.basis.coefficients @ points
+        return replace(self.basis, dimension=x.shape[1], coefficients=coefficients, ends=points[[0, -1]])
+
+    def errors(self, path: Reference) -> Array:
+        """Return the predicted relative standard errors of a path."""
+        errors: Array = np.sqrt(np.diag(np.linalg.inv(self._information(path))))
+        return errors
+
+    def _information(self, path: Reference) -> Array:
+        t = np.arange(path.start_time, path.end_time + _GRID / 2, _GRID)
+        jets, p = path.jet(t, self.problem.array.reference_order), self.problem.p
+        scales = np.abs(p[list(self.prediction.columns)])
+        scales = np.where(scales > 0.0, scales, 1.0)
+        return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, scales, self.noise)
+
+    def score(self, x: Array) -> float:
+        """Return how good amplitudes are, the more the better; minus infinity where the model has no solution."""
+        total = self._information(self.path(x))
+        if not np.isfinite(total).all():
+            return -np.inf
+        if self.criterion == "D":
+            return float(np.linalg.slogdet(total)[1])
+        return -float(np.log(np.trace(np.linalg.inv(total))))
+
+    def excess(self, x: Array) -> float:
+        """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
+        problem = replace(self.problem, reference=self.path(x))
+        t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
+        values = limited_values(problem, lambda at: exact_unknowns(problem, at)[0], t)
+        over = [
+            each for limit, row in zip(motion_limits(problem), values, strict=True) for _, each in sides(limit, row)
+        ]
+        return max(0.0, float(np.nan_to_num(np.array(over), nan=10.0).max()) + _MARGIN)
+
+    def within(self, x: Array) -> Array | None:
+        """Return amplitudes shrunk until they keep the limits; None if that does not help."""
+        for _ in range(4):
+            excess = self.excess(x)
+            if excess == 0.0:
+                return x
+            x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
+        return None
+
+    def improved(self, random: np.random.Generator) -> tuple[Array, int]:
+        """Return the best amplitudes that were found, and the number of trials; raises `PlanningFailed` without any."""
+        shape = self.harmonics.shape[1], len(self.problem.system.outputs)
+        best, score = np.zeros(shape), -np.inf
+        slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
+        for k in range(_STARTS):
+            x = self.within(random.standard_normal(shape) * slow * (1.0 + k % 3))
+            if x is not None and (found := self.score(x)) > score:
+                best, score = x, found
+        if not np.isfinite(score):
+            raise PlanningFailed(
+                f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
+            )
+        size = 0.3
+        for _ in range(_TRIALS):
+            x = self.within(best + size * float(np.sqrt(np.mean(best**2))) * random.standard_normal(shape) * slow**0.5)
+            found = -np.inf if x is None else self.score(x)
+            if x is not None and found > score:
+                best, score, size = x, found, 1.3 * size
+            else:
+                size = max(0.94 * size, 0.01)
+        return best, _STARTS + _TRIALS
+
+    def certified(self, x: Array) -> tuple[PiecewisePolynomial, Certificate]:
+        """Return a path that keeps the limits at twenty thousand instants, and its certificate."""
+        for _ in range(_SHRINKS):
+            path = self.path(x)
+            try:
+                certificate = certify((replace(self.problem, reference=path),))
+                if certificate.violation == 0.0:
+                    return path, certificate
+            except InvalidReference:  # a limit of the path itself, as the rope's tension
+                pass
+            x = _SHRUNK * x
+        raise PlanningFailed(f"{self.problem.name}: no path about home keeps the limits between its instants")

@@ -1,0 +1,333 @@
+"""Maximum likelihood on the flat output: path of the output, parameters, biases and delays from all channels of logs.
+
+    min over c, theta, b, tau:  sum ((y - y(jet)) / s_y)^2 + sum ((u - b + tau u' - u(jet, theta)) / s_u)^2 + prior
+
+The path is a spline with coefficients c, and every channel an algebraic function of its jet: the exact inversion. Its
+noise enters through both, so that noisy positions bias nothing, and logs may begin in motion. Gauss-Newton steps
+eliminate the coefficients stretch by stretch: their normal equations are banded, and the Schur complement is the
+information on all the rest (Nocedal and Wright, Numerical Optimization, chapter 10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from servocore.identification.blocks import Blocks
+from servocore.identification.prediction import Predicted, Prediction
+from servocore.identification.splines import PathSpline
+from servocore.numerics.compiled_calls import Array
+
+DELAY = 0.005
+"""Standard deviation of the delay of an input behind the positions before anything is measured, in s."""
+
+_STEPS, _ROUNDS = 25, 3
+_HUBER = 3.0  # standard deviations from which on a residual counts less
+_CREEP = 4.0  # times the usual slope of an input by velocities: in creep dry friction is not known well enough
+_BESIDE = 4  # blocks
+_LEFT, _BLURRED = 0.03, 0.3  # weights of inputs and positions there
+_COUNTED = 0.1  # weight from which on a value counts in full
+_LAGS = 30  # blocks: residuals that stay for less raise standard errors
+_SETTLED, _ROUGHLY = 0.02, 2.0  # standard errors
+_GAINED = 1e-5
+_FARTHEST = 0.5  # change of a parameter in one step, by its believed value
+_LOOSE = 0.1, 0.01  # of the standard deviation of an input, of a position: the noise at the start
+_RIDGE = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Estimates: parameters by their scales, biases and delays (logs, 2, inputs), and coefficients by stretch."""
+
+    theta: Array
+    offsets: Array
+    paths: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Weights of one stretch: standard deviations by channel (channels,), and factors of single values."""
+
+    scales: Array
+    factors: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A maximum likelihood problem.
+
+    Attributes
+    ----------
+    prediction : Prediction
+        Of all channels.
+    p : ndarray
+        All parameters of the model; those to be estimated are replaced.
+    scales, spread : ndarray, shape (parameters,)
+        Units of the estimates, and their standard deviations before anything is measured.
+    center : ndarray, shape (parameters,)
+        Their believed values.
+    stretches : tuple of Blocks
+        Data.
+    splines : tuple of PathSpline
+        Paths of the stretches.
+    """
+
+    prediction: Prediction
+    p: Array
+    center: Array
+    scales: Array
+    spread: Array
+    stretches: tuple[Blocks, ...]
+    splines: tuple[PathSpline, ...]
+    lower: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.prediction.resolved.system.inputs)
+
+    @property
+    def logs(self) -> int:
+        """Number of logs."""
+        return 1 + max(each.log for each in self.stretches)
+
+    def parameters(self, theta: Array) -> Array:
+        """Return all parameters of the model with estimates in their places."""
+        p = self.p.copy()
+        p[list(self.prediction.columns)] = theta * self.scales
+        return p
+
+    def refined(self, state: State, spacing: float) -> tuple[Fit, State]:
+        """Return the problem with another distance of knots, and its state with the same paths."""
+        splines = tuple(replace(each, spacing=spacing) for each in self.splines)
+        finer = replace(self, splines=splines)
+        places = [old.jets(path)[:, 0] for old, path in zip(self.splines, state.paths, strict=True)]
+        return finer, replace(state, paths=start(finer, places).paths)
+
+    def values(self, state: State, k: int) -> Array:
+        """Return the channels of a stretch (N, channels) without derivatives."""
+        return self.prediction.values(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
+
+    def predicted(self, state: State, k: int) -> Predicted:
+        """Return the channels of a stretch."""
+        return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
+
+    def residuals(self, state: State, k: int, values: Array) -> tuple[Array, Array]:
+        """Return measured less predicted channels of a stretch (N, channels), and the rates of its inputs (N, m)."""
+        data, m = self.stretches[k], self.inputs
+        bias, delay = state.offsets[data.log]
+        u = values[:, :m]
+        rate = np.gradient(u, data.t, axis=0)
+        rate -= delay * np.gradient(rate, data.t, axis=0)
+        expected = values.copy()
+        expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)
+        residual = data.values - expected
+        for channel, quantity in enumerate(self.prediction.quantities):
+            if quantity.wraps:
+                residual[:, channel] = np.angle(np.exp(1j * residual[:, channel]))
+        return residual, rate
+
+    def prior(self) -> tuple[Array, Array]:
+        """Return center and precision of parameters, biases and delays before anything is measured."""
+        m = self.inputs
+        sizes = np.ones(m) * np.max([np.abs(each.values[:, :m]).max(axis=0) for each in self.stretches], axis=0)
+        offsets = np.concatenate([1.0 / np.maximum(sizes, 1e-12) ** 2, np.full(m, 1.0 / DELAY**2)])
+        center = np.concatenate([self.center / self.scales, np.zeros(2 * m * self.logs)])
+        return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
+
+    def cost(self, state: State, weights: list[Weights]) -> float:
+        """Return the weighted sum of squares; infinite where the model has no solution."""
+        center, precision = self.prior()
+        total = float(precision @ (_all(state) - center) ** 2)
+        for k, weight in enumerate(weights):
+            residual, _ = self.residuals(state, k, self.values(state, k))
+            total += float(np.sum((weight.factors * residual / weight.scales) ** 2))
+        return total if np.isfinite(total) else np.inf
+
+    def step(self, state: State, weights: list[Weights], damping: float) -> tuple[State, Array]:
+        """Return the change of a Gauss-Newton step, and the information on all but the paths."""
+        center, precision = self.prior()
+        information, right = np.diag(precision), precision * (center - _all(state))
+        solved = []
+        count, m = len(self.scales), self.inputs
+        for k, weight in enumerate(weights):
+            predicted, data = self.predicted(state, k), self.stretches[k]
+            residual, rate = self.residuals(state, k, predicted.values)
+            w = weight.factors / weight.scales
+            nuisance = np.zeros((*residual.shape, count + 2 * m))
+            nuisance[:, :, :count] = predicted.by_parameter * self.scales
+            nuisance[:, range(m), range(count, count + m)] = 1.0
+            nuisance[:, range(m), range(count + m, count + 2 * m)] = -rate
+            nuisance *= w[:, :, None]
+            band, sides = self.splines[k].normal(predicted.by_path * w[:, :, None, None], residual * w, nuisance)
+            band[0] *= 1.0 + _RIDGE + damping
+            band[0] += _RIDGE * band[0].mean()
+            answer = scipy.linalg.solveh_banded(band, sides, lower=True)
+            flat = nuisance.reshape(-1, count + 2 * m)
+            places = np.concatenate([np.arange(count), count + 2 * m * data.log + np.arange(2 * m)])
+            information[np.ix_(places, places)] += flat.T @ flat - sides[:, 1:].T @ answer[:, 1:]
+            right[places] += flat.T @ (residual * w).ravel() - sides[:, 1:].T @ answer[:, 0]
+            solved.append((answer, places))
+        damped = information + damping * np.diag(np.diag(information))
+        change = np.linalg.solve(damped, right)
+        moved = [
+            (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
+            for answer, places in solved
+        ]
+        return _state(change, count, state.offsets.shape, tuple(moved)), information
+
+    def weights(self, state: State, first: bool) -> list[Weights]:
+        """Return weights by the residuals of a state, or by the noise of the data alone at first."""
+        raw = []
+        for k, data in enumerate(self.stretches):
+            predicted = self.predicted(state, k)
+            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
+            slope = np.linalg.norm(predicted.by_path[:, : self.inputs, 1], axis=2)
+            creeping = _near(slope > _CREEP * np.quantile(slope, 0.25, axis=0))
+            factors[:, : self.inputs] *= np.where(creeping, _LEFT, 1.0)
+            if not first:
+                # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
+                factors[:, self.inputs : 2 * self.inputs] *= np.where(creeping, _BLURRED, 1.0)
+            raw.append((factors, factors * self.residuals(state, k, predicted.values)[0]))
+        ones = [Weights(np.ones(factors.shape[1]), factors) for factors, _ in raw]
+        if first:
+            return ones
+        found = []
+        for log in range(self.logs):
+            own = [k for k, data in enumerate(self.stretches) if data.log == log]
+            scales = np.array(
+                [
+                    _scale([raw[k][1][used(self.stretches[k], raw[k][0])[:, c], c] for k in own])
+                    for c in range(raw[0][0].shape[1])
+                ]
+            )
+            scales[self.inputs :] = np.maximum(scales[self.inputs :], 1.0)
+            for k in own:
+                far = np.abs(raw[k][1]) / scales
+                found.append(Weights(scales, raw[k][0] * np.sqrt(np.minimum(1.0, _HUBER / np.maximum(far, 1e-12)))))
+        return found
+
+
+def used(data: Blocks, factors: Array) -> npt.NDArray[np.bool_]:
+    """Return which values count in full: neither missing, nor creeping, nor far off."""
+    finite = np.isfinite(data.noise)
+    return finite & (factors * np.where(finite, data.noise, 0.0) > _COUNTED)
+
+
+def _near(creeping: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which blocks are near to one of some (N, inputs): the path bends there faster than its spline."""
+    from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    return np.asarray(binary_dilation(creeping, np.ones((2 * _BESIDE + 1, 1), dtype=bool)))
+
+
+def _scale(parts: list[Array]) -> float:
+    """Return the standard deviation of residuals, raised where they stay on one side."""
+    every = np.concatenate(parts)
+    size = (
+        float(np.sqrt(np.mean(np.minimum(every**2, (3.0 * 1.4826 * np.median(np.abs(every))) ** 2))))
+        if len(every)
+        else 1.0
+    )
+    return float(max(size * persistence(parts) ** 0.5, 0.1))
+
+
+def persistence(parts: list[Array]) -> float:
+    """Return the spectral density of residuals near zero by that of white noise, at least 1 (Bartlett's estimate)."""
+    total = sum(float(part @ part) for part in parts)
+    if total <= 0.0:
+        return 1.0
+    sums = [
+        (1 - lag / _LAGS) * sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag) / total
+        for lag in range(1, _LAGS)
+    ]
+    return max(1.0, 1.0 + 2.0 * sum(sums))
+
+
+def _all(state: State) -> Array:
+    return np.concatenate([state.theta, state.offsets.ravel()])
+
+
+def _state(x: npt.ArrayLike, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
+    flat: Array = np.array(x, dtype=np.float64)
+    return State(flat[:count], flat[count:].reshape(shape), paths)
+
+
+def _moved(state: State, change: State, share: float) -> State:
+    return State(
+        state.theta + share * change.theta,
+        state.offsets + share * change.offsets,
+        tuple(a + share * b for a, b in zip(state.paths, change.paths, strict=True)),
+    )
+
+
+def start(problem: Fit, places: list[Array]) -> State:
+    """Return the state at the believed parameters with paths near some positions of the output (N, outputs)."""
+    paths = []
+    for spline, place in zip(problem.splines, places, strict=True):
+        m = spline.components
+        by_path = np.zeros((len(place), m, spline.orders, m))
+        by_path[:, range(m), 0, range(m)] = 1.0
+        band, right = spline.normal(by_path, place, np.zeros((*place.shape, 0)))
+        band[0] += 1e-6 * band[0].mean()
+        paths.append(scipy.linalg.solveh_banded(band, right[:, 0], lower=True).reshape(-1, m))
+    return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
+
+
+@dataclass(frozen=True, eq=False)
+class Converged:
+    """An estimate: state, weights, information, and whether the steps have settled."""
+
+    state: State
+    weights: list[Weights]
+    information: Array
+    settled: bool
+    steps: int
+
+
+def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
+    """Return the maximum likelihood estimate from a start; from a `fresh` one by stages, with loose data at first."""
+    steps = 0
+    if fresh:
+        loose = []
+        for data in problem.stretches:
+            share = np.where(np.arange(data.values.shape[1]) < problem.inputs, *_LOOSE)
+            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
+            scales = np.maximum(1.0, share * data.values.std(axis=0) / np.median(data.noise, axis=0))
+            loose.append(Weights(scales, factors))
+        for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
+            state, _, taken = _descent(stage, state, loose, _ROUGHLY)
+            steps += taken
+        state, _, taken = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
+        steps += taken
+    for _ in range(_ROUNDS):
+        weights = problem.weights(state, False)
+        state, settled, taken = _descent(problem, state, weights, _SETTLED)
+        steps += taken
+    return Converged(state, weights, problem.step(state, weights, 0.0)[1], settled, steps)
+
+
+def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> tuple[State, bool, int]:
+    """Return the state after Gauss-Newton steps under given weights, whether it has settled, and their number."""
+    damping, cost = 0.0, problem.cost(state, weights)
+    for taken in range(1, _STEPS + 1):
+        change, information = problem.step(state, weights, damping)
+        small = float(np.max(np.abs(_all(change)) * np.sqrt(np.diag(information)))) < tolerance
+        share = full = min(1.0, _FARTHEST / max(float(np.abs(change.theta).max()), 1e-12))
+        candidate = _moved(state, change, share)
+        while (better := problem.cost(candidate, weights)) > cost * (1 + 1e-9) and share > 0.02 * full:
+            share /= 2
+            candidate = _moved(state, change, share)
+        if better <= cost * (1 + 1e-9):
+            gained, state, cost = cost - better, candidate, better
+            damping = damping / 10 if share == full and damping > 1e-6 else 0.0 if share == full else damping
+            if (small and share == 1.0) or gained < _GAINED * tolerance * cost:
+                return state, True, taken
+        elif small or damping > 1e2:
+            return state, small, taken
+        else:
+            damping = max(10 * damping, 1e-5)
+    return state, False, _STEPS

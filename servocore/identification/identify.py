@@ -1,0 +1,228 @@
+"""`identify`: parameters of a scene from logs, with standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from servocore.effects.position_loops import PositionLoops
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind, require_real
+from servocore.identification.blocks import Blocks, stretches
+from servocore.identification.fit import Converged, Fit, minimized, start
+from servocore.identification.logs import Log, Record, records
+from servocore.identification.prediction import Prediction, positions_of
+from servocore.identification.result import Identified
+from servocore.identification.splines import PathSpline
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
+from servocore.references.base import Reference
+
+UNCERTAINTY = 0.3
+"""Relative standard uncertainty of a parameter of which none is given."""
+
+_SPACINGS = (0.1, 0.05)  # s between knots: finer where positions show that the path bends faster
+_BENT = 1.3  # times the noise of a position
+_EXPLAINED = 0.3  # of the changes of an input: beyond, its unit or its clock is doubtful
+_UNITS, _LAG = 30.0, 0.05  # factor, and s
+_EVERY, _SMOOTH = 0.05, 6.0  # s between equilibria, and standard deviation of their low-pass in these
+
+
+def identify(
+    scene: Scene,
+    log: Log | Sequence[Log],
+    parameters: str | Sequence[str],
+    *,
+    effects: Sequence[str] = (),
+    believed: Mapping[str, float] | float = UNCERTAINTY,
+    jobs: Sequence[Reference] = (),
+    loops: PositionLoops = PositionLoops(),  # noqa: B008 - a frozen value
+) -> Identified:
+    """Estimate parameters of a scene from logs of its inputs and measured positions, with standard errors.
+
+    Maximum likelihood on the flat output: the path of the output is a spline, all channels follow from its jet by exact
+    inversion, and path, parameters, biases of the inputs and their delays are estimated together. What the scene has
+    is one more measurement, with its uncertainty: what the logs do not show stays as believed.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the believed values of its parameters. Without internal dynamics.
+    log : path, mapping of arrays, or a sequence of these
+        CSV files with the columns ``time``, the inputs and the measured quantities by name, units in brackets, or
+        arrays by these names, NaN where a sample is missing. Beside the positions of drives the outputs may be
+        measured, as by a camera. Several logs are one fit, with biases and delays for each.
+    parameters : str or sequence of str
+        Names or patterns, as ``"*_friction"``.
+    effects : sequence of str
+        Effects that the model has beside those of the scene.
+    believed : mapping of str to float, or float
+        Relative standard uncertainties of the scene's values by names or patterns; 0.3 where none is given.
+    jobs : sequence of Reference
+        Paths that the load shall follow: how far it will go off enters the verdict.
+    loops : PositionLoops
+        Position loops of the drives on these jobs.
+
+    Returns
+    -------
+    Identified
+        Values, standard errors, and how well the model explains the logs.
+
+    Raises
+    ------
+    InvalidReference
+        If a log cannot be used; one sentence says why.
+    InvalidModel
+        If the scene has internal dynamics, or no such parameter.
+    InvalidSetting
+        If an uncertainty is invalid.
+
+    Warns
+    -----
+    ServocoreWarning
+        If the result is not to be trusted.
+
+    Examples
+    --------
+    >>> import servocore as sc
+    >>> crane = sc.scenes.overhead_crane()
+    >>> heavy = crane.with_parameters(load_mass=110.0)
+    >>> found = sc.identify(crane, sc.measured(crane, plant=heavy), ["load_mass"])
+    >>> abs(found.values["load_mass"] - 110.0) < 4 * found.standard_errors["load_mass"]
+    True
+    """
+    require_scene(scene, "identify")
+    extended = scene.with_effects(*effects) if effects else scene
+    problem = Problem.of(extended)
+    if not problem.flat or problem.system.time.numel():
+        raise InvalidModel(f"{scene.name} has internal dynamics or depends on time: identification needs a flat output")
+    names = chosen_parameters(parameters, problem)
+    read = records(log, extended, positions_of(problem.resolved))
+    fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed))
+    state = start(fit, [_equilibria(fit, problem, data) for data in fit.stretches])
+    found = minimized(fit, state)
+    if _bent(fit, found):
+        fit, state = fit.refined(found.state, _SPACINGS[1])
+        found = minimized(fit, state, fresh=False)
+    _require_explained(fit, found, [record.name for record in read])
+    result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), extended, fit, found)
+    result.warn()
+    return result
+
+
+def chosen_parameters(parameters: str | Sequence[str], problem: Problem) -> tuple[str, ...]:
+    """Return the names of parameters that match patterns, in the order of the model."""
+    known = problem.system.parameters.names
+    patterns = [parameters] if isinstance(parameters, str) else list(parameters)
+    for pattern in patterns:
+        require_kind(pattern, str, "a parameter to be identified", "a name or a pattern", InvalidModel)
+        if not any(fnmatchcase(name, pattern) for name in known):
+            raise InvalidModel(f"no parameter is called {pattern}; there are {', '.join(known)}")
+    if not patterns:
+        raise InvalidSetting(f"name at least one parameter to be identified, of {', '.join(known)}")
+    return tuple(name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns))
+
+
+def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) -> Array:
+    """Return the relative standard uncertainty of each parameter."""
+    given = believed if isinstance(believed, Mapping) else {"*": believed}
+    for pattern, value in given.items():
+        require_real(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2", InvalidSetting)
+        if not 0.0 < value < np.inf:
+            raise InvalidSetting(f"the uncertainty of {pattern} must be positive and finite, not {value:g}")
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
+    return np.array(
+        [
+            next((float(value) for pattern, value in given.items() if fnmatchcase(name, pattern)), UNCERTAINTY)
+            for name in names
+        ]
+    )
+
+
+def _fit(
+    problem: Problem, read: Sequence[Record], drives: Sequence[str], names: tuple[str, ...], spreads: Array
+) -> Fit:
+    """Return the maximum likelihood problem of logs; positions of drives come first, as their inputs do."""
+    system = problem.system
+    inputs = [quantity.name for quantity in system.inputs]
+    measured = sorted(set(read[0].columns) - set(inputs), key=lambda label: [*drives, label].index(label))
+    for record in read[1:]:
+        if {*record.columns} != {*read[0].columns}:
+            raise InvalidReference(f"{record.name} has other columns than {read[0].name}: one fit needs the same")
+    columns = tuple(system.parameters.names.index(name) for name in names)
+    prediction = Prediction(problem.resolved, tuple(measured), columns)
+    parts = tuple(
+        part
+        for k, record in enumerate(read)
+        for part in stretches(
+            record.t, np.column_stack([record.columns[label] for label in [*inputs, *measured]]), len(inputs), k
+        )
+    )
+    if {part.log for part in parts} != set(range(len(read))):
+        raise InvalidReference("a log has so many gaps that no second of it is left")
+    order, center = problem.array.reference_order, problem.p[list(columns)]
+    scales = np.where(center != 0.0, np.abs(center), 1.0)
+    splines = tuple(PathSpline(part.t, order + 2, order + 1, len(system.outputs), _SPACINGS[0]) for part in parts)
+    spread = np.where(center != 0.0, spreads * scales, 1e6)  # relative to zero nothing is known
+    return Fit(prediction, problem.p, center, scales, spread, parts, splines)
+
+
+def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:
+    """Raise `InvalidReference` where inputs are hardly explained because of units or clocks."""
+    for k, data in enumerate(fit.stretches):
+        model, name = fit.prediction.values(fit.splines[k].jets(found.state.paths[k]), fit.p), names[data.log]
+        residual, _ = fit.residuals(found.state, k, fit.values(found.state, k))
+        step = float(np.median(np.diff(data.t)))
+        for channel, quantity in enumerate(fit.prediction.quantities[: fit.inputs]):
+            measured = data.values[:, channel]
+            noisy = measured.std() < 5.0 * float(np.median(data.noise[:, channel]))
+            explained = residual[:, channel].std() < _EXPLAINED * measured.std()
+            if noisy or explained or not np.isfinite(model).all():
+                continue
+            ratio = float(measured.std() / (model[:, channel].std() or np.inf))
+            if not 1 / _UNITS < ratio < _UNITS:
+                raise InvalidReference(
+                    f"{name}: {quantity.name} changes by {ratio:.3g} times what the model needs: is its unit right?"
+                )
+            a, b = (each - each.mean() for each in (measured, model[:, channel]))
+            products = np.correlate(a, b, "full")
+            lag = (int(products.argmax()) - len(b) + 1) * step
+            if abs(lag) > _LAG:
+                raise InvalidReference(
+                    f"{name}: {quantity.name} is {1e3 * lag:.0f} ms behind the positions: their clocks are not"
+                    " synchronized"
+                )
+
+
+def _bent(fit: Fit, found: Converged) -> bool:
+    """Whether measured positions bend faster than the splines can."""
+    return not found.settled or any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
+
+
+def _equilibria(fit: Fit, problem: Problem, data: Blocks) -> Array:
+    """Return low-passed outputs (N, outputs) at which the model would rest with the positions that were measured."""
+    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    m, order = fit.inputs, problem.array.reference_order
+    every = max(1, round(_EVERY / float(np.median(np.diff(data.t)))))
+    place, found = np.array(problem.reference.jet(problem.reference.start_time, 0)[0]), []
+    jets = np.zeros((1, order + 1, len(place)))
+    for row in data.values[::every, m:]:
+        for _ in range(30):
+            jets[0, 0] = place
+            predicted = fit.prediction(jets, problem.p)
+            lacking = row - predicted.values[0, m:]
+            for k, quantity in enumerate(fit.prediction.quantities[m:]):
+                lacking[k] = np.angle(np.exp(1j * lacking[k])) if quantity.wraps else lacking[k]
+            if not np.isfinite(predicted.by_path).all():
+                raise InvalidReference(f"{problem.name} cannot rest at the positions of the log: are its units right?")
+            change = np.linalg.lstsq(predicted.by_path[0, m:, 0], lacking, rcond=None)[0]
+            place = place + change * min(1.0, 1.0 / max(float(np.abs(change).max()), 1e-12))
+            if np.abs(change).max() < 1e-6:
+                break
+        found.append(place)
+    smooth = gaussian_filter1d(np.array(found), _SMOOTH, axis=0, mode="nearest")
+    return np.column_stack([np.interp(data.t, data.t[::every], column) for column in smooth.T])

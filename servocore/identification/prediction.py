@@ -1,0 +1,144 @@
+"""Inputs and measured positions of a model without internal dynamics, with derivatives by path and parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.memoization import made_once
+from servocore.problem import ResolvedSystem
+from servocore.stepping.exact_evaluation import reading
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Channels at N instants: inputs, then positions.
+
+    Attributes
+    ----------
+    values : ndarray, shape (N, channels)
+        NaN where the model has no solution.
+    by_path : ndarray, shape (N, channels, orders, outputs)
+        Derivatives by the jet of the path.
+    by_parameter : ndarray, shape (N, channels, parameters)
+        Derivatives by the chosen parameters.
+    """
+
+    values: Array
+    by_path: Array
+    by_parameter: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The channels of a model as functions of the jet of its output and of its parameters.
+
+    Attributes
+    ----------
+    resolved : ResolvedSystem
+        Without internal dynamics.
+    measured : tuple of str
+        Quantities that depend on the configuration alone.
+    columns : tuple of int
+        Of the parameters by which it is differentiated.
+    """
+
+    resolved: ResolvedSystem
+    measured: tuple[str, ...]
+    columns: tuple[int, ...]
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Inputs, then measured quantities."""
+        known = _positions(self.resolved)
+        return (*self.resolved.system.inputs, *(known[name][0] for name in self.measured))
+
+    def __call__(self, jets: Array, p: Array) -> Predicted:
+        """Return the channels for jets (N, orders, outputs) and all parameters."""
+        results = at_instants(_explicit(self.resolved, self.measured, True), jets=jets, p=p)
+        if not (results[3] < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
+            unknowns = at_instants(inversion(self.resolved.array).function, jets=jets, p=p)[0]
+            results = at_instants(_implicit(self.resolved, self.measured), unknowns, jets=jets, p=p)
+        count, channels = len(jets), len(self.quantities)
+        values, by_path, by_parameter = (each.reshape(channels, count, -1).transpose(1, 0, 2) for each in results[:3])
+        shaped = by_path.reshape(count, channels, jets.shape[1], jets.shape[2])
+        return Predicted(values[:, :, 0], shaped, by_parameter[:, :, list(self.columns)])
+
+    def values(self, jets: Array, p: Array) -> Array:
+        """Return the values alone (N, channels), at a fifth of the cost."""
+        results = at_instants(_explicit(self.resolved, self.measured, False), jets=jets, p=p)
+        if not (results[1] < LARGEST_RESIDUAL).all():
+            return self(jets, p).values
+        return results[0].T
+
+
+def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
+    """Return the quantities that a log may measure beside the inputs, by name: those of the configuration alone."""
+    return {name: quantity for name, (quantity, _) in _positions(resolved).items()}
+
+
+def _positions(resolved: ResolvedSystem) -> dict[str, tuple[Quantity, ca.SX]]:
+    system = resolved.system
+    known = [
+        *system.observables.items(),
+        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
+        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
+    ]
+    others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
+    return {quantity.name: (quantity, each) for quantity, each in known if not ca.depends_on(each, others)}
+
+
+def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
+    known = _positions(resolved)
+    return reading(resolved, [resolved.system.u, *(known[name][1] for name in measured)])
+
+
+@made_once
+def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], derivatives: bool) -> ca.Function:
+    """Compile (gamma, p) -> channels, derivatives and the residual, by the guess of the model where that is exact.
+
+    The residual is infinite for a model whose inversion is no expression.
+    """
+    expression, array, system = inversion(resolved.array).expression, resolved.array, resolved.system
+    read = _channels(resolved, measured)
+    gamma = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1)
+    p = ca.SX.sym("p", system.p.numel())
+    if expression is None:
+        channels, residual = ca.SX(np.full(read.numel_out(0), np.nan)), ca.SX(np.inf)
+    else:
+        unknowns, _, residual = expression(gamma, p)
+        channels = read(unknowns, gamma, p)
+    slopes = [ca.jacobian(channels, by) for by in (ca.vec(gamma), p)] if derivatives else []
+    results = [channels, *slopes, residual]
+    return ca.Function("sc_channels", [gamma, p], [ca.densify(each) for each in results], {"cse": True})
+
+
+@made_once
+def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
+    """Compile (unknowns of the derivative array, gamma, p) -> the same, by the implicit function theorem."""
+    array, system = resolved.array, resolved.system
+    if array.states:
+        raise InvalidModel(f"{system.name} has internal dynamics: its inputs do not follow from its path alone")
+    read = _channels(resolved, measured)
+    column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
+    given = ca.vertcat(ca.vec(gamma), system.p)
+    channels = read(column, gamma, system.p)
+    terms = ca.Function(
+        "sc_terms",
+        [column, gamma, system.p],
+        [channels, *(ca.jacobian(each, by) for each in (channels, array.residual) for by in (column, given))],
+    )
+    symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
+    values, by_unknowns, by_given, J, right = terms(*symbols)
+    total = by_given - ca.mtimes(by_unknowns, ca.solve(J, right, "qr"))
+    count = gamma.numel()
+    return ca.Function(
+        "sc_channels", symbols, [ca.densify(each) for each in (values, total[:, :count], total[:, count:])]
+    )

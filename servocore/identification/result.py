@@ -1,0 +1,343 @@
+"""`Identified`: estimates with standard errors, what is not known, and whether the model explains its logs."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from servocore.effects.position_loops import PositionLoops
+from servocore.errors import InvalidSetting, ServocoreWarning, require_kind
+from servocore.files import csv_text
+from servocore.identification.fit import Converged, Fit, persistence, used
+from servocore.identification.information import showing
+from servocore.identification.stray import Stray, strayed
+from servocore.model.scene import Scene
+from servocore.numerics.compiled_calls import Array
+from servocore.references.base import Reference
+
+_UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
+_NAMED = 0.3  # entry of a combination from which on a parameter is named
+_PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of white noise; correlation at lag one
+_WALD = 2.8  # standard errors: some BIC for a thousand samples
+_FAR = 4.0  # standard deviations of an estimate from what was believed, and from no delay
+_SLOW = 10  # blocks of a moving average
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Parameters identified from logs; `identify` makes it.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Identified parameters.
+    logs : tuple of str
+        Names of the logs.
+    loops : PositionLoops
+        Of the drives, for `stray`.
+    jobs : tuple of Reference
+        Paths of which `verdict` states how far the output will go off.
+    based_on : Scene
+        With the believed values.
+    fit : Fit
+        The maximum likelihood problem.
+    estimate : Converged
+        Its solution.
+    """
+
+    names: tuple[str, ...]
+    logs: tuple[str, ...]
+    loops: PositionLoops
+    jobs: tuple[Reference, ...]
+    based_on: Scene = field(repr=False)
+    fit: Fit = field(repr=False)
+    estimate: Converged = field(repr=False)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.names, (self.estimate.state.theta * self.fit.scales).tolist(), strict=True))
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors by name, those of the residuals' own noise and its persistence."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the values, shape (parameters, parameters)."""
+        scales = self.fit.scales
+        return self._relative * np.outer(scales, scales)
+
+    @property
+    def _relative(self) -> Array:
+        count = len(self.names)
+        return np.asarray(np.linalg.inv(self.estimate.information)[:count, :count], dtype=np.float64)
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation of the values, shape (parameters, parameters)."""
+        sizes = np.sqrt(np.diag(self.covariance))
+        correlation: Array = np.asarray(self.covariance / np.outer(sizes, sizes), dtype=np.float64)
+        return correlation
+
+    @property
+    def believed(self) -> dict[str, float]:
+        """Values that the scene had, by name."""
+        return dict(zip(self.names, self.fit.center.tolist(), strict=True))
+
+    @property
+    def uncertainties(self) -> dict[str, float]:
+        """Their relative standard uncertainties by name."""
+        return dict(zip(self.names, (self.fit.spread / self.fit.scales).tolist(), strict=True))
+
+    @property
+    def prior_share(self) -> dict[str, float]:
+        """Share of each estimate that is from what was believed: 0 where the logs alone say it, 1 where they do not."""
+        share = np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2
+        return dict(zip(self.names, share.tolist(), strict=True))
+
+    @property
+    def delays(self) -> dict[str, tuple[float, ...]]:
+        """Delay of each input behind the positions in s, one of each log."""
+        return self._offsets(1)
+
+    @property
+    def biases(self) -> dict[str, tuple[float, ...]]:
+        """Bias of each measured input, one of each log."""
+        return self._offsets(0)
+
+    def _offsets(self, row: int) -> dict[str, tuple[float, ...]]:
+        values = self.estimate.state.offsets[:, row]
+        return {name: tuple(values[:, k].tolist()) for k, name in enumerate(self._inputs)}
+
+    @property
+    def _inputs(self) -> tuple[str, ...]:
+        return tuple(quantity.name for quantity in self.fit.prediction.resolved.system.inputs)
+
+    @cached_property
+    def residuals(self) -> dict[str, Array]:
+        """Measured less predicted channels by name, shape (blocks,), with ``time``; NaN where friction creeps."""
+        rows = []
+        for k, data in enumerate(self.fit.stretches):
+            residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
+            rows.append(
+                np.column_stack([data.t, np.where(used(data, self.estimate.weights[k].factors), residual, np.nan)])
+            )
+        names = ("time", *(quantity.name for quantity in self.fit.prediction.quantities))
+        return dict(zip(names, np.concatenate(rows).T, strict=True))
+
+    def measured_and_model(self, name: str) -> tuple[Array, Array]:
+        """Return an input as it was measured, and by the model with bias and delay, at the times of `residuals`.
+
+        Parameters
+        ----------
+        name : str
+            Of the input.
+
+        Returns
+        -------
+        tuple of ndarray, shape (blocks,)
+            Both.
+        """
+        channel = self._inputs.index(name)
+        pairs = [
+            (
+                data.values[:, channel],
+                self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))[0],
+            )
+            for k, data in enumerate(self.fit.stretches)
+        ]
+        measured = np.concatenate([values for values, _ in pairs])
+        return measured, measured - np.concatenate([residual[:, channel] for _, residual in pairs])
+
+    @cached_property
+    def whiteness(self) -> dict[str, tuple[float, float]]:
+        """Of the residuals of each input: spectral density near zero by that of white noise, correlation at lag one."""
+        found = {}
+        for channel, name in enumerate(self._inputs):
+            parts = []
+            for k, weight in enumerate(self.estimate.weights):
+                residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
+                counted = used(self.fit.stretches[k], weight.factors)[:, channel]
+                parts.append((residual * weight.factors)[counted, channel])
+            total = sum(float(part @ part) for part in parts) or 1.0
+            found[name] = persistence(parts), sum(float(part[1:] @ part[:-1]) for part in parts) / total
+        return found
+
+    @cached_property
+    def unidentifiable(self) -> tuple[str, ...]:
+        """Combinations that the logs do not show, with their uncertainty and the motion that would show them."""
+        fit, relative = self.fit, self.fit.spread / self.fit.scales
+        sizes, directions = np.linalg.eigh(self._relative / np.outer(relative, relative))
+        m = fit.inputs
+        noise = np.array(
+            [
+                float(np.median(data.noise[:, k])) * self.estimate.weights[0].scales[k]
+                for data in fit.stretches[:1]
+                for k in range(m)
+            ]
+        )
+        path = fit.splines[0].jets(self.estimate.state.paths[0])[:, 0]
+        sentences = []
+        for size, direction in zip(sizes[::-1], directions.T[::-1], strict=True):
+            if size < _UNKNOWN**2:
+                break
+            own = direction * relative
+            unit, p = own / np.linalg.norm(own), fit.parameters(self.estimate.state.theta)
+            spread = float(np.sqrt(size) * np.linalg.norm(own))
+            remedy = showing(fit.prediction, path.mean(axis=0), p, fit.scales, noise, unit, spread)
+            sentences.append(
+                f"{_combined(self.names, direction)} (±{100 * spread:.2g} %)" + (f": {remedy}" if remedy else "")
+            )
+        return tuple(sentences)
+
+    @cached_property
+    def effects(self) -> dict[str, float]:
+        """Wald statistics of effects of the model by parameter: estimate by standard error, without what was believed.
+
+        Parameters of effects that vanish where the effect does; beyond 2.8 the logs ask for the effect.
+        """
+        found = {}
+        precision = np.diag((self.fit.scales / self.fit.spread) ** 2)
+        count = len(self.names)
+        information = np.linalg.inv(self._relative) - precision
+        declared = self.based_on.effects.parameters
+        center = self.fit.center / self.fit.scales
+        for k, name in enumerate(self.names):
+            if name not in declared or declared[name].lower != 0.0:
+                continue
+            free = information + precision * (np.arange(count) != k)
+            free[k, k] = max(free[k, k], 1e-12)
+            inverse = np.linalg.inv(free)
+            theta = self.estimate.state.theta
+            alone = theta + inverse[:, k] * precision[k, k] * (theta[k] - center[k])
+            found[name] = float(alone[k] / np.sqrt(inverse[k, k]))
+        return found
+
+    def scene(self) -> Scene:
+        """Return the scene with the estimates, within the bounds of its parameters.
+
+        Returns
+        -------
+        Scene
+            With the path that it had.
+        """
+        declared = {each.name: each for each in self.based_on.model().parameters.declared}
+        values = {
+            name: min(max(value, declared[name].lower), declared[name].upper) for name, value in self.values.items()
+        }
+        return self.based_on.with_parameters(**values)
+
+    def stray(self, path: Reference) -> Stray:
+        """Return how far the output will go off a path in 95 of 100 cases, in mm, under the position loops.
+
+        Parameters
+        ----------
+        path : Reference
+            From rest to rest.
+
+        Returns
+        -------
+        Stray
+            ``total``, and ``by_parameters``, what their uncertainty contributes.
+        """
+        require_kind(path, Reference, "the path of stray", "a Reference", InvalidSetting)
+        m, parts = self.fit.inputs, self.residuals
+        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs[:m]])
+        return strayed(self.scene(), self.names, self.covariance, path, self.loops, (parts["time"], slow))
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Reasons not to trust the result, as sentences; empty for a good one."""
+        found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
+        for name, (persistent, correlated) in self.whiteness.items():
+            residual = self.residuals[name]
+            size = float(np.sqrt(np.nanmean(residual**2)))
+            if persistent > _PERSISTENT or correlated > _CORRELATED:
+                found.append(
+                    f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
+                    f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
+                )
+        for name, value, center, spread, error in zip(
+            self.names,
+            self.values.values(),
+            self.fit.center,
+            self.fit.spread,
+            self.standard_errors.values(),
+            strict=True,
+        ):
+            if abs(value - center) > _FAR * float(np.hypot(spread, error)):
+                found.append(f"{name} = {value:.4g} is far from the believed {center:.4g}")
+        return tuple(found)
+
+    @cached_property
+    def verdict(self) -> str:
+        """What the result is good for, in sentences."""
+        lines = list(self.doubts) or ["the model explains the logs: the residuals of the inputs are noise"]
+        lines += [f"not shown by the logs: {each}" for each in self.unidentifiable]
+        for k, job in enumerate(self.jobs):
+            stray = self.stray(job)
+            lines.append(
+                f"on job {k + 1} the output stays within {stray.total:.2g} mm of its path in 95 of 100 cases;"
+                f" {stray.by_parameters:.2g} mm are due to parameters"
+            )
+        return "; ".join(lines)
+
+    def warn(self) -> None:
+        """Issue the doubts as a warning."""
+        if self.doubts:
+            warnings.warn("; ".join(self.doubts), ServocoreWarning, stacklevel=3)
+
+    def parameter_file(self) -> str:
+        """Return the estimates as a TOML file that commands read with ``--parameters``; standard errors as comments.
+
+        Returns
+        -------
+        str
+            One line a parameter.
+        """
+        units = {each.name: each.unit for each in self.based_on.model().parameters.declared}
+        head = f"# Identified from {', '.join(self.logs)}; standard errors (%) and share of what was believed\n"
+        values, lines = self.scene().parameter_values(), ""
+        for name, error in self.standard_errors.items():
+            share = f"{100 * error / abs(values[name] or 1.0):.2g} %, {self.prior_share[name]:.2g}"
+            lines += f"{name} = {values[name]!r}  # {units[name]}, {share}\n"
+        return head + lines
+
+    def covariance_file(self) -> str:
+        """Return the covariance of the estimates as a CSV file.
+
+        Returns
+        -------
+        str
+            A header of names, then a row for each.
+        """
+        return csv_text(list(self.names), [self.covariance])
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        lines = [f"{'parameter':<{width}}  {'believed':>10}  {'identified':>10}  {'±':>8}  prior"]
+        rows = zip(self.names, self.fit.center, self.values.values(), self.standard_errors.values(), strict=True)
+        for name, center, value, error in rows:
+            lines.append(
+                f"{name:<{width}}  {center:>10.4g}  {value:>10.4g}  {error:>8.2g}  {self.prior_share[name]:.0%}"
+            )
+        return "\n".join([*lines, f"verdict: {self.verdict}"])
+
+
+def _combined(names: tuple[str, ...], direction: Array) -> str:
+    """Return a combination of parameters in words."""
+    direction = direction * np.sign(direction[np.abs(direction).argmax()])
+    up, down = (
+        [name for name, share in zip(names, direction, strict=True) if sign * share > _NAMED] for sign in (1, -1)
+    )
+    return " and ".join(up) + (f" against {' and '.join(down)}" if down else " together" if len(up) > 1 else "")
+
+
+def _smoothed(residual: Array) -> Array:
+    known = np.nan_to_num(residual)
+    return np.convolve(known, np.ones(_SLOW) / _SLOW, mode="same")

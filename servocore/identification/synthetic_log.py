@@ -1,0 +1,194 @@
+"""`measured`: synthetic logs of a plant under sampled drives, for tests and examples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.effects.model_inversion import at_rest, inverted
+from servocore.effects.position_loops import PositionLoops, gains_of, measured_in
+from servocore.errors import IntegrationFailed, InvalidSetting, require_real
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.compiled_calls import Array, chained
+from servocore.numerics.memoization import made_once
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.forward_dynamics import forward_rate
+
+_CYCLE = 1e-3  # s: of the drives
+_FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
+_CHUNK = 500  # cycles in one call
+
+
+@dataclass(frozen=True)
+class _Sensors:
+    """Sensors and their faults, see `measured`."""
+
+    step: float
+    resolution: float
+    noise: float
+    bias: float
+    delay: float
+    outliers: float
+    missing: float
+
+
+def measured(
+    scene: Scene,
+    *,
+    plant: Scene | None = None,
+    loops: PositionLoops = PositionLoops(),  # noqa: B008 - a frozen value
+    drives: tuple[str, ...] = (),
+    step: float = 0.002,
+    resolution: float = 1e-5,
+    noise: float = 0.005,
+    bias: float = 0.01,
+    delay: float = 0.0,
+    outliers: float = 0.0,
+    missing: float = 0.0,
+    seed: int = 0,
+) -> dict[str, Array]:
+    """Simulate a plant under sampled position loops along the path of a scene, and return the log: synthetic data.
+
+    The drives run at 1 kHz on the quantized encoders, with the exact inputs of the scene as feedforward. Sensors then
+    add their errors: a normally distributed noise and a constant bias of every input, quantization of every position.
+
+    Parameters
+    ----------
+    scene : Scene
+        Gives the path, and by its parameters the feedforward. Without internal dynamics.
+    plant : Scene, optional
+        The plant, with its own parameters and effects; the scene itself when not given.
+    loops : PositionLoops
+        Bandwidth and damping of the drives.
+    drives : tuple of str, optional
+        Quantities that the drives measure, one an input; those of the scene's effects when not given.
+    step : float
+        Between samples, in s; a multiple of 1 ms.
+    resolution : float
+        Of the encoders, in the unit of each.
+    noise, bias : float
+        Standard deviation and largest bias of the measured inputs, relative to half the range of each input.
+    delay : float
+        Of the measured inputs behind the positions, in s.
+    outliers, missing : float
+        Fraction of samples of each column that are replaced by outliers, and of rows without a value.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        ``time``, the inputs and the measured positions by name; NaN where a value is missing.
+
+    Raises
+    ------
+    InvalidSetting
+        If a setting is negative or not finite, or the step is no multiple of 1 ms.
+    IntegrationFailed
+        If the plant does not survive its drives.
+    """
+    require_scene(scene, "measured")
+    require_scene(plant := plant or scene, "measured")
+    sensors = _Sensors(step, resolution, noise, bias, delay, outliers, missing)
+    for name, value in vars(sensors).items():
+        require_real(value, f"the {name} of a synthetic log", "a number", InvalidSetting)
+        if not 0.0 <= value < np.inf:
+            raise InvalidSetting(f"the {name} of a synthetic log must be finite and not negative, not {value:g}")
+    each = round(step / _CYCLE)
+    if each < 1 or abs(each * _CYCLE - step) > 1e-9:
+        raise InvalidSetting(f"a synthetic log needs a step of whole milliseconds, not {step:g} s")
+    t, inputs, positions, names = _driven(scene, plant, loops, drives, resolution)
+    random = np.random.default_rng(seed)
+    at = np.arange(0, len(t), each)
+    columns = {"time": t[at]}
+    wrapping = {quantity.name for quantity in measured_in(plant.model(), names[inputs.shape[1] :])[0] if quantity.wraps}
+    for name, u in zip(names[: inputs.shape[1]], inputs.T, strict=True):
+        size = float(np.ptp(u)) / 2 or float(np.abs(u).max()) or 1.0
+        late = np.interp(t[at] - delay, t, u)
+        columns[name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
+    for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
+        columns[name] = _quantized(np.unwrap(y[at]) if name in wrapping else y[at], resolution)
+    for name in names:
+        _spoil(columns[name], sensors, random)
+    return columns
+
+
+def _spoil(column: Array, sensors: _Sensors, random: np.random.Generator) -> None:
+    """Replace some values of a column by outliers, and others by NaN."""
+    wrong = random.random(len(column)) < sensors.outliers
+    size = float(column.std()) or 1.0
+    column[wrong] += size * random.choice([-1.0, 1.0], wrong.sum()) * random.uniform(0.5, 3.0, wrong.sum())
+    column[random.random(len(column)) < sensors.missing] = np.nan
+
+
+def _quantized(y: Array, resolution: float) -> Array:
+    return np.round(y / resolution) * resolution if resolution else y.copy()
+
+
+def _driven(
+    scene: Scene, plant: Scene, loops: PositionLoops, drives: tuple[str, ...], resolution: float
+) -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, and the names of both."""
+    problem, moved = Problem.of(scene), Problem.of(plant.with_reference(scene.reference))
+    of_model, of_plant = drives or scene.effects.measured, drives or plant.effects.measured
+    duration = problem.reference.duration
+    count = int(np.ceil(duration / _CYCLE)) + 1
+    motion, still = inverted(problem, of_model, count), at_rest(moved, of_plant)
+    gains = gains_of(problem.system, of_model, motion.end, problem.p, loops)
+    cycle, read = _cycle(moved.resolved, of_plant)
+    zero = np.asarray(read(still.start)).ravel()
+    given = np.column_stack([motion.inputs, motion.positions + zero, motion.rates])
+    given = np.concatenate([given, np.repeat(given[-1:], -count % _CHUNK, axis=0)])
+    held = [moved.p, np.concatenate([gains.position, gains.rate]), np.array([max(resolution, 1e-12)])]
+    state, logged = np.concatenate([still.start, zero]), []
+    for k in range(0, len(given), _CHUNK):
+        block = [np.tile(argument[:, None], _CHUNK) for argument in held]
+        states, values = chained(cycle, _CHUNK)(state, given[k : k + _CHUNK].T, *block)
+        state = states[:, -1]
+        logged.append(values.T)
+    rows = np.concatenate(logged)[:count]
+    if not np.isfinite(rows).all():
+        raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")
+    m = len(problem.system.inputs)
+    names = (*(quantity.name for quantity in moved.system.inputs), *of_plant)
+    return np.arange(count) / round(1 / _CYCLE), rows[:, :m], rows[:, m:], names
+
+
+@made_once
+def _cycle(resolved: ResolvedSystem, measured_: tuple[str, ...]) -> tuple[ca.Function, ca.Function]:
+    """Compile one cycle of the drives, and the function from states to their positions.
+
+    (state and low-passed positions, (inputs, positions, rates) that are wanted, p, gains, resolution) -> the same after
+    the cycle, inputs and positions at its begin. The inputs stay for a cycle: two steps of the classical method.
+    """
+    system = resolved.system
+    quantities, y = measured_in(system, measured_)
+    m, n = len(system.inputs), 2 * len(system.coordinates)
+    read = ca.Function("sc_positions", [ca.vertcat(system.q, system.v)], [ca.densify(y)])
+    rate = forward_rate(system, held=False)
+    state, wanted, p = ca.MX.sym("x", n + m), ca.MX.sym("w", 3 * m), ca.MX.sym("p", system.p.numel())
+    gains, quantum = ca.MX.sym("k", 2 * m), ca.MX.sym("quantum")
+    x, slow = state[:n], state[n:]
+    position = read(x)
+    seen = quantum * ca.floor(position / quantum + 0.5)
+    ahead, moved = wanted[m : 2 * m] - seen, seen - slow
+    turn = [quantity.wraps for quantity in quantities]
+    ahead, moved = (
+        ca.vertcat(*(ca.atan2(ca.sin(d[k]), ca.cos(d[k])) if turn[k] else d[k] for k in range(m)))
+        for d in (ahead, moved)
+    )
+    u = wanted[:m] + gains[:m] * ahead + gains[m:] * (wanted[2 * m :] - _FILTER * moved / _CYCLE)
+    after = x
+    for _ in range(2):
+        h = _CYCLE / 2
+        first = rate(after, u, ca.DM.zeros(m), p)[0]
+        second = rate(after + h / 2 * first, u, ca.DM.zeros(m), p)[0]
+        third = rate(after + h / 2 * second, u, ca.DM.zeros(m), p)[0]
+        fourth = rate(after + h * third, u, ca.DM.zeros(m), p)[0]
+        after = after + h / 6 * (first + 2 * second + 2 * third + fourth)
+    logged = ca.vertcat(u, position)
+    return ca.Function(
+        "sc_cycle", [state, wanted, p, gains, quantum], [ca.vertcat(after, slow + _FILTER * moved), logged]
+    ), read

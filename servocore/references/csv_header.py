@@ -1,0 +1,55 @@
+"""Bytes and header of a CSV file: encodings, delimiters, units in brackets."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from servocore.errors import InvalidReference
+
+_WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # spreadsheets write it above a header
+
+
+def bytes_of(file: Path) -> tuple[bytes, list[str]]:
+    """Return a file as UTF-8 with LF at ends of lines, and notes of conversions."""
+    try:
+        data = file.read_bytes()
+        notes = []
+        if data.startswith(codecs.BOM_UTF8):
+            data = data.removeprefix(codecs.BOM_UTF8)
+        elif data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) or b"\0" in data[:2]:
+            encoding = "utf-16" if data[:1] in b"\xff\xfe" else "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
+            data, notes = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
+        data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
+    except OSError as error:
+        raise InvalidReference(f"{file} cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise InvalidReference(f"{file} cannot be read as a table: {error}; save it as CSV in UTF-8") from None
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
+
+
+class Header(NamedTuple):
+    """The header of a file: its text, cells with their units, delimiter, first byte and number of the line after it."""
+
+    text: str
+    cells: list[tuple[str, re.Match[str] | None]]
+    delimiter: str
+    first: int
+    line: int
+
+
+def header_of(file: Path, data: bytes, expected: str) -> Header:
+    """Read the header of a file; `expected` is the header that a refusal names."""
+    first, line, header = 0, 0, ""
+    while first < len(data) and (not header or _SEPARATOR.fullmatch(header)):
+        end = data.find(b"\n", first) % (len(data) + 1)
+        header, first, line = data[first:end].decode(errors="replace").strip(), end + 1, line + 1
+    if not header:
+        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {expected} was expected")
+    delimiter = next((mark for mark in ";\t" if mark in header), ",")
+    cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
+    return Header(header, [(cell, _WITH_UNIT.fullmatch(cell)) for cell in cells], delimiter, first, line)

@@ -1,0 +1,218 @@
+"""Parameters from logs, exciting paths and synthetic logs; `make identification` runs the study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import servocore as sc
+from servocore.identification.information import information
+from servocore.identification.page import identified_page
+from servocore.identification.prediction import Prediction
+from servocore.identification.splines import PathSpline
+from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
+
+NAMES = ("trolley_mass", "load_mass", "winch_inertia", "winch_friction")
+TRUE = {"load_mass": 110.0, "trolley_mass": 12.0, "winch_friction": 35.0}
+CRANE = sc.scenes.overhead_crane().with_effects("friction")
+REAL = CRANE.with_parameters(**TRUE)
+LIVELY = sc.through([[0.0, -4.0], [3.0, -2.5], [1.0, -5.0], [4.0, -3.0], [0.0, -4.0]], duration=12.0)
+JOB = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 8.0)
+
+
+@cache
+def log() -> dict[str, Array]:
+    return sc.measured(CRANE.with_reference(JOB), plant=REAL, seed=3)
+
+
+@cache
+def found() -> sc.Identified:
+    return sc.identify(CRANE, log(), NAMES, jobs=[JOB])
+
+
+def z_scores(result: sc.Identified, scene: sc.Scene) -> Array:
+    true = scene.parameter_values()
+    return np.array([(result.values[name] - true[name]) / result.standard_errors[name] for name in result.names])
+
+
+def test_estimates_lie_within_their_standard_errors_where_believed_values_do_not() -> None:
+    result = found()
+    assert np.abs(z_scores(result, REAL)).max() < 4.0
+    assert all(0.0 < error < 0.05 * TRUE.get(name, 10.8) for name, error in result.standard_errors.items())
+    assert not result.doubts
+    assert not result.unidentifiable
+    assert max(result.prior_share.values()) < 0.1
+    assert np.allclose(np.diag(result.correlation), 1.0)
+    assert "noise" in result.verdict
+    assert result.effects["winch_friction"] > 2.8
+    assert abs(result.delays["F"][0]) < 0.002
+    assert set(result.biases) == {"F", "M_w"}
+
+
+def test_the_stray_of_a_job_is_due_to_parameters_and_shrinks_with_them() -> None:
+    result = found()
+    stray = result.stray(JOB)
+    assert 0.0 < stray.by_parameters <= stray.total < 20.0
+    assert f"{stray.total:.2g} mm" in result.verdict
+
+
+@pytest.mark.parametrize(
+    ("change", "worst"),
+    [
+        (lambda t, c: c[t > 3.0], 5.0),  # begins in motion
+        (lambda t, c: np.where((t > 3.0) & (t < 3.4), np.nan, c), 5.0),
+    ],
+)
+def test_logs_may_begin_in_motion_and_have_gaps(change: Callable[[Array, Array], Array], worst: float) -> None:
+    t = log()["time"]
+    cut = {name: change(t, column) for name, column in log().items() if name != "time"}
+    times = t[t > 3.0] if len(cut["F"]) < len(t) else t
+    result = sc.identify(CRANE, {"time": times, **cut}, NAMES)
+    assert np.abs(z_scores(result, REAL)).max() < worst
+
+
+def test_several_coarse_logs_are_one_fit_with_delays_of_their_own() -> None:
+    coarse = [
+        sc.measured(CRANE.with_reference(LIVELY), plant=REAL, seed=k, step=0.005, resolution=2e-4, delay=0.004 * k,
+                    outliers=0.01, missing=0.03)
+        for k in (1, 2)
+    ]  # fmt: skip
+    result = sc.identify(CRANE, coarse, NAMES)
+    assert np.abs(z_scores(result, REAL)).max() < 5.0
+    assert result.delays["F"][1] - result.delays["F"][0] == pytest.approx(0.004, abs=0.002)
+
+
+def test_what_a_log_cannot_show_is_named_and_stays_as_believed() -> None:
+    lift = sc.rest_to_rest((1.0, -4.0), (1.0, -3.0), 8.0)
+    result = sc.identify(CRANE, sc.measured(CRANE.with_reference(lift), plant=REAL, seed=1), NAMES)
+    assert any("trolley_mass" in sentence and "would show it" in sentence for sentence in result.unidentifiable)
+    assert result.values["trolley_mass"] == pytest.approx(10.0, rel=0.2)
+    assert result.prior_share["trolley_mass"] > 0.5
+
+
+def test_a_wrong_model_is_noticed() -> None:
+    with pytest.warns(sc.errors.ServocoreWarning, match="does not explain"):
+        result = sc.identify(sc.scenes.overhead_crane(), log(), NAMES[:3])
+    assert result.doubts
+
+
+def test_a_system_of_a_users_own_is_identified_from_a_file(tmp_path: Path) -> None:
+    scene, real = (axis().with_parameters(**values) for values in ({}, {"mass": 23.0, "dry": 7.0, "viscous": 31.0}))
+    columns = sc.measured(scene, plant=real, drives=("x",), step=0.001)
+    rows = np.column_stack(list(columns.values()))
+    rows[:, 2] *= 1e3
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,F [N],x [mm]", comments="")
+    result = sc.identify(scene, tmp_path / "log.csv", "*")
+    assert np.abs(z_scores(result, real)).max() < 4.0
+
+
+def axis() -> sc.Scene:
+    """A mass on a rail with viscous and dry friction."""
+    import casadi as ca
+
+    p = sc.Parameters(
+        *(sc.Parameter(*each, 0.0) for each in (("mass", 20.0, "kg"), ("dry", 9.0, "N"), ("viscous", 25.0, "N.s/m")))
+    )
+    c = sc.Coordinates(sc.Quantity("x", "m"))
+    friction = p["dry"] * ca.tanh(c.v / 0.01) + p["viscous"] * c.v
+
+    def make() -> sc.MechanicalSystem:
+        return sc.MechanicalSystem(
+            "axis", c, p, (sc.Quantity("F", "N"),), (sc.Quantity("x", "m"),), mass=p["mass"], output=c.q,
+            input_matrix=ca.SX(-1), force=-friction, guess=reference(), gamma=gamma,
+        )  # fmt: skip
+
+    from servocore.model.system import reference_symbols
+
+    gamma = reference_symbols(1)
+
+    def reference() -> ca.SX:
+        return gamma[0, 0]
+
+    system = make()
+    return sc.Scene(
+        "axis", {"only": lambda: system}, sc.through([[0.0], [0.6], [0.1], [0.9], [0.0]], [0, 5, 11, 16, 25])
+    )
+
+
+Columns = dict[str, Array]
+BAD: dict[str, tuple[str, Callable[[Columns], Columns]]] = {
+    "too short": ("is too short", lambda c: {k: v[:500] for k, v in c.items()}),
+    "constant": ("is 0 throughout", lambda c: {**c, "F": 0 * c["F"]}),
+    "saturated": ("is saturated", lambda c: {**c, "F": np.clip(c["F"], -5, 5)}),
+    "nan": ("has no value", lambda c: {**c, "F": np.where(c["time"] < 5, np.nan, c["F"])}),
+    "time": ("not later", lambda c: {**c, "time": c["time"][::-1]}),
+    "milliseconds": ("every 2 s", lambda c: {**c, "time": 1e3 * c["time"]}),
+    "millimetres": ("looks like mm", lambda c: {**c, "s": 1e3 * c["s"]}),
+    "missing": ("no column of the input F", lambda c: {k: v for k, v in c.items() if k != "F"}),
+    "few": ("as many positions as inputs", lambda c: {k: v for k, v in c.items() if k != "l"}),
+    "still": ("nothing moves", lambda c: {**c, "s": 0 * c["s"], "l": 0 * c["l"] + 1}),
+    "clocks": ("clocks", lambda c: {**c, "F": np.roll(c["F"], 150), "M_w": np.roll(c["M_w"], 150)}),
+    "kilonewtons": ("unit", lambda c: {**c, "F": 1e3 * c["F"]}),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
+    words, spoil = BAD[kind]
+    with pytest.raises(sc.errors.InvalidReference, match=words) as refusal:
+        sc.identify(CRANE, spoil(dict(log())), NAMES)
+    assert "\n" not in str(refusal.value)
+
+
+def test_files_and_page_hold_the_result(tmp_path: Path) -> None:
+    result = found()
+    (tmp_path / "crane.toml").write_text(result.parameter_file())
+    assert result.scene().parameter_values()["load_mass"] == pytest.approx(result.values["load_mass"])
+    assert len(result.covariance_file().splitlines()) == 1 + len(NAMES)
+    page = identified_page(result)
+    assert page.count("<svg") == 5
+    assert "load_mass" in page
+
+
+def test_derivatives_of_channels_are_those_of_their_values() -> None:
+    for effects in (["friction"], ["friction", "air drag"]):  # by expression, and by Newton's method
+        problem = Problem.of(sc.scenes.overhead_crane().with_effects(*effects))
+        prediction = Prediction(problem.resolved, ("s", "l"), (0, 1))
+        jets = problem.reference.jet(np.linspace(0.5, 2.5, 20), 4)
+        random, h = np.random.default_rng(0), 1e-6
+        d, dp = random.standard_normal(jets.shape) * h, problem.p * h * (np.arange(len(problem.p)) < 2)
+        change = (prediction(jets + d, problem.p + dp).values - prediction(jets - d, problem.p - dp).values) / 2
+        at = prediction(jets, problem.p)
+        expected = np.einsum("ncko,nko->nc", at.by_path, d) + at.by_parameter @ dp[:2]
+        assert np.abs(change - expected).max(axis=0) == pytest.approx(0.0, abs=1e-6 * np.abs(change).max())
+
+
+def test_normal_equations_are_those_of_the_full_jacobian() -> None:
+    spline, random = PathSpline(np.linspace(0.0, 1.0, 40), 5, 3, 2, 0.25), np.random.default_rng(1)
+    by_path, residual, other = (random.standard_normal((40, 3, *more)) for more in ((3, 2), (), (2,)))
+    band, right = spline.normal(by_path, residual, other)
+    units = np.eye(spline.count * 2).reshape(-1, spline.count, 2)
+    J = np.stack([np.einsum("ncko,nko->nc", by_path, spline.jets(each)).ravel() for each in units], axis=1)
+    full = J.T @ J
+    assert np.allclose([np.pad(np.diag(full, -k), (0, k)) for k in range(len(band))], band)
+    assert np.allclose(right, J.T @ np.column_stack([residual.ravel(), other.reshape(-1, 2)]))
+
+
+def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 60)
+    crane = sc.scenes.overhead_crane()
+    limits: dict[str, Any] = {"F": 200, "swing": "10 deg", "x": (-2, 4), "z": (-7, -2)}
+    path, report = sc.excitation(crane, NAMES, limits, effects=["friction"])
+    assert report.gain > 1.0
+    assert report.certificate.violation == 0.0
+    assert "times less" in str(report)
+    sc.solve(crane.with_reference(path).with_limits(**limits))
+    problem = Problem.of(CRANE)
+    prediction = Prediction(problem.resolved, (), (0, 1))
+    found_ = information(prediction, path.jet(np.arange(0, 20, 0.1), 4), 0.1, problem.p, problem.p[:2], np.ones(2))
+    assert (np.linalg.eigvalsh(found_) > 0.0).all()
+    for given, criterion, words in ((None, "D", "needs limits"), ({"F": 9.0}, "E", "'A' or 'D'")):
+        with pytest.raises(sc.errors.InvalidSetting, match=words):
+            sc.excitation(crane, NAMES, given, criterion=criterion)
