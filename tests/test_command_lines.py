@@ -24,14 +24,9 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
-<<<<<<< HEAD
 ALONG = {"feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export", "ssp"}
 SUBJECT = ALONG | {"analyse", "import"}
-=======
-SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
 IDENTIFYING = {"identify", "excite"}
-ALONG = SUBJECT - {"analyse"}
->>>>>>> g
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
 BOUND = {"crane-fmu feedforward", "crane-fmu plan", "crane-fmu view"}
@@ -57,12 +52,8 @@ class Option(NamedTuple):
 
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
-<<<<<<< HEAD
-    "--parameters": Option(of_both(SUBJECT) | FMUS, "crane.toml", Path("crane.toml")),
-    "--drives": Option(of_both(SUBJECT) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")),
-=======
     "--parameters": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "crane.toml", Path("crane.toml")),
->>>>>>> g
+    "--drives": Option(of_both(SUBJECT) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
     "--servo-output": Option(of_servocore(SUBJECT), "tool0", ("tool0",)),
     "--elastic": Option(of_servocore(SUBJECT), "elbow=1e4", ({"elbow": 1e4},)),
@@ -91,12 +82,8 @@ OPTIONS = {
     "--plot": Option(of_both({"feedforward", "plan", "sensitivities"}), "p.png", Path("p.png")),
     "--verbose": Option(of_both({"feedforward"}), "", True),
     "--output": Option(
-<<<<<<< HEAD
-        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export", "ssp"}) | FMUS | {"crane-fmu demo"},
-=======
-        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | of_servocore(IDENTIFYING)
-        | FMUS | {"crane-fmu demo"},
->>>>>>> g
+        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export", "ssp"})
+        | of_servocore(IDENTIFYING) | FMUS | {"crane-fmu demo"},
         "result", Path("result"),
     ),
     "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ({"load_mass": (0.9, 1.1)},)),

@@ -206,7 +206,7 @@ def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(m
     limits: dict[str, Any] = {"F": 200, "swing": "10 deg", "x": (-2, 4), "z": (-7, -2)}
     path, report = sc.excitation(crane, NAMES, limits, effects=["friction"])
     assert report.gain > 1.0
-    assert report.certificate.violation == 0.0
+    assert report.limits.violation == 0.0
     assert "times less" in str(report)
     sc.solve(crane.with_reference(path).with_limits(**limits))
     problem = Problem.of(CRANE)

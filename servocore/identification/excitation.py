@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.motion import Motion
+from servocore.checks.motion_limits import limited_values
 from servocore.errors import InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
 from servocore.identification.information import information
@@ -15,7 +16,7 @@ from servocore.identification.prediction import Prediction
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.numerics.compiled_calls import Array
-from servocore.planning.report import Certificate, certify, sides
+from servocore.planning.report import KeptLimits, kept_limits, sides
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
@@ -43,8 +44,8 @@ class ExcitationReport:
         Those of the scene's own path with the same noise, as long as that takes.
     gain : float
         Geometric mean of their ratios.
-    certificate : Certificate
-        Limits at twenty thousand instants by exact inversion.
+    limits : KeptLimits
+        How far the limits are kept, and whether that is proved for all times.
     trials : int
         Paths that were tried.
     """
@@ -52,7 +53,7 @@ class ExcitationReport:
     standard_errors: Mapping[str, float]
     of_scene: Mapping[str, float]
     gain: float
-    certificate: Certificate
+    limits: KeptLimits
     trials: int
 
     def __str__(self) -> str:
@@ -65,7 +66,7 @@ class ExcitationReport:
             f"{'standard error':<{width}}  {'this path':>10}  {'scene':>10}",
             *rows,
             f"geometric mean  {self.gain:.3g} times less",
-            f"violation       {self.certificate.violation:.1e} of half a range at {self.certificate.instants} instants",
+            f"limits          {self.limits.evidence}",
         ])  # fmt: skip
 
 
@@ -112,7 +113,7 @@ def excitation(
     Reference
         The path.
     ExcitationReport
-        Predicted standard errors, and the certificate that the limits are kept.
+        Predicted standard errors, and how far the limits are kept.
 
     Raises
     ------
@@ -134,16 +135,16 @@ def excitation(
         raise InvalidSetting(f"the criterion of an excitation is 'A' or 'D', not {criterion!r}")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
-    if not motion_limits(problem):
+    if not problem.motion_limits:
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
     search = _Search.of(problem, names, spreads_of(names, believed), float(duration), criterion, noise)
     best, trials = search.improved(np.random.default_rng(seed))
-    path, certificate = search.certified(best)
+    path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
-    return path, ExcitationReport(named[0], named[1], gain, certificate, trials)
+    return path, ExcitationReport(named[0], named[1], gain, kept, trials)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +227,8 @@ class _Search:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
         problem = replace(self.problem, reference=self.path(x))
         t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
-        values = limited_values(problem, lambda at: exact_unknowns(problem, at)[0], t)
-        over = [
-            each for limit, row in zip(motion_limits(problem), values, strict=True) for _, each in sides(limit, row)
-        ]
+        values = limited_values(Motion(problem, t, exact_unknowns(problem, t)[0]))
+        over = [each for limit, row in zip(problem.motion_limits, values, strict=True) for _, each in sides(limit, row)]
         return max(0.0, float(np.nan_to_num(np.array(over), nan=10.0).max()) + _MARGIN)
 
     def within(self, x: Array) -> Array | None:
@@ -264,14 +263,14 @@ class _Search:
                 size = max(0.94 * size, 0.01)
         return best, _STARTS + _TRIALS
 
-    def certified(self, x: Array) -> tuple[PiecewisePolynomial, Certificate]:
-        """Return a path that keeps the limits at twenty thousand instants, and its certificate."""
+    def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
+        """Return a path that keeps the limits at all times, and whether that is proved."""
         for _ in range(_SHRINKS):
             path = self.path(x)
             try:
-                certificate = certify((replace(self.problem, reference=path),))
-                if certificate.violation == 0.0:
-                    return path, certificate
+                kept = kept_limits(scene.with_reference(path), None, (replace(self.problem, reference=path),), {}, True)
+                if kept.violation == 0.0:
+                    return path, kept
             except InvalidReference:  # a limit of the path itself, as the rope's tension
                 pass
             x = _SHRUNK * x
