@@ -109,7 +109,7 @@ OPTIONS = {
     "--effects": Option(of_servocore(IDENTIFYING), "friction", "friction"),
     "--uncertainty": Option(of_servocore(IDENTIFYING), "20%", "20%"),
     "--job": Option(of_servocore({"identify"}), "job.csv", (Path("job.csv"),)),
-    "--page": Option(of_servocore({"identify"}), "page.html", Path("page.html")),
+    "--page": Option(of_servocore({"identify"}) | {"crane-fmu build"}, "page.html", Path("page.html")),
     "--fmi": Option(of_servocore({"export"}), "2", 2),
     "--targets": Option(
         {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
@@ -124,7 +124,6 @@ OPTIONS = {
         of_both({"feedforward", "plan"}) | {"servocore export", "crane-fmu ssp", "crane-fmu demo"}, "", True
     ),
     "--fmu": Option({"crane-fmu build"}, "CranePlant"),
-    "--page": Option({"crane-fmu build"}, "page.md", Path("page.md")),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
     "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip
