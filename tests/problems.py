@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from present import of_kind
+from present import of_kind, present
 
 import servocore as sc
 from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
@@ -162,11 +162,11 @@ class Problem:
         return Stepper(self.scene, self.of.formulation, self.by.method, step, self.model)
 
 
+CURVE: list[tuple[float | str, float]] = [(0, 12), ("3000 rpm", 11), ("8000 rpm", 9)]
 DRIVES = {
     "F": sc.Drive(ratio=25, drum_radius="125 mm", motor_inertia="4 kg cm^2", viscous=2e-4, coulomb=0.02),
-    "M_w": sc.Drive(ratio=12, rope_falls=2, motor_inertia=3e-4, efficiency=0.85, viscous=3e-4, torque_constant=1.1,
-                    torque_speed=[(0, 12), ("3000 rpm", 11), ("8000 rpm", 9)]),
-}  # fmt: skip
+    "M_w": sc.Drive(12, 2, None, 3e-4, efficiency=0.85, viscous=3e-4, torque_constant=1.1, torque_speed=CURVE),
+}
 
 
 def driven_crane() -> sc.Scene:
@@ -175,15 +175,12 @@ def driven_crane() -> sc.Scene:
 
     def closed_form(reference: Array, p: Mapping[str, float]) -> dict[str, Array]:
         n, wheel = p["M_w.ratio"] * p["M_w.rope_falls"], p["F.ratio"] / p["F.drum_radius"]
-        reflected = {"trolley_mass": p["trolley_mass"] + wheel**2 * p["F.motor_inertia"],
-                     "winch_inertia": p["winch_inertia"] + n**2 * p["M_w.motor_inertia"]}  # fmt: skip
-        motion, rates = follow(reference, {**p, **reflected}, crane.model().outputs), reference[:, 1]
-        assert crane.closed_form is not None
-        answer = crane.closed_form(reference, {**p, **reflected})
-        s_dot = motion.trolley[0].derivatives()[1]
-        l_dot = (
-            (reference[:, 0, 0] - answer["s"]) * (rates[:, 0] - s_dot) + reference[:, 0, 1] * rates[:, 1]
-        ) / answer["l"]
+        more = {"trolley_mass": wheel**2 * p["F.motor_inertia"], "winch_inertia": n**2 * p["M_w.motor_inertia"]}
+        reflected = {name: value + more.get(name, 0.0) for name, value in p.items()}
+        answer = present(crane.closed_form)(reference, reflected)
+        s_dot = follow(reference, reflected, crane.model().outputs).trolley[0].derivatives()[1]
+        (x, z), (x_dot, z_dot) = np.moveaxis(reference[:, :2], 0, 2)
+        l_dot = ((x - answer["s"]) * (x_dot - s_dot) + z * z_dot) / answer["l"]
         answer["F"] += wheel * (p["F.coulomb"] * np.tanh(s_dot / 0.01) + p["F.viscous"] * wheel * s_dot)
         answer["M_w"] += n**2 * p["M_w.viscous"] * l_dot / p["winch_radius"]
         return answer

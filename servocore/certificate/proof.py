@@ -37,6 +37,7 @@ _FIRST = 8  # intervals of a path to begin with, each piece of it one at the lea
 _OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
+_ROUND_OFF = 1e-9  # of the inputs' peaks: a radius below that halves do not halve any more is one of rounding
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE, _LESS = 40.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
@@ -207,7 +208,8 @@ class Proof:
         """Whether an interval is not proved well enough, and halves may help: not where those beside it are lost."""
         each, relative = self.intervals[k], self.relative_radius(self.intervals[k])
         if each.proved:
-            return self.narrow < relative <= each.before / 2.0 and each.depth < _DEEPEST
+            worth = relative <= each.before / 2.0 or relative > _ROUND_OFF
+            return relative > self.narrow and worth and each.depth < _DEEPEST
         if each.source:
             return each.depth < _DEEPEST and self.intervals[k - each.source].proved
         return each.depth < _GUESSED

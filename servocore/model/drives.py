@@ -114,7 +114,7 @@ class Drive:
     def __post_init__(self) -> None:
         for each in (*_DATA, *_RATED):
             value = getattr(self, each.name)
-            if value is not None:
+            if value is not None or getattr(Drive, each.name) is not None:
                 object.__setattr__(self, each.name, _checked(each, value))
         object.__setattr__(self, "torque_speed", self._curve())
 
@@ -122,8 +122,9 @@ class Drive:
         """Return the corners of the torque-speed curve in SI units."""
         speed, torque = (Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
                          for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
-        rows = self.torque_speed
-        if isinstance(rows, str) or not all(isinstance(row, Sequence) and len(row) == 2 for row in rows):
+        rows = getattr(self.torque_speed, "tolist", lambda: self.torque_speed)()
+        pairs = isinstance(rows, Sequence) and all(isinstance(row, Sequence) and len(row) == 2 for row in rows)
+        if isinstance(rows, str) or not pairs:
             raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {described(rows)}")
         corners = tuple((_checked(speed, row[0]), _checked(torque, row[1])) for row in rows)
         rising = all(a[0] < b[0] for a, b in pairwise(corners))
@@ -143,14 +144,15 @@ class Drive:
         """Rated torque (N.m) and power (W) by name, those that are given."""
         return {each.name: float(value) for each in _RATED if (value := getattr(self, each.name)) is not None}
 
-    def parameters(self, name: str) -> list[Parameter]:
-        """Return the data that are given, as parameters of a model; `name` is that of the input."""
-        given = [(each, getattr(self, each.name), f"{each.description}, of {name}") for each in _DATA]
-        return [
-            replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
-            for each, value, text in given
-            if value != getattr(Drive, each.name)
-        ]
+
+def _declared(name: str, drive: Drive) -> list[Parameter]:
+    """Return the data of a drive that are given, as parameters of a model; `name` is that of the input."""
+    given = [(each, getattr(drive, each.name), f"{each.description}, of {name}") for each in _DATA]
+    return [
+        replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
+        for each, value, text in given
+        if value != getattr(Drive, each.name)
+    ]
 
 
 def _checked(of: Parameter, value: object) -> float:
@@ -195,7 +197,7 @@ def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalS
     InvalidModel
         If an input has no place for a drive, or its radius is missing or given twice.
     """
-    declared = [each for name, drive in drives.items() for each in drive.parameters(name)]
+    declared = [each for name, drive in drives.items() for each in _declared(name, drive)]
     parameters = system.parameters.extended(*declared)
     q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
     mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
