@@ -37,7 +37,6 @@ _FIRST = 8  # intervals of a path to begin with, each piece of it one at the lea
 _OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
-_ROUND_OFF = 1e-9  # of the inputs' peaks: a radius below that halves do not halve any more is one of rounding
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE, _LESS = 40.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
@@ -70,8 +69,8 @@ class Interval:
         The first unknown that was not proved; -1 for none.
     tested, proved : bool
         Whether the test was done, and what it said.
-    before : float
-        Relative radius of the interval that it is a half of.
+    before : tuple of (float, float)
+        Relative radii of the intervals that it is a quarter of, and a half.
     """
 
     begin: float
@@ -86,14 +85,15 @@ class Interval:
     failed: int = -1
     tested: bool = False
     proved: bool = False
-    before: float = np.inf
+    before: tuple[float, float] = (np.inf, np.inf)
 
     def parts(self, halvings: int = 1, relative: float = np.inf) -> list[Interval]:
         """Return its halves, or quarters and so on, of which nothing is known."""
         if not halvings:
             return [self]
         ends, depth = np.linspace(self.begin, self.end, 2**halvings + 1).tolist(), self.depth + halvings
-        return [Interval(*each, depth, self.outside, self.source, before=relative) for each in pairwise(ends)]
+        before = self.before[1], relative
+        return [Interval(*each, depth, self.outside, self.source, before=before) for each in pairwise(ends)]
 
 
 @dataclass(eq=False)
@@ -205,11 +205,14 @@ class Proof:
         return chosen
 
     def _too_wide(self, k: int) -> bool:
-        """Whether an interval is not proved well enough, and halves may help: not where those beside it are lost."""
+        """Whether an interval is not proved well enough, and halves may help.
+
+        They do not where its radius, of rounding errors, is hardly less than that of the interval of which it is a
+        quarter, nor where those beside it are lost.
+        """
         each, relative = self.intervals[k], self.relative_radius(self.intervals[k])
         if each.proved:
-            worth = relative <= each.before / 2.0 or relative > _ROUND_OFF
-            return relative > self.narrow and worth and each.depth < _DEEPEST
+            return self.narrow < relative <= each.before[0] / 2.0 and each.depth < _DEEPEST
         if each.source:
             return each.depth < _DEEPEST and self.intervals[k - each.source].proved
         return each.depth < _GUESSED
@@ -302,7 +305,8 @@ class Proof:
     def _joints(self) -> list[Joint]:
         """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
         count, none = len(self.peaks), np.zeros(len(self.peaks))
-        c, proved = self.models(self.intervals)[0][:, :count], np.array([each.proved for each in self.intervals])
+        no_polynomial, proved = np.zeros((len(self.ring.nodes), count)), np.array([k.proved for k in self.intervals])
+        c = np.stack([k.c if k.c is not None and k.proved else no_polynomial for k in self.intervals], axis=2)
         rho, D = (
             np.stack([getattr(each, name) if each.proved else none for each in self.intervals], axis=1)
             for name in ("rho", "D")

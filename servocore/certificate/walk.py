@@ -55,9 +55,9 @@ class Walk:
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms, arguments, boxes)."""
-        models = np.zeros((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
+        models: Array = np.empty((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
         places, values = self.constants
-        models[0, places] = values[:, None]
+        models[1:, places], models[0, places] = 0.0, values[:, None]
         models[:-1, self.inputs], models[-1, self.inputs] = (part[..., self.numbers, :] for part in arguments)
         for program, functions in self.parts:
             program(ring.degrees, models)
@@ -65,7 +65,8 @@ class Walk:
                 found = rule(ring, *((models[:-1, each], models[-1, each]) for each in taken))
                 for place, (c, r) in zip(results, found, strict=True):
                     models[:-1, place], models[-1, place] = c, r
-        return models[:-1, self.outputs], bounded(models[-1, self.outputs])
+        wanted = models[:, self.outputs]
+        return wanted[:-1], bounded(wanted[-1])
 
 
 @dataclass(eq=False)
