@@ -202,13 +202,15 @@ def certify(
     if all(each.proved for proof in proofs for each in proof.intervals):
         bounds, of_instants = compared(proofs, solution, tolerance)
         statements += of_instants
-    statements += limit_statements(proofs, wanted, lambda limit: f"{LIMIT}{limit.quantity}")
     signs = [
         Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
         for each in reported_quantities(system).values()
         if each.positive
     ]
-    statements += limit_statements(proofs, signs, lambda limit: f"{limit.quantity} positive")
+    statements += limit_statements(
+        proofs, (*wanted, *signs),
+        lambda limit: f"{limit.quantity} positive" if limit in signs else f"{LIMIT}{limit.quantity}",
+    )  # fmt: skip
     statements += [*left_out_statement(proofs), mass_statement(proofs)]
     return Certificate(problem.name, tuple(statements), bounds, intervals, tuple(jumps), tuple(proofs))
 

@@ -99,7 +99,7 @@ def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess:
     """
     jets = problem.reference.jet(t, array.reference_order)
     if guess is None:
-        inverse = _in_machine_code(array).best(len(t)) or inversion(array)
+        inverse = machine_code(array).best(len(t), called=False) or inversion(array)
         found, _, residual = _at_points(inverse.function, jets, p)
     else:
         found, _, residual = _at_points(inversion(array).search, jets, p, guess)
@@ -107,8 +107,8 @@ def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess:
 
 
 @made_once
-def _in_machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
-    """Return the inversion in machine code, once it is worth it."""
+def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
+    """Return the inversion in machine code, once it is worth it: each proof counts as one call."""
     return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
 
 

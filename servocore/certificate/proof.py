@@ -21,6 +21,7 @@ from servocore.certificate.equations import (
     Equations,
     answers,
     equations_of,
+    machine_code,
     parameter_models,
     path_models,
     predicted,
@@ -145,6 +146,7 @@ class Proof:
     @np.errstate(all="ignore")  # what is not finite is not proved
     def run(self) -> Proof:
         """Prove what can be proved."""
+        machine_code(self.equations.array).best(1)
         self.intervals = self._first_intervals()
         while self._tested() or self._followed():
             if len(self.intervals) > _MOST:
@@ -263,9 +265,9 @@ class Proof:
         return np.where(np.isfinite(c), c, np.nan)
 
     def first_reach(self, fresh: Sequence[Interval]) -> Array:
-        """Return D (unknowns, intervals) to begin with: the effect of curvature falls with the square of the width."""
-        widths = np.array([0.5 ** max(each.depth, 0) for each in fresh])
-        return np.asarray(_REACH * self.peaks[:, None] * np.maximum(widths, 1e-6))
+        """Return D (unknowns, intervals) to begin with: less on intervals that were halved, where it did not help."""
+        widths = np.array([0.5**each.depth for each in fresh])
+        return np.asarray(_REACH * self.peaks[:, None] * widths)
 
     def given(self, some: Sequence[Interval]) -> Model:
         """Return models of path and parameters on intervals."""
