@@ -208,3 +208,15 @@ def test_the_elastic_bar_warns_of_methods_with_too_few_stages(form: sc.Formulati
         sc.solve(bar, form, sc.RadauIIA(3), step=bar.reference.duration / 100)
     said = f"the form has index {index}, on which the inputs of radau3 err like the step to the power {order} "
     assert said in str(heard[0].message)
+
+
+@pytest.mark.parametrize("model", list(sc.scenes.quadrotor_with_load().models))
+def test_a_moment_of_which_the_instants_show_a_tenth_is_warned_of(model: str) -> None:
+    """The thrust turns fast between two of 201 instants, where `certify` refutes that they show the moment."""
+    quadrotor = sc.scenes.quadrotor_with_load()
+    start, end = quadrotor.reference.jet(0.0, 0)[0], (5.91, 2.15)
+    quick = quadrotor.with_reference(sc.rest_to_rest(start, end, 1.71, sc.DEGREE13))
+    with pytest.warns(
+        sc.ServocoreWarning, match=r"close to a pole: at t = 0\.28\d* s front is -2\d{3} N, .* so do M, rear"
+    ):
+        sc.solve(quick, model=model)

@@ -32,8 +32,10 @@ from servocore.structure.inversion import (
     system_jacobian,
 )
 
-CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
-FOLLOWED = "one: followed from instant to instant"
+CONTINUOUS = (
+    "one: every instant, solved from the guess of the model, continues its neighbours; `certify` proves the rest"
+)
+FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _APART = 0.1  # of the movement: predictions that miss each other by less belong to one motion
