@@ -45,6 +45,7 @@ from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of
+from servocore.stepping.step_functions import compile_bare_step
 
 _FEWEST, _GROWTH, _MOST = 4, 1.15, 2000  # elements that are tried
 _DIVERGED = 100.0  # times the least error, with several times as many elements: round-off grows
@@ -185,29 +186,32 @@ class _Whole:
 @partial(made_once, most=_MOST_LOOPS)
 def _whole(program: Program, elements: int) -> _Whole:
     """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
-    step, (_, entries) = program.step, _dense_output(program)
-    state, h, p = (ca.MX.sym("argument", step.numel_in(k)) for k in (0, 2, 3))
-    gamma = ca.MX.sym("gamma", step.size1_in(1), step.size2_in(1) * elements)
-    loop = step.mapaccum("sc_elements", elements)
-    after, _, worst = loop(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
-    verdict = _verdict(program).map(elements)(after, worst, ca.repmat(p, 1, elements))
+    step, (_, entries) = _bare_step(program), _dense_output(program)
+    state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
+    gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
+    after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
+    verdict = _verdict(program).map(elements)(after, ca.repmat(p, 1, elements))
     solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
     return _Whole(ca.Function("sc_run", [state, gamma, h, p], [solved]))
 
 
+@made_once
+def _bare_step(program: Program) -> ca.Function:
+    return compile_bare_step(program.discretization)
+
+
 def _verdict(program: Program) -> ca.Function:
-    """Return (state, residual, p) -> zero, or NaN where a step is not solved or a quantity has a wrong sign."""
+    """Return (state, p) -> zero, or NaN where a quantity has a wrong sign."""
     step, dae, system = program.discretization, program.dae, program.array.system
     signs = ca.vertcat(ca.SX(0, 1), *[each for quantity, each in observed(system) if quantity.positive])
     physical = [dae.physical[name] for name in ("q", "v", "lam", "u")]
     signs = ca.substitute(signs, ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(*physical))
     signs = ca.substitute(signs, ca.vertcat(dae.x, dae.z), ca.vertcat(step.x, step.z))
-    residual, positive = ca.SX.sym("residual"), ca.SX(1)
+    verdict = ca.SX(0)
     for sign in ca.vertsplit(signs) if signs.numel() else ():
         if not ca.depends_on(sign, system.gamma):
-            positive = ca.logic_and(positive, sign > 0)
-    verdict = ca.if_else(ca.logic_and(positive, residual < np.inf), 0.0, np.nan)
-    return ca.Function("sc_verdict", [step.state, residual, system.p], [verdict])
+            verdict += ca.if_else(sign > 0, 0.0, np.nan)
+    return ca.Function("sc_verdict", [step.state, system.p], [verdict])
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import casadi as ca
 from servocore.dae import Dae
 from servocore.methods.base import Discretization
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.square_systems import compile_solver
+from servocore.numerics.square_systems import compile_bare_solver, compile_solver
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, inversion
 
@@ -24,6 +24,12 @@ def compile_step(step: Discretization) -> ca.Function:
     """Compile (state, gamma, h, p) -> (state, counts, residual)."""
     solver = compile_solver("sc_solve", step.equations, [step.next_state])
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
+
+
+def compile_bare_step(step: Discretization) -> ca.Function:
+    """Compile (state, gamma, h, p) -> state, NaN where the step is not solved."""
+    solver = compile_bare_solver("sc_bare", step.equations, [step.next_state])
+    return _with_step_arguments("sc_bare_step", step, lambda givens: [solver(givens)])
 
 
 def compile_following_step(array: DerivativeArray, order: int) -> ca.Function:
