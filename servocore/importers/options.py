@@ -101,6 +101,7 @@ class Options:
         if unknown:
             known = ", ".join([*cls.__dataclass_fields__, "motor_inertia"])
             raise InvalidSetting(f"{source}: there is no setting {unknown[0]}; there are {known}")
+        cls(**values)._require_kinds()
         if not isinstance(elastic, Mapping):
             elastic = dict.fromkeys(
                 (name for name in tree.joints if name in driven_joints(tree, cls(**values))), elastic
@@ -136,14 +137,16 @@ class Options:
     def _require_kinds(self) -> None:
         for option in ("outputs", "inputs", "passive", "locked", "points", "ropes", "taut"):
             value = getattr(self, option)
-            if isinstance(value, str) or not isinstance(value, Sequence | None):
+            listed = isinstance(value, Sequence) and all(isinstance(name, str) for name in value)
+            if isinstance(value, str) or not (listed or value is None):
                 raise InvalidSetting(f"{option} must be a list of names, not {value!r}")
         for option in ("elastic", "posture", "payload"):
             require_kind(getattr(self, option), Mapping, option, "values by name", InvalidSetting)
         for option in ("posture", "payload"):
             for name, value in getattr(self, option).items():
                 require_real(value, f"the {option} of {name}", "a number", InvalidSetting)
-        if self.gravity is not None and len(self.gravity) != 3:
+        numbers = self.gravity if isinstance(self.gravity, Sequence) else (self.gravity,)
+        if self.gravity is not None and not (len(numbers) == 3 and all(isinstance(x, int | float) for x in numbers)):
             raise InvalidSetting(f"gravity must be three numbers in m/s2, not {self.gravity!r}")
 
     def _require_consistent(self, tree: Tree) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
 
-_LARGEST = 2**25  # bytes; robot files have less than a tenth
+_LARGEST = 2**23  # bytes; robot files have less than a tenth
 
 
 @dataclass(frozen=True, eq=False)
