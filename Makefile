@@ -43,7 +43,8 @@ nightly: $(INSTALLED)  ## run what takes minutes, five hundred random mechanisms
 	@status=0; seed=$${SEED:-$$(date +%s)}; again() { echo "The seed was $$seed: make nightly SEED=$$seed"; status=1; }; \
 	$(RUN) $(PYTEST) --most-of-budget 2 || status=1; \
 	$(RUN) $(PYTEST) --nightly -m nightly || status=1; \
-	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py || status=1; \
+	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py \
+		tests/outside/test_random_trees.py || status=1; \
 	echo "Property tests with the seed $$seed"; \
 	$(RUN) pytest -n $(TEST_PROCESSES) -m hypothesis --hypothesis-profile=fresh --hypothesis-seed=$$seed || again; \
 	exit $$status
@@ -121,6 +122,7 @@ levels: $(INSTALLED)  ## measure what the models of every scene cost, into docs/
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
 	$(BIN)/python docs/draw_certificate.py
+	$(BIN)/python docs/draw_elastic_arm.py
 	$(BIN)/python docs/draw_icon.py
 	$(BIN)/python docs/draw_live_page.py
 

@@ -1,16 +1,9 @@
-"""Build RotaryCrane.fmu: ``python build_fmu.py [-o DIR]``."""
+"""Build RotaryCrane.fmu: ``python build_fmu.py [-o DIR]``, which is ``crane-fmu build``."""
 
 import sys
 
-NEEDED = "build_fmu.py: the package {} is needed for this: pip install '.[fmu]'"
-
-try:
-    from crane_fmu.build import main
-except ModuleNotFoundError as error:
-    sys.exit(NEEDED.format(error.name))
+from crane_fmu.cli import main
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except ModuleNotFoundError as error:
-        sys.exit(NEEDED.format(error.name))
+    sys.argv[1:1] = ["build"]
+    main()

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     )
     from servocore.export.plant_model import PlantOptions as PlantOptions
     from servocore.export.routes import SteppedRoutes as SteppedRoutes
+    from servocore.export.scene_system import export_ssp as export_ssp
     from servocore.export.trajectory_model import TrajectoryOptions as TrajectoryOptions
     from servocore.export.wasm import export_wasm as export_wasm
     from servocore.formulations.base import Formulation as Formulation

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.branches import rank_losses
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.internal_stability import (
     ADVICE,
@@ -15,16 +15,16 @@ from servocore.checks.internal_stability import (
     SINGULAR,
     internal_dynamics,
 )
-from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.checks.motion import motion_of
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants, call_of
+from servocore.numerics.conditioning import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
-from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
 
@@ -176,7 +176,7 @@ def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: 
 
 def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     """Return the worst condition of the system Jacobian and, if there is one, why or where the path is singular."""
-    system, array, reference = problem.system, problem.array, problem.reference
+    array, reference = problem.array, problem.reference
     try:
         require_feasible(problem)
         times = np.linspace(reference.start_time, reference.end_time, instants)
@@ -197,8 +197,15 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     worst = float(conditions.max())
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion
-    places = array.places((k, 0) for k in range(len(system.coordinates)))
-    return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(unknowns)[:, places])))
+    return worst, "", _rank_loss(problem, times, np.column_stack(unknowns))
+
+
+def _rank_loss(problem: Problem, t: Array, unknowns: Array) -> str:
+    """Say where constraints lose rank along a motion; empty if they do not, or its branch cannot be followed."""
+    try:
+        return "; ".join(str(each) for each in motion_of(problem, t, unknowns).passages if each.of_constraints)
+    except IntegrationFailed:
+        return ""
 
 
 def _unknowns_along(problem: Problem, times: Array, jets: Array) -> list[Array]:

@@ -146,7 +146,7 @@ def apart_from_mujoco(path: Path) -> float:
         mujoco.mj_inverse(model, data)
         mass, *forces = (np.asarray(each) for each in evaluate(x, T @ data.qvel))
         masses = (T.T @ mass @ T, M)
-        worst = max(worst, apart([masses]), apart([masses, (T.T @ sum(forces).ravel(), data.qfrc_inverse)]))
+        worst = max(worst, apart([masses]), apart([masses, (T.T @ np.sum(forces, axis=0).ravel(), data.qfrc_inverse)]))
     return worst
 
 
@@ -185,15 +185,17 @@ def simulated_stray(path: Path, scene: sc.Scene) -> float:
     run = solve_ivp(
         rates, (0.0, solution.t[-1]), begin, method="DOP853", rtol=1e-9, atol=1e-11, t_eval=solution.t[::20]
     )
+    points = [name.removesuffix(".x") for name in names if name.endswith(".x") and f"{name[:-2]}.z" in names]
     stray = 0.0
     for k, t in enumerate(run.t):
+        planned = {name: np.interp(t, solution.t, solution[name]) for name in names}
         places = []
-        for values_of in (
-            run.y[: model.nq, k],
-            [np.interp(t, solution.t, solution[n]) if n in names else 0.0 for n in links],
-        ):
-            data.qpos[:] = values_of
+        for configuration in (run.y[: model.nq, k], [planned.get(name, 0.0) for name in links]):
+            data.qpos[:] = configuration
             mujoco.mj_kinematics(model, data)
             places.append(data.xpos.copy())
+        if points:  # of ropes, whose hinges are not among the coordinates
+            places = [places[0][[model.body(each).id for each in points]]]
+            places.append(np.array([[planned[f"{each}.{axis}"] for axis in "xyz"] for each in points]))
         stray = max(stray, 1e3 * float(np.abs(places[0] - places[1]).max()))
     return stray

@@ -18,8 +18,8 @@ from thinned import thinned
 import servocore as sc
 from servocore.checks.internal_stability import ADVICE
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.conditioning import condition_number
 from servocore.references.rest_to_rest import RestToRest
-from servocore.structure.signature import condition_number
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
 CRANE_MODELS = [(name, model) for name in CRANES for model in sc.scenes.REGISTRY[name]().models]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import cache
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 import test_meeting_branches as meeting
 from test_certificate import QUADROTOR, line, truth
+from test_failure_causes import arm
 from thinned import thinned
 
 import servocore as sc
@@ -23,8 +24,6 @@ CRANE, OVERHEAD, GANTRY, BOOM = (
 Family = Callable[[np.random.Generator, bool], sc.Scene]
 FAMILIES: dict[str, tuple[Family, str]] = {}
 """A family makes a right or a bad scene by chance; beside it the causes that are true of the bad ones."""
-
-ARM = 1.0  # m, of both links
 
 
 def one_of(rng: np.random.Generator, *scenes: sc.Scene) -> tuple[sc.Scene, RestToRest]:
@@ -69,44 +68,25 @@ def meeting_branches(rng: np.random.Generator, bad: bool) -> sc.Scene:
     return meeting.scene(path, longer=0.0 if bad else float(10.0 ** rng.uniform(-3.0, -1.0)))
 
 
-@cache
-def arm(heavy: float = 1.0) -> sc.MechanicalSystem:
-    """An arm of two links with a mass at each joint, which is pulled by torques at both; `heavy` may be negative."""
-    coordinates = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("b", "rad"))
-    a, b = ca.vertsplit(coordinates.q)
-    gamma = ca.SX.sym("gamma", 2, 25)
-    x, y = ca.vertsplit(gamma[:, 0])
-    reach = ca.fmin(x**2 + y**2, 4.0 * ARM**2)
-    bend = ca.acos(reach / (2.0 * ARM**2) - 1.0)
-    elbow, tip = (ca.vertcat(ca.cos(a), ca.sin(a)), ca.vertcat(ca.cos(a) + ca.cos(a + b), ca.sin(a) + ca.sin(a + b)))
-    J = [ca.jacobian(each, coordinates.q) for each in (elbow, tip)]
-    tipped = 1.0 if heavy > 0.0 else ca.cos(b) * heavy  # turns negative beyond a right angle
-    return sc.MechanicalSystem(
-        name="arm", coordinates=coordinates, parameters=sc.Parameters(),
-        inputs=(sc.Quantity("shoulder", "N.m"), sc.Quantity("elbow", "N.m")),
-        outputs=(sc.Quantity("x", "m"), sc.Quantity("y", "m")),
-        mass=ca.mtimes(J[0].T, J[0]) + tipped * ca.mtimes(J[1].T, J[1]), output=tip, input_matrix=ca.SX.eye(2),
-        gamma=gamma, guess=ca.vertcat(ca.atan2(y, x) - bend / 2.0, bend), home=(0.3, 1.0),
-    )  # fmt: skip
+def reaching(rng: np.random.Generator, far: float) -> sc.Scene:
+    """An arm with a reach of 1.8 m from a place near its shoulder to one that is so far from it."""
+    angles, near = rng.uniform(0.0, 1.5, 2), rng.uniform(0.8, 1.1)
+    start, end = ((r * np.cos(t), r * np.sin(t)) for r, t in zip((near, far), angles, strict=True))
+    return arm(start, end)
 
 
-def reaching(rng: np.random.Generator, far: float, heavy: float = 1.0) -> sc.Scene:
-    """An arm from a place in reach to one that is so far from the shoulder."""
-    angles, near = rng.uniform(0.0, 1.5, 2), rng.uniform(0.9, 1.3)
-    ends = [tuple(r * np.array([np.cos(t), np.sin(t)])) for r, t in zip((near, far), angles, strict=True)]
-    path = sc.rest_to_rest(ends[0], ends[1], rng.uniform(1.0, 4.0))
-    return sc.Scene("arm", {"joints": lambda: arm(heavy)}, path)
-
-
-@family("out of reach|singular")
+@family("out of reach")
 def out_of_reach(rng: np.random.Generator, bad: bool) -> sc.Scene:
-    return reaching(rng, rng.uniform(2.01, 3.0) if bad else rng.uniform(1.4, 1.9))
+    return reaching(rng, rng.uniform(1.81, 3.0) if bad else rng.uniform(1.3, 1.7))
 
 
 @family("negative at t")
 def negative_masses(rng: np.random.Generator, bad: bool) -> sc.Scene:
-    """The tip of the arm weighs -cos of the elbow's angle: negative once it is stretched to less than a right angle."""
-    return reaching(rng, rng.uniform(1.6, 1.9) if bad else rng.uniform(0.7, 1.2), -1.0)
+    """An arm whose mass falls where it stretches: negative beyond 1.71 m from the shoulder."""
+    scene = reaching(rng, rng.uniform(1.73, 1.78) if bad else rng.uniform(1.3, 1.69))
+    system = scene.model()
+    lighter = replace(system, mass=(0.8 - ca.cos(system.q[1])) * system.mass)
+    return replace(scene, models={"light": lambda: lighter})
 
 
 @family("too rough")
@@ -147,7 +127,7 @@ def narrow_limits(rng: np.random.Generator, bad: bool) -> sc.Scene:
 @pytest.mark.parametrize(
     ("name", "bad", "seed"),
     thinned([(name, bad, seed) for name in FAMILIES for bad in (True, False) for seed in range(13)],
-            lambda case: case[2] == 0),
+            lambda case: case[2] == 0 and case[:2] != ("slack_ropes", True)),
 )  # fmt: skip
 def test_what_is_right_is_proved_and_of_what_is_not_a_true_cause_is_told(name: str, bad: bool, seed: int) -> None:
     make, cause = FAMILIES[name]

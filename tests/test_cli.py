@@ -234,7 +234,7 @@ class TestFeedforward:
             told[6],
         )
         proved = (
-            r"  certificate: proved: one regular motion at all times from 0 s to 20 s, inputs within \d\.\de-1[0-4] .*"
+            r"  certificate: proved: one regular motion at all times from 0 s to 20 s, inputs within \d\.\de-\d\d .*"
         )
         assert re.fullmatch(proved, told[7])
         assert len(told) == 8  # the path of a line is exact

@@ -24,8 +24,8 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
-SUBJECT = {"analyse", "import", "feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export"}
-ALONG = SUBJECT - {"analyse", "import"}
+ALONG = {"feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export", "ssp"}
+SUBJECT = ALONG | {"analyse", "import"}
 BOUNDED = {"feedforward", "plan", "sweep", "view"}
 FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
 BOUND = {"crane-fmu feedforward", "crane-fmu plan", "crane-fmu view"}
@@ -81,7 +81,7 @@ OPTIONS = {
     "--plot": Option(of_both({"feedforward", "plan", "sensitivities"}), "p.png", Path("p.png")),
     "--verbose": Option(of_both({"feedforward"}), "", True),
     "--output": Option(
-        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | FMUS | {"crane-fmu demo"},
+        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export", "ssp"}) | FMUS | {"crane-fmu demo"},
         "result", Path("result"),
     ),
     "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ({"load_mass": (0.9, 1.1)},)),
@@ -104,10 +104,11 @@ OPTIONS = {
     "--simulate": Option(of_servocore({"effects"}), "", True),
     "--markdown": Option(of_servocore({"effects"}), "e.md", Path("e.md")),
     "--fmi": Option(of_servocore({"export"}), "2", 2),
-    "--targets": Option({"servocore export", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
+    "--targets": Option(
+        {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
     "--c": Option(of_servocore({"export"}), "source", Path("source")),
-    "--about": Option(of_servocore({"export"}), "vendor.toml", Path("vendor.toml")),
+    "--about": Option(of_servocore({"export", "ssp"}), "vendor.toml", Path("vendor.toml")),
     "--wasm": Option(of_servocore({"export"}), "crane.wasm", Path("crane.wasm")),
     "--plant": Option(of_servocore({"export"}), "", True),
     "--trajectory": Option(of_servocore({"export"}), "", True),
@@ -115,6 +116,8 @@ OPTIONS = {
     "--no-certify": Option(
         of_both({"feedforward", "plan"}) | {"servocore export", "crane-fmu ssp", "crane-fmu demo"}, "", True
     ),
+    "--fmu": Option({"crane-fmu build"}, "CranePlant"),
+    "--page": Option({"crane-fmu build"}, "page.md", Path("page.md")),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),
     "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ({"start.position[1]": 5.1},)),
 }  # fmt: skip

@@ -22,7 +22,7 @@ from crane_fmu.cli.commands import app
 from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report.study import LoadRun
-from crane_fmu.run import input_rows, run_fmu
+from crane_fmu.run import run_fmu
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
@@ -200,15 +200,6 @@ class TestRunFmu:
     def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu: Path) -> None:
         with pytest.raises(sc.IntegrationFailed, match="load_mass"):
             run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
-
-    def test_inputs_are_the_path_and_its_four_derivatives(self) -> None:
-        reference = sc.scenes.rotary_crane().reference
-        rows = input_rows(reference, 0.5)
-        assert rows["time"][-1] == 20.0
-        assert len(present(rows.dtype.names)) == 16 + 12
-        assert not rows["measured.l"].any()
-        np.testing.assert_array_equal(rows["load.position[1]"], reference.jet(rows["time"], 0)[:, 0, 0])
-        np.testing.assert_array_equal(rows["load.snap[3]"], reference.jet(rows["time"], 4)[:, 4, 2])
 
 
 class TestExamples:

@@ -56,8 +56,10 @@ def test_the_library_imports_nothing_before_its_first_use(tmp_path: Path) -> Non
 
 
 def test_the_script_that_builds_names_its_extra(tmp_path: Path) -> None:
-    run = without_extras(f"import runpy; runpy.run_path({str(ROOT / 'build_fmu.py')!r})", folder=tmp_path)
-    assert run.returncode == 1
+    run = without_extras(
+        f"import runpy; runpy.run_path({str(ROOT / 'build_fmu.py')!r}, run_name='__main__')", folder=tmp_path
+    )
+    assert run.returncode == 2
     assert "pip install '.[fmu]'" in run.stderr
     assert "Traceback" not in run.stderr
 

@@ -48,14 +48,6 @@ def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
     assert (folder / "RotaryCrane.fmu").read_bytes() == fmu_file().read_bytes()
 
 
-def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert build.main(["-o", str(tmp_path / "file" / "x")]) == 2
-    assert capsys.readouterr().err.startswith("build_fmu.py: cannot write")
-
-
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
     native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,14 +132,6 @@ def test_outputs_depend_on_inputs_at_the_start_only() -> None:
         names = {source.name for source in each.dependencies}
         assert {"load.position[1]", "load_mass", "gravity"} <= names
         assert not [name for name in names if name.startswith("measured.")]
-
-
-def test_the_description_offers_states_and_variable_steps() -> None:
-    offered = read_model_description(str(fmu_file())).coSimulation
-    assert offered.canGetAndSetFMUstate
-    assert offered.canSerializeFMUstate
-    assert offered.canHandleVariableCommunicationStepSize
-    assert not offered.canBeInstantiatedOnlyOncePerProcess
 
 
 def test_the_identifier_changes_with_the_content(

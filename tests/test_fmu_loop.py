@@ -11,7 +11,7 @@ from fmu_host import Host
 from loop_information import smallest_distance
 from loop_schedules import KINDS, distances, schedule
 from loop_stability import sensitivity, transition_norms
-from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
+from loops import BOUNDS, CRANE, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
 from plain_crane import advance, flat, linear, measured_of, riccati, sampled, worth
 from scipy.linalg import expm, logm
 from thinned import thinned
@@ -175,13 +175,6 @@ def test_a_step_too_long_for_the_pendulum_is_told_with_the_longest_that_will_do(
         assert host["F"] == pytest.approx(0.0, abs=1e-6)
         longest = 1.0 / np.sqrt(9.81 / 5.0 * 11.0)
         assert f"it may be {longest:.3g} s at most" in host.messages[0]
-
-
-@pytest.mark.parametrize("name", FORCES)
-def test_outputs_stay_within_the_limits_without_feedback_too(name: str) -> None:
-    with Host() as host:
-        host.set(**{f"limit.{name}": 1.0}).start(CRANE.reference.jet(8.0, 4))
-        assert abs(host[name]) <= 1.0
 
 
 # Stability -----------------------------------------------------------------------------------------------------------

@@ -16,8 +16,8 @@ from loops import CRANE, FORCES, Case, deviation
 from native_fmu import END, Native, exported
 
 import servocore as sc
-from crane_fmu.build.ssp import path_starts
-from crane_fmu.catalogue import ORDERS, components
+from crane_fmu.build.ssp import SystemOptions, start_values
+from crane_fmu.catalogue import CRANE_PLANT, ORDERS, components
 from crane_fmu.cli.commands import app
 from crane_fmu.run import run_ssp
 from servocore.files import csv_text
@@ -50,8 +50,8 @@ def accelerating(file: Path) -> Path:
 
 def starts_of(path: sc.Reference) -> dict[str, float]:
     """Return the start values of the plant."""
-    found = path_starts(path, sc.ExactInversion(CRANE.with_reference(path), native=False))
-    return {name: float(value) for name, value in found.items() if name.startswith("start.") or name in FORCES}
+    found = start_values(SystemOptions(path), sc.ExactInversion(CRANE.with_reference(path), native=False))
+    return {name: float(value) for name, value in found[CRANE_PLANT.name].items()}
 
 
 @pytest.fixture

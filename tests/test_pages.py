@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ def test_python_blocks_of_a_page_run_one_after_another(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "examples" / "ur5.urdf", tmp_path)
     names: dict[str, object] = {"__name__": "page"}
     text = page.read_text(encoding="utf-8")
     for block in CODE_BLOCK.finditer(text):

@@ -48,6 +48,7 @@ CASES = [
     Case(f"crane-fmu plan {WAY} --plot @", ".svg", "report"),
     Case("crane-fmu view --output @", ".html", "report"),
     Case("crane-fmu build --output @", "/", "fmu"),
+    Case("crane-fmu build --page @", ".md", "fmu"),
     Case("crane-fmu ssp --output @", "/", "fmu"),
     Case(f"crane-fmu drive plant.fmu {LINE} --output @", ".csv", "fmu"),
     Case("crane-fmu demo --output @", "/", "fmu"),
@@ -66,6 +67,7 @@ CASES = [
     Case("servocore export cars --targets host --output @", ".fmu", "fmu"),
     Case("servocore export cars --c @", "/", "fmu"),
     Case("servocore export cars --wasm @", ".wasm", "fmu"),
+    Case("servocore ssp cars --targets host --output @", ".ssp", "fmu"),
     Case("servocore cache"),
 ]
 WITH_RESULTS = [case for case in CASES if case.ending]

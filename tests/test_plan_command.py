@@ -51,6 +51,7 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture() -> Non
     )
     assert result.exit_code == 0
     assert "3.46" in result.stdout.splitlines()[0]
+    assert "limits          proved to be kept at all times" in result.stdout
     table = read("p.csv")
     assert list(table) == ["time", "F", "M_w", "tension", "swing", "x", "z"]
     assert np.abs(table["F"]).max() <= 200.0

@@ -16,7 +16,6 @@ from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmu_host import JET, OUTPUTS, Host, extracted, fmu_file, in_a_process, scratch
 from native_fmu import c_host
 
-from crane_fmu.build.archive import REAL_BINARY
 from crane_fmu.catalogue import FEEDBACK_INPUTS
 
 pytestmark = [
@@ -155,17 +154,3 @@ def test_only_co_simulation_is_offered() -> None:
     made = library.fmi2Instantiate(b"x", 0, guid().encode(), location, ctypes.byref(callbacks), 0, 0)
     assert made is None
     assert said == ["the FMU offers co-simulation only"]
-
-
-def test_pythonfmus_binary_alone_still_works_in_python_hosts() -> None:
-    """What an FMU that was built without a compiler holds."""
-    folder = unpacked("plain")
-    binaries = folder / "binaries" / PLATFORM
-    if (binaries / REAL_BINARY).exists():
-        (binaries / REAL_BINARY).replace(binaries / "RotaryCrane.so")
-    code = (
-        "import sys\nfrom fmpy import simulate_fmu\n"
-        "print(len(simulate_fmu(sys.argv[1], stop_time=1.0, output_interval=0.1)))"
-    )
-    done = in_a_process(code, folder)
-    assert done.stdout.strip() == "11", done.stderr

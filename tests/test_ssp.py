@@ -215,6 +215,7 @@ def own_system(native: bool) -> Path:
     with contextlib.chdir(folder):
         result = CliRunner().invoke(app, ["ssp", "-o", "out", *options])
     assert result.exit_code == 0, result.output
+    assert "certificate: proved: one regular motion at all times from 0 s to" in result.stderr
     expected = [*(f"{name}.fmu" for name in KINDS), "Crane.ssp"]
     assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == expected
     return folder / "out" / "Crane.ssp"

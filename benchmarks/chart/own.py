@@ -44,7 +44,7 @@ FEW_DIVISIONS = (1, 4, 16)
 INTERNAL_DIVISIONS = (1, 4)  # on a reduced form with internal dynamics, which needs no small steps
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 PREPARED_TOLERANCES = (1e-3, 1e-6, 5e-10)
-STAGES, COMPILED_STAGES = (3, 4, 5, 6, 7, 9), (4, 5, 7)
+STAGES, COMPILED_STAGES = (3, 4, 5, 6, 7, 9), (4, 7)
 """Of Radau IIA with long steps; of those as machine code, which takes seconds to compile each."""
 ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
 ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)

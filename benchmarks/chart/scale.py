@@ -6,8 +6,7 @@ the closed form is evaluated in NumPy, crane by crane. A closed chain of bars, e
 independent parts. Times are processor times, the smallest of several; solves are interpreted.
 
 Expressions of more than 30,000 operations are not compiled (160 cranes, long closed chains), since compilation takes
-minutes. The practical limit is a chain of 64 bars: some 10 s of analysis, since ranks and conditions of a part are
-those of dense matrices.
+minutes. Ranks and conditions of parts of 128 rows or more are those of sparse factors.
 """
 
 from __future__ import annotations
@@ -42,11 +41,12 @@ from servocore.structure.inversion import inversion
 
 FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
-CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32)
+CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32, 64, 128)
 CRANE, BAR, COLD, MANY = "gantry cranes in one system", "elastic bar, space marching", "cold start", "10,000 instants"
 CHAIN, STEPPED = "bodies in a closed chain", "projected backward Euler, 2,000 steps"
 IN_C, WITHOUT_CHECKS, CHECKED = "its step in C", "solve without checks, machine code", "solve, machine code"
 MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes
+MOST_SOLVED = 32  # bars: beyond, the rest of the study would wait for the first solve
 STEPS, INSTANTS, LARGE = 200, 1000, 10_000
 REPEATS = 5
 STAGES = {"import": 0.3, "analyse": 0.5, "first solve": 0.04}
@@ -86,7 +86,8 @@ class Point:
 
 def measure_scale(smoke: bool = False) -> list[Point]:
     """Measure everything."""
-    sc.analyse(sc.scenes.gantry_crane())  # what is imported when first needed
+    for scene in (sc.scenes.gantry_crane(), cranes(CRANES[-2])[0]):  # what is imported when first needed
+        sc.analyse(scene)
     if smoke:
         bars = [point for pieces in BARS[:2] for point in _bar(pieces)]
         return [*_cranes(CRANES[0]), *_chain(CHAINS[0]), *bars, *_calls(smoke)]
@@ -158,6 +159,8 @@ def _chain(bodies: int) -> Iterator[Point]:
     path = scene.reference
     t, step = np.linspace(path.start_time, path.end_time, INSTANTS), path.duration / STEPS
     yield Point(CHAIN, bodies, "analyse", _seconds(lambda: sc.analyse(scene), 1), "s")
+    if bodies > MOST_SOLVED:
+        return
     inputs = sc.ExactInversion(scene, native=False)
     inputs(t)
     value = _seconds(lambda: inputs(t)) / INSTANTS * 1e6
@@ -341,7 +344,7 @@ def missed(points: Sequence[Point]) -> list[tuple[str, str]]:
 
 
 def scale_page(points: Sequence[Point]) -> str:
-    """Write the page of sizes: the requirements that are missed, and a table of the cranes."""
+    """Write the page of sizes: the requirements that are missed, and tables of cranes and chains."""
     parts = ["# Cost against size", (__doc__ or "").partition("\n\n")[2].strip()]
     parts.append(
         "[scale.csv](scale.csv) has all measurements: cranes, chains, `march_bar`, 10,000 instants at once, calls of"
@@ -352,7 +355,13 @@ def scale_page(points: Sequence[Point]) -> str:
     parts.append(f"{head} Missed:" if missed(points) else head)
     if missed(points):
         parts.append("\n".join(f"* {name}: {reason}." for name, reason in missed(points)))
-    own = [each for each in points if each.what == CRANE]
+    parts += [_table(points, what) for what in (CRANE, CHAIN)]
+    return "\n\n".join(each.rstrip("\n") for each in parts) + "\n"
+
+
+def _table(points: Sequence[Point], what: str) -> str:
+    """Show what grows with size, with exponents; columns are sizes."""
+    own = [each for each in points if each.what == what]
     sizes = list(dict.fromkeys(each.size for each in own))
     lines = []
     for quantity in dict.fromkeys(each.quantity for each in own):
@@ -361,5 +370,4 @@ def scale_page(points: Sequence[Point]) -> str:
         slope = exponent(row)
         lines.append((f"{quantity}, {row[0].unit}", *(known.get(size, "-") for size in sizes),
                       "-" if slope is None else f"{slope:.2f}"))  # fmt: skip
-    parts.append(markdown((CRANE, *map(str, sizes), "exponent"), lines, 9))
-    return "\n\n".join(each.rstrip("\n") for each in parts) + "\n"
+    return markdown((what, *map(str, sizes), "exponent"), lines, 9)

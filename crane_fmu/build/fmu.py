@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import servocore as sc
 from crane_fmu.build.archive import Progress, packed
 from crane_fmu.build.native import native_fmu
 from crane_fmu.build.page import user_page
-from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
+from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from servocore.files import made_folder, require_writable, write_together
 
@@ -76,6 +75,22 @@ def build_fmu(
     return target
 
 
+def page_of(kind: FmuKind) -> str:
+    """Return the user page of an FMU as Markdown, without compiling it.
+
+    Parameters
+    ----------
+    kind : FmuKind
+        Which one.
+
+    Returns
+    -------
+    str
+        The page.
+    """
+    return user_page(kind, native_fmu(kind, targets="none", deferred_refusals=True))
+
+
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     expected = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
@@ -90,46 +105,3 @@ def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     if done.returncode:
         reason = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
         raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {reason}")
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command ``python build_fmu.py``; returns its exit code.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        0, or 2 for bad input.
-    """
-    parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
-    add = parser.add_argument
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        default=Path(),
-        metavar="DIR",
-        help="folder of the FMU (default: the current folder)",
-    )
-    add("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which FMU (default: %(default)s)")
-    add("--targets", metavar="LIST", help="platforms to compile for (default: this one and 64-bit Windows)")
-    add("--page", type=Path, metavar="FILE", help="only write the user page, in Markdown")
-    chosen = parser.parse_args(arguments)
-    kind = KINDS[chosen.fmu]
-    try:
-        if chosen.page:
-            archive = native_fmu(kind, targets="none", deferred_refusals=True)
-            write_together({chosen.page: user_page(kind, archive).encode()})
-            return 0
-        file = build_fmu(
-            chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind, targets=chosen.targets
-        )
-    except sc.ServocoreError as error:
-        print(f"build_fmu.py: {error}", file=sys.stderr)
-        return 2
-    print(file)
-    return 0

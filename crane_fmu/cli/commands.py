@@ -11,10 +11,11 @@ import rich.box
 import rich.table
 
 import servocore as sc
+from crane_fmu.catalogue import KINDS, ROTARY_CRANE, FmuKind
 from servocore.cli import feedforward, plan, view
 from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, PatientProgress, table_console
-from servocore.cli.kinds import FILE_READ, FOLDER, NAMES, VALUE
+from servocore.cli.kinds import FILE, FILE_READ, FOLDER, NAMES, VALUE, choice
 from servocore.cli.options import Certified, GivenLimits, GivenPath, Platforms, Rows, Subject, Table, output
 from servocore.files import write_together
 
@@ -45,17 +46,35 @@ class Place:
     native: bool = option("--native", help="FMUs in C, which run without Python.")
 
 
-def build(subject: Subject, place: Place, platforms: Platforms) -> None:
+@dataclass(frozen=True)
+class Which:
+    """One of the FMUs, or its page."""
+
+    title = "FMU"
+
+    fmu: FmuKind = option(
+        "--fmu", kind=choice("FMU", KINDS), metavar="NAME", default=ROTARY_CRANE.name,
+        help=f"{', '.join(KINDS)}. Default: {ROTARY_CRANE.name}.",
+    )  # fmt: skip
+    page: Path | None = option("--page", kind=FILE, metavar="FILE.md", help="Write the user page instead, in Markdown.")
+
+
+def build(subject: Subject, which: Which, place: Place, platforms: Platforms) -> None:
     """Build RotaryCrane.fmu, check it in a separate process and write it into a folder.
 
     With --parameters the default crane of the FMU is that of the file. Without --targets the FMU has libraries for this
-    machine and 64-bit Windows. python build_fmu.py does the same.
+    machine and 64-bit Windows. python build_fmu.py does the same. With --fmu it is another one of the system's FMUs.
     """
-    from crane_fmu.build import build_fmu  # noqa: PLC0415
+    from crane_fmu.build import build_fmu, page_of  # noqa: PLC0415
 
     changed = subject.changes(sc.scenes.rotary_crane())
+    if which.page is not None:
+        write_together({which.page: page_of(which.fmu).encode()})
+        return
     with PatientProgress("building the FMU") as progress:
-        file = build_fmu(place.output or Path(), progress.describe, starts=changed, targets=platforms.targets)
+        file = build_fmu(
+            place.output or Path(), progress.describe, which.fmu, starts=changed, targets=platforms.targets
+        )
     print(file)
 
 

@@ -3,56 +3,105 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
-from servocore.certificate.statements import known
-from servocore.model.limits import Named
+from servocore.certificate.statements import Verdict, known
+from servocore.model.limits import Named, reported_quantities
+from servocore.numerics.step_operations import KINKS, holds_any
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
-_NEAR = 0.05  # of the duration
+_NEAR, _SHORT = 0.05, 1e-2  # of the duration
+_TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def cause_of(proof: Proof, unproved: Sequence[Interval]) -> str:
-    """Return a sentence on the first interval that is not proved: where, in which equations, and why.
+def cause_of(proof: Proof, unproved: Sequence[Interval]) -> tuple[Verdict, float, str]:
+    """Return whether a motion that is not proved everywhere is refuted, when, and why in a sentence.
 
-    Where not even the beginning is proved, the magnitudes of the unknowns are those of a singularity later on: that
-    explains more.
+    Without a cause on the first interval an interval without a solution explains more: where not even the beginning is
+    proved, the magnitudes of the unknowns are those of a singularity later on.
     """
-    unsolved = [each for each in unproved if each.c is None or not np.isfinite(each.c).all()]
-    each = (unsolved or unproved)[0] if unproved[0] is proof.intervals[0] else unproved[0]
+    first, found = unproved[0], switchings(proof)
+    for time, sentence in found:
+        if sentence:
+            return "refuted", time, sentence
+    unsolved = [each for each in unproved if not _is_solved(each)]
+    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and _is_kinked(proof, first)):
+        first = unsolved[0]
+    return "undecided", first.begin, _sentence(proof, first)
+
+
+def _is_solved(each: Interval) -> bool:
+    return each.c is not None and bool(np.isfinite(each.c).all())
+
+
+def _is_kinked(proof: Proof, each: Interval) -> bool:
+    """Whether equations with kinks or jumps, or their Jacobian, have no enclosure even at the polynomials."""
+    if each.c is None or not holds_any(proof.equations.array.residual, KINKS):
+        return False
+    (c, r), x = proof.given([each]), each.c[:, :, None]
+    arguments = np.concatenate([x, c], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), r])
+    walks = proof.equations.residual, proof.equations.jacobian
+    return not all(np.isfinite(walk(proof.ring, arguments)[1]).all() for walk in walks)
+
+
+def switchings(proof: Proof) -> list[tuple[float, str]]:
+    """Return when equations with kinks or jumps switch, each with a coordinate or velocity that jumps, if one does.
+
+    That is across short intervals without a proof between two with one. A jump is many times the change that the rates
+    at both ends could explain.
+    """
+    array, order, found = proof.equations.array, proof.intervals, list[tuple[float, str]]()
+    proved = [each for each in order if each.proved and not proof.boxed]
+    place = {unknown: k for k, unknown in enumerate(array.unknowns)}
+    for a, b in pairwise(proved):
+        gap, between = b.begin - a.end, order[order.index(a) + 1]
+        if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
+            continue
+        if not (_is_solved(between) and _is_kinked(proof, between)):
+            continue
+        left, right = a.c.sum(axis=0), (-1.0) ** np.arange(len(b.c)) @ b.c
+        jumps = ""
+        for k in proof.equations.motion:
+            j, derivative = array.unknowns[k]
+            rate = place[j, derivative + 1]
+            explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate])) + a.rho[k] + b.rho[k]
+            if not jumps and abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
+                what = "the velocity of " * derivative + array.names[j].removeprefix("q.")
+                jumps = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
+                jumps += ": the equations have a kink or a jump there"
+        found.append((a.end, jumps))
+    return found
+
+
+def _sentence(proof: Proof, each: Interval) -> str:
+    """Return where an interval is, in which equations it is not proved, and why."""
     at = f"not proved from t = {each.begin:.6g} s to {each.end:.6g} s"
-    slack, given = _slack(proof, each), proof.given([each])
-    if not np.isfinite(given[1]).all():
+    slack = _slack(proof, each)
+    if not np.isfinite(proof.given([each])[1]).all():
         return f"{at}: nothing bounds the derivatives of the path"
-    if each.c is None or not np.isfinite(each.c).all():
+    if not _is_solved(each):
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
-    equations, array = proof.equations, proof.equations.array
-    first = blocks_of(equations).around(max(each.failed, 0))
+    array = proof.equations.array
     names = array.signature.equations.equations
-    rows = dict.fromkeys(names[array.rows[k][0]] for k in first)
+    rows = dict.fromkeys(names[array.rows[k][0]] for k in blocks_of(proof.equations).around(max(each.failed, 0)))
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
-    x = each.c[:, :, None]
-    arguments = np.concatenate([x, given[0]], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), given[1]])
-    kinked = not np.isfinite(equations.jacobian(proof.ring, arguments)[1]).all()
-    why = (
-        ": they have a kink or a jump there"
-        if kinked
-        else ": the configuration is singular there, or two branches meet"
-    )
-    return where + (slack or why)
+    singular = ": the configuration is singular there, or two branches meet"
+    return where + (slack or (": they have a kink or a jump there" if _is_kinked(proof, each) else singular))
 
 
 def _slack(proof: Proof, each: Interval) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
     problem, system = proof.problem, proof.problem.system
-    bounded = [(q.name, 0.0, q.wrong_sign, Named(q.name)(system)) for q in system.observables if q.positive]
-    bounded += [
+    bounded = [
         (limit.quantity, limit.bound, limit.reason, limit.on(system))
         for limit in problem.limits if limit.of_path and known(proof.equations, limit)
     ]  # fmt: skip
+    signed = [each for each in reported_quantities(system).values() if each.positive]
+    bounded += [(each.name, 0.0, each.wrong_sign, Named(each.name)(system)) for each in signed]
     reach = _NEAR * problem.reference.duration
     near = [
         k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.causes import cause_of
-from servocore.certificate.instants import ErrorBound, Instants, tube_of
+from servocore.certificate.causes import cause_of, switchings
+from servocore.certificate.instants import ErrorBound, compared, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
     LIMIT,
@@ -180,6 +180,8 @@ def certify(
     begin, end = path.start_time, path.end_time
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
+        if solution is not None and solution.error.largest is not None:
+            text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
         return Certificate(
             problem.name, (Statement("one motion", "undecided", begin, end, text),), {}, np.zeros((0, 2))
         )
@@ -194,16 +196,16 @@ def certify(
     statements = [*_motion_statements(proofs)]
     intervals = np.array([(each.begin, each.end) for each in proofs[0].intervals if not each.outside])
     jumps = sorted({a.end for proof in proofs for a, joint in zip(proof.intervals, proof.joints, strict=False)
-                    if joint == "inputs jump"})  # fmt: skip
-    instants = Instants(proofs, solution)
+                    if joint == "inputs jump"}
+                   | {time for proof in proofs for time, sentence in switchings(proof) if not sentence})  # fmt: skip
     bounds: dict[str, ErrorBound] = {}
     if all(each.proved for proof in proofs for each in proof.intervals):
-        bounds = instants.bounds
-        statements += instants.statements(tolerance)
+        bounds, of_instants = compared(proofs, solution, tolerance)
+        statements += of_instants
     statements += limit_statements(proofs, wanted, lambda limit: f"{LIMIT}{limit.quantity}")
     signs = [
         Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
-        for each in system.observables
+        for each in reported_quantities(system).values()
         if each.positive
     ]
     statements += limit_statements(proofs, signs, lambda limit: f"{limit.quantity} positive")
@@ -258,15 +260,15 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
         ("one motion, regular at all times", ()), ("one branch from the beginning to the end", ("apart", "not proved")),
         ("path smooth enough for the motion", ("motion jumps",)),
     ):  # fmt: skip
-        verdict, sentence, time = "proved", "", None
+        verdict: Verdict = "proved"
+        sentence, time = "", None
         for proof in proofs:
             open_ = unproved(proof) if not joints else []
             places = [k for k, joint in enumerate(proof.joints) if joint in joints]
             if not open_ and not places:
                 continue
             if open_:
-                verdict, time = "undecided", open_[0].begin
-                sentence = cause_of(proof, open_)
+                verdict, time, sentence = cause_of(proof, open_)
             elif "motion jumps" in joints:
                 verdict, time = "refuted", proof.intervals[places[0]].end
                 sentence = f"coordinates or velocities jump at t = {time:.6g} s: the path is too rough there"
@@ -274,5 +276,5 @@ def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
                 verdict, time = "undecided", proof.intervals[places[0]].end
                 sentence = f"not decided at t = {time:.6g} s that the motion goes on as it was before"
             break
-        statements.append(Statement(what, verdict, begin, end, sentence, time))  # type: ignore[arg-type]  # one of three
+        statements.append(Statement(what, verdict, begin, end, sentence, time))
     return statements

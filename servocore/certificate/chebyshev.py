@@ -28,6 +28,7 @@ __all__ = ["UNIT", "Arithmetic", "Model", "arithmetic", "bounded", "magnitude", 
 
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
+_NARROW = 1e-8  # radius
 _PRODUCT = program_of([(TIMES, 2, 0, 1)], {2})
 
 Model = tuple[Array, Array]
@@ -177,7 +178,12 @@ class Arithmetic:
         return self._or_range((y[0], off), np.log, a, 0.0)
 
     def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model, lowest: float) -> Model:
-        """Return a model, or where that has the smaller radius the range of a function that rises from `lowest` on."""
+        """Return a model, or where that has the smaller radius the range of a function that rises from `lowest` on.
+
+        Models that are narrow anyway are not compared.
+        """
+        if (found[1] <= _NARROW).all():
+            return found
         low, high = self.span(a)
         least, most = function(np.maximum(low, lowest)), function(np.where(high >= lowest, high, np.nan))
         half = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))

@@ -7,7 +7,7 @@ structure with all offsets one higher.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -17,11 +17,12 @@ import numpy.typing as npt
 from servocore.certificate.chebyshev import Arithmetic, Model
 from servocore.certificate.walk import Walk, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
-from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.expressions import time_derivative
+from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.structure.derivative_array import DerivativeArray, nominal
-from servocore.structure.inversion import inversion
+from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
+from servocore.structure.inversion import Inversion, inversion
 
 Places = npt.NDArray[np.intp]
 
@@ -80,7 +81,7 @@ class Equations:
 @made_once
 def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     """Prepare the equations of a system; `raised` with the rates."""
-    array = _raised(resolved.array) if raised else resolved.array
+    array = differentiated_once_more(resolved.array) if raised else resolved.array
     x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
     symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(array.residual, x)
     curved = np.zeros(x.numel(), dtype=bool)
@@ -88,127 +89,40 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     return Equations(array, symbols, walk_of(array.residual, symbols), walk_of(J.nz[:], symbols), J.sparsity(), curved)
 
 
-@made_once
-def _raised(array: DerivativeArray) -> DerivativeArray:
-    """Differentiate a derivative array once more."""
-    system, c, d = array.system, array.signature.equation_offsets, array.signature.variable_offsets
-    y = array.y
-    if max(d) + 1 >= y.size2():
-        last = [ca.SX.sym(f"{name}{chr(39) * y.size2()}") for name in array.names]
-        y = ca.horzcat(y, ca.vertcat(*last))
-    highest = [array.rows.index((i, order)) for i, order in enumerate(c)]
-    new = time_derivative(array.residual[highest], y, system.gamma)
-    if system.time.numel():
-        later = system.gamma[-1, 2:]
-        new = ca.substitute(new, later, ca.SX.zeros(later.shape))
-    residual = ca.vertcat(array.residual, new)
-    return replace(
-        array, y=y, residual=residual, unknowns=tuple((j, k) for j in range(len(d)) for k in range(d[j] + 2)),
-        rows=(*array.rows, *((i, order + 1) for i, order in enumerate(c))),
-        reference_order=highest_derivative(residual, system.gamma),
-    )  # fmt: skip
-
-
 # Answers at instants --------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Unknowns of equations at instants, in plain floating point: centres of the enclosures.
+def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess: Array | None = None) -> Array:
+    """Return unknowns (size, N) at instants with parameters (n_p, N), in plain floating point; NaN for none.
 
-    Attributes
-    ----------
-    problem : Problem
-        With path and parameters.
-    equations : Equations
-        Perhaps with rates.
+    They are centres of enclosures, from the guess of the model or by Newton's method from guesses (size, N).
     """
-
-    problem: Problem
-    equations: Equations
-
-    def from_guess(self, t: Array, p: Array) -> Array:
-        """Return the unknowns (size, N) at instants with parameters (n_p, N), from the model's guess; NaN for none."""
-        jets = self._jets(t, self.problem.array.reference_order)
-        found, _, residual = _at_points(inversion(self.problem.array).function, jets, p)
-        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
-
-    def from_near(self, t: Array, p: Array, guess: Array) -> Array:
-        """Return the same by Newton's method from guesses (size, N)."""
-        jets = self._jets(t, self.problem.array.reference_order)
-        found, _, residual = _at_points(inversion(self.problem.array).search, jets, p, guess[self._own])
-        return self._completed(np.where(np.isfinite(residual.max(axis=0)), found, np.nan), t, p)
-
-    @cached_property
-    def _own(self) -> list[int]:
-        """Places of the unknowns of the array that is not differentiated once more."""
-        return self.equations.array.places(self.problem.array.unknowns)
-
-    @cached_property
-    def rates(self) -> npt.NDArray[np.bool_]:
-        """Whether an unknown is new in the array that is differentiated once more."""
-        new = np.ones(len(self.equations.array.unknowns), dtype=bool)
-        new[self._own] = False
-        return new
-
-    def _jets(self, t: Array, order: int) -> Array:
-        return self.problem.reference.jet(t, order)
-
-    def _completed(self, found: Array, t: Array, p: Array) -> Array:
-        """Return unknowns with the rates of the highest derivatives: they enter their equations linearly."""
-        if len(self._own) == len(self.equations.array.unknowns):
-            return found
-        rest, matrix = _at_points(_rate_equations(self.equations), self._jets(t, self.equations.path_order), p, found)
-        size = len(rest)
-        matrices = matrix.reshape(size, size, -1, order="F")
-        rates = np.full((size, len(t)), np.nan)
-        good = np.isfinite(found).all(axis=0) & np.isfinite(matrices).all(axis=(0, 1))
-        rates[:, good] = _solved(np.moveaxis(matrices[..., good], 2, 0), -rest.T[good]).T
-        everything = np.empty((len(self.equations.array.unknowns), len(t)))
-        everything[self._own] = found
-        everything[self.rates] = rates
-        return everything
-
-    @cached_property
-    def magnitudes(self) -> Array:
-        """Negligible size of each unknown: 1e-6 of its nominal magnitude within the duration of the path."""
-        array, duration = self.problem.array, self.problem.reference.duration
-        unknowns = self.equations.array.unknowns
-        return np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in unknowns])
-
-    def predicted(self, x: Array, before: tuple[Array, float] | None, step: float) -> Array:
-        """Return unknowns (size, N) a step of time on: by their derivatives, the highest by those a step before."""
-        unknowns = self.equations.array.unknowns
-        guess, place = x.copy(), {unknown: k for k, unknown in enumerate(unknowns)}
-        for k, (j, order) in enumerate(unknowns):
-            factor, higher = step, order + 1
-            while (j, higher) in place:
-                guess[k] += factor * x[place[j, higher]]
-                factor, higher = factor * step / (higher - order + 1), higher + 1
-            if higher == order + 1 and before is not None:
-                guess[k] += (x[k] - before[0][k]) * step / before[1]
-        return guess
-
-
-def _solved(matrices: Array, right: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0])
-    except np.linalg.LinAlgError:
-        return np.full_like(right, np.nan)
+    jets = problem.reference.jet(t, array.reference_order)
+    if guess is None:
+        inverse = _in_machine_code(array).best(len(t)) or inversion(array)
+        found, _, residual = _at_points(inverse.function, jets, p)
+    else:
+        found, _, residual = _at_points(inversion(array).search, jets, p, guess)
+    return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
 
 
 @made_once
-def _rate_equations(equations: Equations) -> ca.Function:
-    """Compile (gamma, p, unknowns without the new ones) -> the new equations at zero rates, and their matrix."""
-    array = equations.array
-    d = array.signature.variable_offsets
-    new = array.column(tuple((j, order + 1) for j, order in enumerate(d)))
-    old = array.column(tuple((j, k) for j, order in enumerate(d) for k in range(order + 1)))
-    rows = array.residual[array.residual.numel() - new.numel() :]
-    zero = ca.SX.zeros(new.numel())
-    gamma = array.system.gamma[:, : array.reference_order + 1]
-    rest, matrix = ca.substitute([rows, ca.jacobian(rows, new)], [new], [zero])
-    return ca.Function("sc_rates", [gamma, array.system.p, old], [ca.densify(rest), ca.densify(ca.vec(matrix))])
+def _in_machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
+    """Return the inversion in machine code, once it is worth it."""
+    return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
+
+
+def predicted(array: DerivativeArray, x: Array, before: tuple[Array, float] | None, step: float) -> Array:
+    """Return unknowns (size, N) a step of time on: by their derivatives, the highest by those a step before."""
+    guess, place = x.copy(), {unknown: k for k, unknown in enumerate(array.unknowns)}
+    for k, (j, order) in enumerate(array.unknowns):
+        factor, higher = step, order + 1
+        while (j, higher) in place:
+            guess[k] += factor * x[place[j, higher]]
+            factor, higher = factor * step / (higher - order + 1), higher + 1
+        if higher == order + 1 and before is not None:
+            guess[k] += (x[k] - before[0][k]) * step / before[1]
+    return guess
 
 
 def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) -> list[Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -48,79 +47,46 @@ class ErrorBound:
         return self.at_instants / self.peak if self.peak else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Instants:
-    """Inputs at instants: enclosed there, and compared with those of a solution."""
+def compared(
+    proofs: Sequence[Proof], solution: Solution | None, tolerance: float
+) -> tuple[dict[str, ErrorBound], list[Statement]]:
+    """Bound errors of inputs, at the instants of a solution or of a default run, and state what follows from them.
 
-    proofs: Sequence[Proof]
-    solution: Solution | None
-
-    @cached_property
-    def times(self) -> Array:
-        """The instants of the solution, or of a default run."""
-        return time_grid(self.proofs[0].problem.reference, None) if self.solution is None else self.solution.t
-
-    @cached_property
-    def enclosures(self) -> tuple[Array, Array]:
-        """Middle and radius of the inputs (inputs, N)."""
-        (c, r), places = unknowns_at(self.proofs[0], self.times), self.proofs[0].equations.inputs
-        return c[0, places], (norm(c[1:]) + r)[places] * UP
-
-    @cached_property
-    def errors(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the errors of reported inputs, (inputs, N)."""
-        middle, radius = self.enclosures
-        if self.solution is None:
-            return np.zeros_like(radius), radius
-        names = [each.name for each in self.proofs[0].problem.system.inputs]
-        apart = np.abs(np.stack([self.solution[name] for name in names]) - middle)
-        return apart - radius, apart + radius
-
-    @cached_property
-    def peaks(self) -> Array:
-        """Largest magnitude of every input at the instants; those next to nothing as a share of the largest."""
-        peaks = np.abs(self.enclosures[0]).max(axis=1)
-        return np.asarray(np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300)))
-
-    @property
-    def bounds(self) -> dict[str, ErrorBound]:
-        """By input."""
-        inputs, places = self.proofs[0].problem.system.inputs, self.proofs[0].equations.inputs
-        between = np.max([each.rho[places] for proof in self.proofs for each in proof.intervals], axis=0)
-        return {
-            each.name: ErrorBound(float(self.errors[1][k].max()), float(between[k]), float(self.peaks[k]), each.unit)
-            for k, each in enumerate(inputs)
-        }
-
-    def statements(self, tolerance: float) -> list[Statement]:
-        """State that inputs of a solution are right, and that no input goes far beyond its values at the instants."""
-        path, inputs = self.proofs[0].problem.reference, self.proofs[0].problem.system.inputs
-        found = []
-        if self.solution is not None:
-            low, high = (each / self.peaks[:, None] for each in self.errors)
-            verdict: Verdict = (
-                "proved" if (high <= tolerance).all() else "refuted" if (low > tolerance).any() else "undecided"
-            )
-            k, at = np.unravel_index(int(high.argmax()), high.shape)
-            text = f"{inputs[k].name} is off by at most {high.max():.2g} of its peak, at t = {self.times[at]:.6g} s"
-            what = f"inputs within {tolerance:g} of their peaks"
-            found.append(Statement(what, verdict, path.start_time, path.end_time, text, float(self.times[at])))
-        spikes = [
-            Limit(
-                each.name,
-                each.unit,
-                -_SPIKE * peak,
-                "the instants do not show it",
-                Named(each.name),
-                upper=_SPIKE * peak,
-            )
-            for each, peak in zip(inputs, self.peaks.tolist(), strict=True)
-        ]
-        if self.proofs[0].boxed:
-            return found
-        return found + limit_statements(
-            self.proofs, spikes, lambda limit: f"{limit.quantity} between instants at most twice its peak at instants"
-        )
+    Inputs of a solution are right, and no input goes far beyond its values at the instants.
+    """
+    proof, path = proofs[0], proofs[0].problem.reference
+    inputs, places = proof.problem.system.inputs, proof.equations.inputs
+    t = time_grid(path, None) if solution is None else solution.t
+    c, r = unknowns_at(proof, t)
+    middle, radius = c[0, places], (norm(c[1:]) + r)[places] * UP
+    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name] for each in inputs]) - middle)
+    least, most = apart - radius, apart + radius
+    peaks = np.abs(middle).max(axis=1)
+    peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
+    between = np.max([each.rho[places] for each_proof in proofs for each in each_proof.intervals], axis=0)
+    bounds = {
+        each.name: ErrorBound(float(most[k].max()), float(between[k]), float(peaks[k]), each.unit)
+        for k, each in enumerate(inputs)
+    }
+    found = list[Statement]()
+    if solution is not None:
+        low, high = least / peaks[:, None], most / peaks[:, None]
+        verdict: Verdict = "proved" if (high <= tolerance).all() else "undecided"
+        verdict = "refuted" if (low > tolerance).any() else verdict
+        k, at = np.unravel_index(int(high.argmax()), high.shape)
+        text = f"{inputs[k].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
+        what = f"inputs within {tolerance:g} of their peaks"
+        found.append(Statement(what, verdict, path.start_time, path.end_time, text, float(t[at])))
+    bound = [_SPIKE * peak for peak in peaks.tolist()]
+    spikes = [
+        Limit(each.name, each.unit, -most, "the instants do not show it", Named(each.name), upper=most)
+        for each, most in zip(inputs, bound, strict=True)
+    ]
+    if proof.boxed:
+        return bounds, found
+    return bounds, found + limit_statements(
+        proofs, spikes, lambda limit: f"{limit.quantity} between instants at most twice its peak at instants"
+    )
 
 
 def unknowns_at(proof: Proof, t: Array) -> Model:
@@ -130,7 +96,7 @@ def unknowns_at(proof: Proof, t: Array) -> Model:
     a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    models = proof.models(proof.intervals)
+    models = proof.enclosures
     count = len(proof.peaks)
     c, rho = np.moveaxis(models[0][:, :count], 2, 0), models[1][:count, numbers]
     shaped = c.reshape(len(ends), basis.shape[1], -1)

@@ -17,10 +17,18 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, norm
-from servocore.certificate.equations import Answers, Equations, equations_of, parameter_models, path_models
+from servocore.certificate.equations import (
+    Equations,
+    answers,
+    equations_of,
+    parameter_models,
+    path_models,
+    predicted,
+)
 from servocore.certificate.krawczyk import joined, radii
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.structure.derivative_array import nominal
 
 Joint = Literal["one branch", "inputs jump", "motion jumps", "apart", "not proved"]
 
@@ -29,6 +37,7 @@ _FIRST = 8  # intervals of a path to begin with, each piece of it one at the lea
 _OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
+_ROUND_OFF = 1e-9  # of the inputs' peaks: a radius below that halves do not halve any more is one of rounding
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE, _LESS = 40.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
@@ -122,23 +131,25 @@ class Proof:
         return arithmetic((_DEGREE, *(of_parameters for _ in self.boxed)))
 
     @cached_property
-    def answers(self) -> Answers:
-        """The source of approximate solutions."""
-        return Answers(self.problem, self.equations)
+    def _negligible(self) -> Array:
+        """Negligible size of each unknown: 1e-6 of its nominal magnitude within the duration of the path."""
+        array, duration = self.equations.array, self.problem.reference.duration
+        return np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.unknowns])
 
     @cached_property
     def peaks(self) -> Array:
         """Largest magnitude of each unknown at the first nodes, at least what counts as small, shape (unknowns,)."""
         values = self.ring.values(np.stack([each.c for each in self.intervals if each.c is not None], axis=2))
-        return np.asarray(np.fmax(self.answers.magnitudes, np.fmax.reduce(np.abs(values), axis=(0, 2))))
+        return np.asarray(np.fmax(self._negligible, np.fmax.reduce(np.abs(values), axis=(0, 2))))
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def run(self) -> Proof:
         """Prove what can be proved."""
         self.intervals = self._first_intervals()
-        while len(self.intervals) <= _MOST and (self._tested() or self._followed()):
-            pass
-        self.joints = self._joints()
+        while self._tested() or self._followed():
+            if len(self.intervals) > _MOST:
+                self.joints = self._joints()
+                break
         return self
 
     def _first_intervals(self) -> list[Interval]:
@@ -162,7 +173,7 @@ class Proof:
         fresh = [each for each in self.intervals if not each.tested]
         for k in range(0, len(fresh), _AT_ONCE):
             self._prove(fresh[k : k + _AT_ONCE])
-        halved = [each for each in fresh if self._too_wide(each)]
+        halved = [each for k, each in enumerate(self.intervals) if self._too_wide(k)]
         self._replace(halved, [each.parts(relative=self.relative_radius(each)) for each in halved])
         return bool(halved)
 
@@ -189,15 +200,19 @@ class Proof:
     @cached_property
     def _curved_or_input(self) -> npt.NDArray[np.bool_]:
         """Unknowns that the test depends on, and those that it is for."""
-        chosen = self.equations.curved & (self.peaks > self.answers.magnitudes)
+        chosen = self.equations.curved & (self.peaks > self._negligible)
         chosen[self.equations.inputs] = True
         return chosen
 
-    def _too_wide(self, each: Interval) -> bool:
-        """Whether an interval is not proved well enough, and halves may help."""
-        relative = self.relative_radius(each)
-        enough = each.proved and (relative <= self.narrow or relative > each.before / 2.0)
-        return not enough and each.depth < (_DEEPEST if each.proved or each.source else _GUESSED)
+    def _too_wide(self, k: int) -> bool:
+        """Whether an interval is not proved well enough, and halves may help: not where those beside it are lost."""
+        each, relative = self.intervals[k], self.relative_radius(self.intervals[k])
+        if each.proved:
+            worth = relative <= each.before / 2.0 or relative > _ROUND_OFF
+            return relative > self.narrow and worth and each.depth < _DEEPEST
+        if each.source:
+            return each.depth < _DEEPEST and self.intervals[k - each.source].proved
+        return each.depth < _GUESSED
 
     def relative_radius(self, each: Interval) -> float:
         """Return the largest radius of an input, of its peak; infinite if it is not proved."""
@@ -229,7 +244,7 @@ class Proof:
     def _answer_guessed(self, fresh: Sequence[Interval]) -> None:
         points = self._parameters.shape[1]
         t = np.concatenate([np.repeat(self._times(each), points) for each in fresh])
-        x = self.answers.from_guess(t, np.tile(self._parameters, len(t) // points))
+        x = answers(self.problem, self.equations.array, t, np.tile(self._parameters, len(t) // points))
         for each, own in zip(fresh, np.split(x, len(fresh), axis=1), strict=True):
             each.c = self._interpolated(own)
 
@@ -277,6 +292,11 @@ class Proof:
         rho = np.stack([each.rho if each.proved else unbounded for each in some], axis=1)
         return joined((x, rho), self.given(some))
 
+    @cached_property
+    def enclosures(self) -> Model:
+        """The same on all intervals, once they are final."""
+        return self.models(self.intervals)
+
     # Joints ---------------------------------------------------------------------------------------------------------
 
     def _joints(self) -> list[Joint]:
@@ -291,14 +311,15 @@ class Proof:
         early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
         noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
-        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
-        free = self.answers.rates | ~self.equations.curved  # rates may jump, and others are unique wherever they are
+        rates = [unknown not in self.problem.array.unknowns for unknown in self.equations.array.unknowns]
+        free = np.array(rates) | ~self.equations.curved  # rates may jump, and others are unique wherever they are
+        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]]) | free[:, None]
         motion = self.equations.motion
         jumped = (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0)
         of_path = np.isin([each.end for each in self.intervals[:-1]], self.problem.reference.joints)
         both = proved[:-1] & proved[1:]
         kinds: list[tuple[npt.NDArray[np.bool_], Joint]] = [
-            (both & fits[:, ~free].all(axis=1).any(axis=0), "one branch"), (~both, "not proved"), (~of_path, "apart"),
+            (both & fits.all(axis=1).any(axis=0), "one branch"), (~both, "not proved"), (~of_path, "apart"),
             (jumped, "motion jumps"), (fits[:, motion].all(axis=1).max(axis=0), "inputs jump"),
             (np.ones_like(both), "apart"),
         ]  # fmt: skip
@@ -312,9 +333,9 @@ class Proof:
 
         From the beginning on; before the first interval that is proved at all, backwards from that.
         """
-        joints = self._joints()
+        self.joints = self._joints()
         for k, (a, b) in enumerate(pairwise(self.intervals), 1):
-            joint = joints[k - 1]
+            joint = self.joints[k - 1]
             if not a.proved or (b.source and not b.proved):
                 continue  # the branch is lost: later answers come from the guess
             if joint in {"one branch", "inputs jump"}:
@@ -333,7 +354,7 @@ class Proof:
 
     def _answer_from(self, a: Interval, following: Sequence[Interval]) -> None:
         """Follow the motion by Newton's method from node to node, from an end of an interval that was answered."""
-        source = 1 if following[0].begin >= a.end else -1
+        array, source = self.equations.array, 1 if following[0].begin >= a.end else -1
         of_box = self.ring.nodes[: self._parameters.shape[1]].copy()
         of_box[:, 0] = source
         assert a.c is not None
@@ -341,8 +362,8 @@ class Proof:
         for each in following:
             found = []
             for at in self._times(each)[::-source]:
-                guess = self.answers.predicted(x, before, at - t)
-                new = self.answers.from_near(np.full(x.shape[1], at), self._parameters, guess)
+                guess, same = predicted(array, x, before, at - t), np.full(x.shape[1], at)
+                new = answers(self.problem, array, same, self._parameters, guess)
                 before, x, t = (x, at - t), new, at
                 found.append(new)
             each.c = self._interpolated(np.stack(found[::-source], axis=1).reshape(len(x), -1))

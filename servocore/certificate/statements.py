@@ -16,7 +16,6 @@ from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import parts_of
 from servocore.numerics.expressions import highest_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS
@@ -29,9 +28,8 @@ LIMIT = "limit of "
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _AT_ONCE = 48
 _HALVED_FIRST = 0, 4, 7  # how often intervals are halved, the next number where a limit is undecided otherwise
-_LIGHT, _HEAVY = 1e-4, 1e4  # times the largest mass: the weight of constraints beside it
-_MASS_HALVINGS = 8
-_NEGATIVE = 1e-9  # of the largest: a mass that is lower is negative
+_LIGHT, _HEAVY = 1e-2, 1e4  # times the largest mass: the weight of constraints beside it
+_POSITIVE = 1e-300  # a pivot that is not zero
 
 
 @dataclass(frozen=True)
@@ -128,14 +126,14 @@ def enclosed(proofs: Sequence[Proof], walk: Walk, halvings: int = 0) -> Enclosed
     """Return enclosures of the results of a walk on all intervals within the path, halved so often before it."""
     ring, parts = proofs[0].ring, list[Enclosed]()
     for proof in proofs:
-        within = [each for each in proof.intervals if not each.outside]
-        boxes = list(proof.boxed.values())
+        inner, boxes = [k for k, each in enumerate(proof.intervals) if not each.outside], list(proof.boxed.values())
         count = max(_AT_ONCE >> halvings, 1)
-        for k in range(0, len(within), count):
-            some = within[k : k + count]
+        for k in range(0, len(inner), count):
+            c, r = (part[..., inner[k : k + count]] for part in proof.enclosures)
+            some = [proof.intervals[each] for each in inner[k : k + count]]
             low = np.array([(each.begin, *(least for least, _ in boxes)) for each in some])
             high = np.array([(each.end, *(most for _, most in boxes)) for each in some])
-            given = Enclosed(ring, *proof.models(some), low, high)
+            given = Enclosed(ring, c, r, low, high)
             for _ in range(halvings):
                 given = given.halved()
             parts.append(Enclosed(ring, *walk(ring, (given.c, given.r)), given.low, given.high))
@@ -294,108 +292,40 @@ def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
 
 
 @made_once
-def _masses(equations: Equations, coupled: tuple[int, ...]) -> tuple[Walk, list[list[list[int]]], list[int]]:
-    """Part the mass matrix by its own couplings, and those by constraints on the coordinates `coupled`.
-
-    M and the constraints within a part follow one another, in units of the nominal magnitudes of the coordinates: for
-    each size there are the coordinates of the parts, and the number of entries of one.
-    """
+def _pivots(equations: Equations, weight: float) -> Walk:
+    """Return the pivots of M + w G^T G by elimination, in units of the nominal magnitudes of the coordinates."""
     system = equations.array.system
     scale = ca.diag(ca.DM(system.coordinates.nominal))
     M, G = ca.mtimes(ca.mtimes(scale, system.mass), scale), ca.mtimes(system.G, scale)
-    coupling = G[[k for k in range(G.size1()) if G[k, list(coupled)].nnz()], :]
-    pattern = (M + ca.mtimes(coupling.T, coupling) + ca.SX(ca.DM.eye(M.size1()))).sparsity()
-    expressions, sized, entries = [ca.SX(0, 1)], dict[int, list[list[int]]](), list[int]()
-    for part in parts_of(pattern):
-        sized.setdefault(len(part.rows), []).append(part.rows.tolist())
-    for size, parts in sized.items():
-        within = [[k for k in range(G.size1()) if 0 < G[k, own].nnz() == G[k, :].nnz()] for own in parts]
-        most = max(len(rows) for rows in within)
-        for own, rows in zip(parts, within, strict=True):
-            expressions += [ca.vec(M[own, own]), ca.vec(ca.vertcat(G[rows, own], ca.SX(most - len(rows), size)))]
-        entries.append(size * (size + most))
-    return equations.walk([ca.densify(ca.vertcat(*expressions))]), list(sized.values()), entries
+    largest = [ca.mmax(ca.fabs(ca.vertcat(ca.SX(1, 1), ca.vec(ca.densify(each))))) for each in (M, G)]
+    sizes = ca.Function("sc_sizes", [system.q, system.p, system.time], largest)
+    size_M, size_G = (float(each) for each in sizes(*system.home_configuration(), np.zeros(system.time.numel())))
+    pivots, *_ = ca.ldl(M + weight * size_M / (size_G**2 or 1.0) * ca.mtimes(G.T, G))
+    return equations.walk([pivots])
 
 
 def mass_statement(proofs: Sequence[Proof]) -> Statement:
     """State that the mass matrix M is definite on all velocities that the holonomic constraints allow.
 
-    It is if M + w G^T G is, for any weight w > 0 and any of the constraints: on the kernel of G the second term
-    vanishes. With an approximate factor L of that matrix, |I - L^-1 (M + w G^T G) L^-T| < 1 in the maximum norm shows
-    it (Rump, BIT 46 (2006) 433). A light weight leaves what M says by itself as it is; one that is heavy tells a
-    negative mass from a direction that the constraints exclude. Parts of M are tried alone, then those that are not
-    definite with the constraints on their coordinates, then all together.
+    It is if M + w G^T G is, for any weight w > 0: on the kernel of G the second term vanishes. A matrix is definite if
+    all pivots of its elimination are positive. A light weight leaves what M says by itself as it is; one that is heavy
+    tells a negative mass from a direction that the constraints exclude.
     """
     path, what = proofs[0].problem.reference, "mass matrix definite on all motions that the constraints allow"
-    everything = tuple(range(len(proofs[0].problem.system.coordinates)))
-    failed, _, time = _indefinite(proofs, (), 1)
-    if 0 < len(failed) < len(everything):
-        failed, _, time = _indefinite(proofs, failed, 1)
-    negative = False
-    if failed:
-        failed, negative, time = _indefinite(proofs, everything, _MASS_HALVINGS)
-    if not failed:
-        return Statement(what, "proved", path.start_time, path.end_time, "")
-    verdict, text = ("refuted", "negative at") if negative else ("undecided", "not decided near")
-    return Statement(what, verdict, path.start_time, path.end_time, f"{text} t = {time:.6g} s", time)  # type: ignore[arg-type]  # one of three
-
-
-def _indefinite(proofs: Sequence[Proof], coupled: tuple[int, ...], tries: int) -> tuple[tuple[int, ...], bool, float]:
-    """Return the coordinates of parts that are not proved definite, whether one is not, and a time when."""
-    walk, sizes, entries = _masses(proofs[0].equations, coupled)
-    every, first, failed, time = enclosed(proofs, walk), 0, list[int](), np.nan
-    for parts, number in zip(sizes, entries, strict=True):
-        own, first = slice(first, first + len(parts) * number), first + len(parts) * number
-        c = every.c[:, own].reshape(len(every.c), len(parts), number, -1).swapaxes(1, 2)
-        r = every.r[own].reshape(len(parts), number, -1).swapaxes(0, 1)
-        low, high = (np.tile(each, (len(parts), 1)) for each in (every.low, every.high))
-        some = Enclosed(every.ring, c.reshape(len(c), number, -1), r.reshape(number, -1), low, high)
-        bad, unknown = np.ones(len(parts), dtype=bool), some
-        for k in range(tries):
-            if k and not 0 < len(some.low) < _MOST:
-                break
-            some = some.halved() if k else some
-            known = np.asarray(np.isfinite(some.r).all(axis=0))  # halves of others are not known either
-            unknown = unknown if k else some.of(~known)
-            good, least = _definite(some, len(parts[0]), _LIGHT)
-            if tries > 1 and (least < -_NEGATIVE).any():
-                least = _definite(some, len(parts[0]), _HEAVY)[1]
-                if (least < -_NEGATIVE).any():
-                    return coupled, True, float(some.low[least.argmin(), 0] + some.high[least.argmin(), 0]) / 2.0
-            bad = bad if k else np.asarray(~good.reshape(len(parts), -1).all(axis=1))
-            some = some.of(~good & known)
-        if len(some.low) or len(unknown.low):
-            first_box = some if len(some.low) else unknown
-            time = float(first_box.low[0, 0] + first_box.high[0, 0]) / 2.0
-            failed += [each for part, fails in zip(parts, bad.tolist(), strict=True) if fails for each in part]
-    return tuple(failed), False, time
-
-
-def _definite(some: Enclosed, n: int, weight: float) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Return on which boxes M is definite where G v = 0, and its least eigenvalue in the middle, of the largest."""
-    low, high = some.ring.span((some.c, some.r))
-    middle, radius = (low + high) / 2.0, (high - low) / 2.0 * (1.0 + 1e-12)
-    boxes = middle.shape[1]
-    M, dM = (np.moveaxis(each[: n * n].reshape(n, n, boxes), 2, 0) for each in (middle, radius))
-    rows = (len(middle) - n * n) // n
-    G, dG = (np.moveaxis(each[n * n :].reshape(n, rows, boxes), 2, 0).swapaxes(1, 2) for each in (middle, radius))
-    largest = np.abs(M).max(axis=(1, 2), keepdims=True)
-    size = np.abs(G).max(axis=(1, 2), keepdims=True, initial=0.0)
-    w = weight * np.where(largest > 0.0, largest, 1.0) / np.where(size > 0.0, size, 1.0) ** 2
-    N = M + w * (G.swapaxes(1, 2) @ G)
-    spread = np.abs(G).swapaxes(1, 2) @ dG
-    dN = (
-        dM
-        + w * (spread + spread.swapaxes(1, 2) + dG.swapaxes(1, 2) @ dG)
-        + 1e-13 * n * np.abs(N).max(axis=(1, 2), keepdims=True)
-    )
-    finite = (np.isfinite(N) & np.isfinite(dN)).all(axis=(1, 2))
-    N, dN = (np.where(finite[:, None, None], each, np.eye(n)) for each in (N, dN))
-    values, vectors = np.linalg.eigh(N)
-    W = (vectors / np.sqrt(np.abs(values))[:, None, :]).swapaxes(1, 2)
-    rest = np.abs(np.eye(n) - W @ N @ W.swapaxes(1, 2)) + np.abs(W) @ dN @ np.abs(W).swapaxes(1, 2)
-    good = finite & (values[:, 0] > 0.0) & (rest.sum(axis=2).max(axis=1) < 1.0 - 1e-9)
-    return good, values[:, 0] / values[:, -1]
+    failed = list[Decision]()
+    for weight in (_LIGHT, _HEAVY):
+        pivots = enclosed(proofs, _pivots(proofs[0].equations, weight))
+        low, _ = pivots.ring.span((pivots.c, pivots.r))
+        open_ = np.flatnonzero(~(low > 0.0).all(axis=1)).tolist()
+        decisions = [decided(pivots, k, _POSITIVE, np.inf) for k in open_]
+        failed = [each for each in decisions if each.at is not None]
+        if not failed:
+            return Statement(what, "proved", path.start_time, path.end_time, "")
+    worst = next((each for each in failed if each.verdict == "refuted"), failed[0])
+    assert worst.at is not None
+    time = float(worst.at[0])
+    text = f"{'negative at' if worst.verdict == 'refuted' else 'not decided near'} t = {time:.6g} s"
+    return Statement(what, worst.verdict, path.start_time, path.end_time, text, time)
 
 
 def unproved(proof: Proof) -> list[Interval]:

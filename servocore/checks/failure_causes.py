@@ -13,18 +13,20 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.checks.branches import constraint_rows
-from servocore.checks.impulses import first_jump, has_kinks_or_jumps
+from servocore.checks.impulses import jumps
+from servocore.checks.motion import Motion
 from servocore.checks.slack_ropes import slack_rope
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
+from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
-from servocore.structure.signature import condition_number, lost_rank
+from servocore.structure.signature import lost_rank
 
 SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
@@ -51,11 +53,12 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    jump = first_jump(problem, survey(problem.reference), lambda t: exact_unknowns(problem, t)[0])
+    t = survey(problem.reference)
+    jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
     return f"{problem.system.name}: {jump}" if jump else ""
 
 
@@ -86,7 +89,7 @@ class _Reach:
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
+        rows, x = _constraint_rows(problem.resolved), _guess(problem, float(times[0]))
         nominal = np.array(problem.system.coordinates.nominal)
         residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
         # Constraints hold to a part of the change of their rows over the range of a coordinate.
@@ -117,6 +120,15 @@ class _Reach:
         weights = np.concatenate([self.held, 1.0 / self.size])
         jacobian = jacobian.reshape(len(residual), -1) * nominal
         return residual * weights, jacobian * weights[:, None]
+
+
+@made_once
+def _constraint_rows(resolved: ResolvedSystem) -> Call:
+    """Compile (q, gamma, p) -> residual and Jacobian of the holonomic and servo constraints."""
+    system = resolved.system
+    residual, S = ca.vertcat(system.constraints, system.output - system.path[:, 0]), ca.vertcat(system.G, system.C)
+    results = [ca.densify(residual), ca.densify(S)]
+    return Call(ca.Function("sc_S_rows", [system.q, system.gamma[:, 0], system.p], results))
 
 
 def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:

@@ -12,7 +12,19 @@ import rich.table
 from rich.markup import escape
 
 from servocore.analysis import analyse
-from servocore.cli import cache, drives, effects, export, feedforward, import_file, plan, sensitivities, sweep, view
+from servocore.cli import (
+    cache,
+    drives,
+    effects,
+    export,
+    feedforward,
+    import_file,
+    plan,
+    sensitivities,
+    ssp,
+    sweep,
+    view,
+)
 from servocore.cli.command import Command
 from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.options import Subject
@@ -88,6 +100,7 @@ app = CommandLine(
         Command("drives", drives.show_drives, drives.EXAMPLES),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
+        Command("ssp", ssp.export_system, ssp.EXAMPLES),
         Command("cache", cache.show_cache, cache.EXAMPLES),
     ],
 )

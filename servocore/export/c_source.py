@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from servocore.export.building import inverse_model
 from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_model import InverseModel
+from servocore.export.operations import operations
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
@@ -82,14 +84,17 @@ def c_files(model: InverseModel) -> dict[str, str]:
     notice = model.about.notice
     code = rendered("source.c.j2", **values)
     header = rendered("source.h.j2", **values)
+    usual = "quick" if "quick" in functions else "advance" if "advance" in functions else "begin"
+    longest = "advance" if "advance" in functions else "begin"  # `quick` is followed by it where it fails
     page = values | {
         "description": model.description,
         "method": model.method,
-        "operations": next(iter(functions.values())).n_instructions(),
+        "operations": operations(functions[usual], at_most=False),
+        "most_operations": sum(operations(functions[each], at_most=True) for each in {usual, longest}),
         "most_iterations": MAX_ITERATIONS,
         "blocks": _blocks(source),
         "memory_bytes": _memory_bytes(model, scratch),
-        "stack": _stack({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
+        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
     }
     return {
         f"{name}.h": notice + header,
@@ -120,8 +125,8 @@ def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)
 
 
-def _stack(files: dict[str, str], file: str) -> str:
-    """Measure the stack; the sum over all functions is an upper bound, since none is recursive."""
+def _measured(files: dict[str, str], file: str) -> dict[str, str]:
+    """Measure stack and code; the sum over all functions is an upper bound of the stack, since none is recursive."""
     try:
         command = c_compiler()
         with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
@@ -130,7 +135,18 @@ def _stack(files: dict[str, str], file: str) -> str:
             options = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fstack-usage", "-c", file, "-o", "object.o"]
             compile_in(Path(folder), [*command, *options], file)
             (usage,) = Path(folder).glob("*.su")
-            sizes = [int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines()]
-    except (InvalidSetting, OSError, ValueError, IndexError):
-        return "not measured: no compiler that reports it was found"
-    return f"at most {sum(sizes)} bytes, measured with `{' '.join(command)} -O2`"
+            stack = sum(int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines())
+            code = _loaded_bytes(Path(folder, "object.o").read_bytes())
+    except (InvalidSetting, OSError, ValueError, IndexError, struct.error):
+        return dict.fromkeys(("stack", "code"), "not measured: no compiler that reports it was found")
+    by = f"measured with `{' '.join(command)} -O2`"
+    return {"stack": f"at most {stack} bytes, {by}", "code": f"{code} bytes, constants included, {by}"}
+
+
+def _loaded_bytes(elf: bytes) -> int:
+    """Return the size of code and constants in a 64-bit ELF object: allocated sections with content."""
+    if elf[:5] != b"\x7fELF\x02":
+        raise ValueError("no 64-bit ELF object")
+    (table,), (size, count) = struct.unpack_from("<Q", elf, 40), struct.unpack_from("<HH", elf, 58)
+    rows = [struct.unpack_from("<IIQQQQ", elf, table + k * size) for k in range(count)]
+    return sum(length for _, kind, flags, _, _, length in rows if kind == 1 and flags & 2)

@@ -13,6 +13,7 @@ from servocore.export.description import build_description, model_description, t
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
+from servocore.export.operations import operations
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
@@ -20,6 +21,7 @@ from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
+from servocore.numerics.newton import MAX_ITERATIONS
 
 VERSIONS = (3, 2)
 """Versions of FMI; the first is the default."""
@@ -222,12 +224,16 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
 
 def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
-    file, names = Path(path), chosen_targets(targets, fmi)
+    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress)})
+    return Path(path)
+
+
+def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
+    """Return a compiled FMU."""
     model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
-    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, progress, model.more_sources)
-    write_together({file: zipped(contents(model, fmi, sources, built, names))})
-    return file
+    built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
+    return zipped(contents(model, fmi, sources, built, targets))
 
 
 def require_version(fmi: int) -> int:
@@ -242,7 +248,11 @@ def contents(
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
     unproven = [name for name in targets if name.endswith("darwin")]
-    page = rendered("page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven)
+    called = [each for name, each in model.functions.items() if not name.endswith("_tangent")]
+    most = max(operations(each, at_most=True) for each in called)
+    page = rendered(
+        "page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven, most=most, iterations=MAX_ITERATIONS
+    )
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
         "documentation/index.html": page.encode(),

@@ -13,9 +13,8 @@ import struct
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -167,7 +166,7 @@ def libraries(
     InvalidSetting
         If there is no compiler, or it does not compile.
     """
-    found: dict[str, list[bytes]] = {}
+    found, compiled = dict[str, list[bytes]](), list[tuple[_Compiler, list[Future[str]]]]()
     cross = None if tuple(targets) == (host(),) and _has_own_compiler() else zig()
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         for name, text in sources.items():
@@ -175,10 +174,11 @@ def libraries(
         for name in targets:
             target = TARGETS[name]
             compiler = _Compiler(Path(folder), target, _command(target, cross), () if cross else own_options())
-            progress(f"compiling for {name}")
-            objects = pool.map(partial(compiler.object_of, sources=sources, large=large), files)
-            place = f"{target.folder(fmi)}/{identifier}.{target.ending}"
-            found.setdefault(place, []).append(compiler.linked(list(objects)))
+            compiled.append((compiler, [pool.submit(compiler.object_of, file, sources, large) for file in files]))
+        for compiler, objects in compiled:
+            progress(f"compiling for {compiler.target.name}")
+            place = f"{compiler.target.folder(fmi)}/{identifier}.{compiler.target.ending}"
+            found.setdefault(place, []).append(compiler.linked([each.result() for each in objects]))
     return {place: parts[0] if len(parts) == 1 else universal(parts) for place, parts in found.items()}
 
 

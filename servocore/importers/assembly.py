@@ -16,10 +16,11 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.importers.coordinates import MOTOR, Layout, rope_of
+from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
 from servocore.importers.options import Options, driven_joints
 from servocore.importers.outputs import rows_of_outputs
+from servocore.importers.recursion import sparse
 from servocore.importers.tree import Closure, Tendon, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -64,8 +65,8 @@ class Assembly:
 
     def __init__(self, tree: Tree, options: Options) -> None:
         options.require_known(tree)
-        self.tree, self.options = tree, options
         self.layout = Layout(tree, options, driven_joints(tree, options))
+        self.tree, self.options = tree, self.layout.options
         self.q, self.v = self.layout.coordinates.q, self.layout.coordinates.v
         self.p = self.layout.parameters
 
@@ -120,17 +121,12 @@ class Assembly:
     def hint(self) -> str:
         """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
         tree, driven = self.tree, driven_joints(self.tree, self.options)
-        parents = {body.parent for body in tree.bodies}
-        hung = {
-            body.name: rope
-            for body in tree.bodies
-            if body.mass and body.name not in parents | {*self.options.points, *self.options.ropes}
-            if (rope := rope_of(tree, body.name, driven))
-        }
+        known = {body.parent for body in tree.bodies} | {*self.options.points, *self.options.ropes}
         lines = [
-            f"if {name} hangs on a rope, ropes=['{name}'] replaces {', '.join(rope.dropped)} by its length,"
-            f" and points=['{name}'] makes it a point mass"
-            for name, rope in hung.items()
+            f"if {body.name} hangs on a rope, ropes=['{body.name}'] replaces"
+            f" {', '.join(joint.name for joint in hinges)} by its length, points=['{body.name}'] makes it a point mass"
+            for body in tree.bodies
+            if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, driven, False))
         ]
         rotors_on = {tree.frame(drive.rotor).body for drive in self.drives if drive.rotor}
         for body in rotors_on:
@@ -224,12 +220,14 @@ class Assembly:
                     ca.sumsqr(ca.vertcat(*[layout.motion.q[e] for e in joint.coordinates])) - 1
                 )
         for body in self.options.points:
-            place = layout.places[body].moved(self.tree.body[body].centre)
-            gap = layout.point(body) - layout.motion.pose(place)[1]
+            gap = layout.point(body) - layout.motion.pose(layout.centre(body))[1]
             rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
-        for body, rope in layout.ropes.items():
-            way = layout.point(body) - layout.motion.pose(rope.anchor)[1]
-            rows[f"rope of {body}"] = ca.sumsqr(way) - self._rope_length(body) ** 2
+        for body, hinges in layout.ropes.items():
+            turned, anchor = layout.motion.world[layout.anchor(body)]
+            way = layout.point(body) - anchor
+            if len(hinges) == 1 and hinges[0].kind == "hinge":
+                rows[f"plane of {body}"] = ca.dot(ca.mtimes(turned, sparse(hinges[0].axis)), way)
+            rows[f"rope of {body}"] = ca.sumsqr(way) - self._rope_square(body)
         for name in self.options.taut:
             if not np.isfinite(self.tree.tendons[name].longest):
                 raise self.tree.fault(f"taut: the tendon {name} has no upper limit of its length")
@@ -239,9 +237,9 @@ class Assembly:
             rows |= {f"{closure.name} {k + 1}" if len(found) > 1 else closure.name: row for k, row in enumerate(found)}
         return rows
 
-    def _rope_length(self, body: str) -> ca.SX:
-        rope = self.layout.ropes[body]
-        return rope.length + (rope.sign * self.layout.motion.q[rope.hoist] if rope.hoist else ca.SX(0))
+    def _rope_square(self, body: str) -> ca.SX:
+        """Return the square of the length of a rope, which turning about its anchor leaves as it is."""
+        return ca.sumsqr(self.layout.motion.seen_from(self.layout.centre(body), self.layout.anchor(body)))
 
     def _closed(self, closure: Closure) -> list[ca.SX]:
         """Return the rows of a constraint beside the tree."""
@@ -270,7 +268,7 @@ class Assembly:
         index, found = {name: k for k, name in enumerate(self.rows)}, dict[Quantity, ca.SX]()
         for body in self.options.ropes:
             quantity = Quantity(f"{body}.tension", "N", f"tension of the rope of {body}", tension=True)
-            found[quantity] = 2 * lam[index[f"rope of {body}"]] * self._rope_length(body)
+            found[quantity] = 2 * lam[index[f"rope of {body}"]] * ca.sqrt(self._rope_square(body))
         for name in self.options.taut:
             quantity = Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)
             found[quantity] = lam[index[f"tendon {name}"]]
@@ -299,8 +297,10 @@ class Assembly:
         q = np.array([values.get(name, 0.0) for name in layout.coordinates.names])
         if not self.rows:
             return q
-        if layout.ropes or self.options.points:
-            q = self._hung(q)
+        for body in (*self.options.points, *self.options.ropes):  # where it is in the file, in the posture
+            first = layout.coordinates.index(f"{body}.x")
+            place = ca.Function("place", [self.q], [layout.motion.pose(layout.centre(body))[1]])
+            q[first : first + 3] = filled(place(q)).ravel()
         g = ca.vertcat(*self.rows.values())
         evaluate = ca.Function("posture", [self.q], [g, ca.jacobian(g, self.q)])
         for _ in range(_MOST_CORRECTIONS):
@@ -312,19 +312,6 @@ class Assembly:
         raise self.tree.fault(
             f"no configuration near the posture satisfies the constraint {worst}; give another posture"
         )
-
-    def _hung(self, q: Array) -> Array:
-        """Return the configuration with every point mass where it is in the file, in the posture."""
-        q, names = q.copy(), self.layout.coordinates.names
-        whole = Layout(self.tree, Options(locked=self.options.locked, posture=self.options.posture), frozenset())
-        at = dict(zip(whole.coordinates.names, whole.coordinates.nominal, strict=True))
-        at |= {name: x for joint in whole.moving for name, x in zip(joint.coordinates, whole.start(joint), strict=True)}
-        for body in (*self.options.points, *self.options.ropes):
-            place = whole.places[body].moved(self.tree.body[body].centre)
-            where = ca.Function("where", [whole.coordinates.q], [whole.motion.pose(place)[1]])
-            first = names.index(f"{body}.x")
-            q[first : first + 3] = filled(where(np.array([at[name] for name in whole.coordinates.names]))).ravel()
-        return q
 
     def _prediction(self, output: ca.SX, names: list[Quantity], q: Array) -> tuple[list[float], Array]:
         """Return the outputs at the posture, and dq/d(outputs) there: the configuration to first order.

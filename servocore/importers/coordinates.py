@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import cached_property
-from itertools import takewhile
+from itertools import dropwhile, takewhile
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
 from servocore.importers.options import Options
-from servocore.importers.recursion import Motion, Place, Stage, stages_of
-from servocore.importers.tree import Body, Joint, Tree
+from servocore.importers.recursion import Motion, Place, stages_of
+from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.numerics.compiled_calls import Array
@@ -27,32 +25,6 @@ MOTOR = ".motor"
 
 _MEETS = 1e-9  # m between hinges of a rope
 _LIGHT = 1e-6  # of a load: bodies of a rope, which MJCF does not let be massless
-
-
-@dataclass(frozen=True, eq=False)
-class Rope:
-    """A rope in the place of hinges: from a point of a body to a point mass.
-
-    Attributes
-    ----------
-    anchor : Place
-        Its upper end.
-    hoist : str
-        The slide that changes its length; empty for none.
-    length, sign : float
-        Length where the hoist is at zero, and its change for each metre of the hoist, 1 or -1.
-    dropped : tuple of str
-        Hinges and balls that it replaces.
-    without : tuple of str
-        Bodies on the way, whose mass is left out.
-    """
-
-    anchor: Place
-    hoist: str
-    length: float
-    sign: float
-    dropped: tuple[str, ...]
-    without: tuple[str, ...]
 
 
 class Layout:
@@ -69,25 +41,22 @@ class Layout:
     """
 
     def __init__(self, tree: Tree, options: Options, driven: frozenset[str]) -> None:
-        self.tree, self.options = tree, options
-        whole, places = stages_of(tree)
-        self.ropes = {body: _rope(tree, whole, places, tree.body[body], driven) for body in options.ropes}
-        dropped = [name for rope in self.ropes.values() for name in rope.dropped]
-        light = {body: _light(tree, tree.body[body], driven) for body in options.points}
-        without = [*options.points, *options.ropes, *(name for rope in self.ropes.values() for name in rope.without)]
-        without += [name for names in light.values() for name in names]
-        self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in light | self.ropes]
-        self.left_out += [
-            f"mass of {name}: the rope is massless" for name in dict.fromkeys(without) if name not in light | self.ropes
-        ]
-        self.stages, self.places = stages_of(tree, without, dropped)
-        self.joints = [joint for stage in self.stages for joint in stage.joints]
+        self.tree = tree
+        self.ropes = {body: rope_hinges(tree, body, driven) for body in options.ropes}
+        on_way = {name for hinges in self.ropes.values() for name in _below(tree, hinges)}
+        on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
+        points = {*options.points, *options.ropes}
+        self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in points]
+        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points]
+        held = [joint.name for hinges in self.ropes.values() for joint in hinges]
+        self.options = options = replace(options, locked=[*options.locked, *held])
+        self.stages, self.places = stages_of(tree, points | on_way)
+        self.joints = [stage.joint for stage in self.stages]
         self.moving = [joint for joint in self.joints if joint.name not in options.locked and not joint.mimic]
-        points = (*options.points, *options.ropes)
         self.coordinates = Coordinates(
             *(Quantity(name, UNITS[joint.kind][0]) for joint in self.moving for name in joint.coordinates),
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
-            *(Quantity(f"{name}.{axis}", "m") for name in points for axis in "xyz"),
+            *(Quantity(f"{name}.{axis}", "m") for name in (*options.points, *options.ropes) for axis in "xyz"),
         )
         self.parameters = Parameters(*self._declared())
 
@@ -110,12 +79,16 @@ class Layout:
         ]
 
     def start(self, joint: Joint) -> Array:
-        """Return the posture of a joint: as given, or zero, or the middle of limits that exclude zero."""
+        """Return the posture of a joint: as given, or zero, or the middle of limits that exclude zero.
+
+        Loops are closed in the file where all joints are at zero.
+        """
         given = self.options.posture
         if joint.kind == "ball":
             values = np.array([given.get(name, float(k == 0)) for k, name in enumerate(joint.coordinates)])
             return np.asarray(values / np.linalg.norm(values))
-        usual = joint.zero if joint.lower <= joint.zero <= joint.upper else (joint.lower + joint.upper) / 2
+        at_zero = self.tree.closures or joint.lower <= joint.zero <= joint.upper
+        usual = joint.zero if at_zero else (joint.lower + joint.upper) / 2
         return np.array([given.get(joint.name, usual)])
 
     def _values(self, names: Mapping[str, ca.SX], scale: float) -> dict[str, ca.SX]:
@@ -184,75 +157,57 @@ class Layout:
             raise self.tree.fault(f"the body {body} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
 
+    def anchor(self, body: str) -> int:
+        """Return the stage at whose origin the rope of a point mass begins; raises `InvalidModel` if there is none."""
+        stages = [self.joints.index(joint) for joint in self.ropes[body]]
+        for stage in stages:
+            apart = self.motion.seen_from(Place(stage, ZERO, IDENTITY), stages[-1])
+            if not (apart.is_constant() and np.abs(np.asarray(ca.DM(apart))).max() < _MEETS):
+                raise self.tree.fault(
+                    f"ropes: the hinges above {body} do not meet in one point, where a rope could begin"
+                )
+        return stages[-1]
 
-def _rope(tree: Tree, stages: list[Stage], places: Mapping[str, Place], load: Body, driven: frozenset[str]) -> Rope:
-    """Return the rope that stands for the free hinges above a load."""
-    above, body = [(load, joint) for joint in reversed(load.joints)], load
+    def centre(self, body: str) -> Place:
+        """Return the centre of mass of a body."""
+        return self.places[body].moved(self.tree.body[body].centre)
+
+
+def rope_hinges(tree: Tree, load: str, driven: Collection[str], required: bool = True) -> list[Joint]:
+    """Return the hinges and balls without a drive on which a load hangs, the lowest first; slides may lie below them.
+
+    Raises
+    ------
+    InvalidModel
+        If there are none, and they are required.
+    """
+    above, body = list(reversed(tree.body[load].joints)), tree.body[load]
     while body.parent:
         body = tree.body[body.parent]
-        above += [(body, joint) for joint in reversed(body.joints)]
-    slides = list(takewhile(lambda pair: pair[1].kind == "slide", above))
-    hinges = list(takewhile(lambda pair: pair[1].kind != "slide" and pair[1].name not in driven, above[len(slides) :]))
-    if not hinges or len(slides) > 1:
-        why = f"{len(slides)} slides lie" if len(slides) > 1 else "no hinge without a drive lies"
-        raise tree.fault(f"ropes: {load.name} cannot hang on a rope: {why} between it and its support")
-    on_way, replaced = _below(tree, hinges[-1][0]), [joint for _, joint in (*slides, *hinges)]
-    beside = [joint.name for body in on_way for joint in body.joints if joint not in replaced]
-    if beside:
-        raise tree.fault(f"ropes: {load.name} cannot hang on a rope of its own: the joint {beside[0]} moves beside it")
-    zero = _at_zero(stages)
-    anchors = [zero[k].position for k, stage in enumerate(stages) if stage.joints[0] in [joint for _, joint in hinges]]
-    if max(float(np.linalg.norm(anchor - anchors[0])) for anchor in anchors) > _MEETS:
-        raise tree.fault(f"ropes: the hinges above {load.name} do not meet in one point, where a rope could begin")
-    top = next(k for k, stage in enumerate(stages) if stage.joints[0] is hinges[-1][1])
-    place = places[load.name].moved(load.centre)
-    base = zero[place.stage]
-    way = base.position + base.rotation @ place.position - anchors[0]
-    hoist, length, sign = "", float(np.linalg.norm(way)), 1.0
-    for _, joint in slides:
-        along = float(way @ (base.rotation @ joint.axis))
-        if abs(abs(along) - length) > _MEETS * max(1.0, length):
-            raise tree.fault(f"ropes: the slide {joint.name} does not move {load.name} along its rope")
-        hoist, sign = joint.name, math.copysign(1.0, along)
-        length -= sign * joint.zero
-    anchor = Place(stages[top].parent, stages[top].base.position, stages[top].base.rotation)
-    dropped, without = tuple(joint.name for _, joint in hinges), tuple(body.name for body in on_way)
-    return Rope(anchor, hoist, length, sign, dropped, without)
+        above += reversed(body.joints)
+    free = dropwhile(lambda joint: joint.kind == "slide", above)
+    hinges = list(takewhile(lambda joint: joint.kind != "slide" and joint.name not in driven, free))
+    if required and not hinges:
+        raise tree.fault(f"ropes: {load} cannot hang on a rope: no hinge without a drive lies above it")
+    return hinges
 
 
-def _below(tree: Tree, top: Body) -> list[Body]:
-    """Return a body and all that hang on it."""
-    found = [top]
+def _below(tree: Tree, hinges: list[Joint]) -> list[str]:
+    """Return the bodies that the hinges of a rope move; raises `InvalidModel` if another hinge is among them."""
+    found = list[str]()
     for body in tree.bodies:
-        found += [body] if body.parent in [each.name for each in found] else []
+        if hinges[-1] in body.joints or body.parent in found:
+            found.append(body.name)
+            other = [joint.name for joint in body.joints if joint not in hinges and joint.kind != "slide"]
+            if other:
+                raise tree.fault(f"ropes: {body.name} cannot be part of a rope: the joint {other[0]} moves beside it")
     return found
 
 
-def _light(tree: Tree, load: Body, driven: frozenset[str]) -> list[str]:
-    """Return the bodies above a point mass, up to the next drive, whose mass is nothing beside its own."""
+def _light(tree: Tree, load: Body, driven: Collection[str]) -> list[str]:
+    """Return the bodies above a point mass, up to the next driven hinge, whose mass is nothing beside its own."""
     found, body = list[str](), load
     while body.parent and not any(joint.name in driven and joint.kind != "slide" for joint in body.joints):
         body = tree.body[body.parent]
         found += [body.name] if body.mass < _LIGHT * load.mass else []
-    return found
-
-
-def rope_of(tree: Tree, body: str, driven: frozenset[str]) -> Rope | None:
-    """Return the rope that can stand for the free hinges above a body; None if there is none."""
-    stages, places = stages_of(tree)
-    try:
-        return _rope(tree, stages, places, tree.body[body], driven)
-    except InvalidModel:
-        return None
-
-
-def _at_zero(stages: list[Stage]) -> list[Place]:
-    """Return the pose of every stage in the axes of the ground, where all joints are at their zero."""
-    found: list[Place] = []
-    for stage in stages:
-        base = stage.base
-        if stage.parent >= 0:
-            up = found[stage.parent]
-            base = Place(-1, up.position + up.rotation @ base.position, up.rotation @ base.rotation)
-        found.append(Place(-1, base.position, base.rotation))
     return found

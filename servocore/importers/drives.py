@@ -14,7 +14,7 @@ from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
 from servocore.importers.options import driven_joints
 from servocore.importers.recursion import Place
-from servocore.importers.tree import Actuator
+from servocore.importers.tree import Actuator, Joint
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 
@@ -80,84 +80,65 @@ def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
 
 
 def _drive(name: str, layout: Layout, assembly: Assembly) -> Drive:
-    tree = layout.tree
+    tree, motion = layout.tree, layout.motion
     actuators = {each.name: each for each in tree.actuators}
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         unit = np.eye(6)[number]
-        power = layout.motion.power(_centre(layout, part[1]), unit[:3], unit[3:])
+        power = motion.power(layout.centre(part[1]), unit[:3], unit[3:])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
     joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
     joint = joint if joint in tree.joints else joint.rpartition(".")[0]
     if joint in tree.joints:
-        return _on_joint(joint, layout)
+        return _on_joint(tree.joints[joint], layout)
     if name not in actuators:
+        listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(
-            f"inputs: {tree.source} has no joint or drive {name}; there are {', '.join([*tree.joints, *actuators])},"
-            " and wrenches on bodies, as BODY.force_z"
+            f"inputs: {tree.source} has no joint or drive {name}; there are {listed}, and wrenches as BODY.force_z"
         )
     actuator = actuators[name]
     gear = np.array(actuator.gear)
     if actuator.kind == "tendon":
         length = assembly.length(tree.tendons[actuator.on])
         rate = ca.jtimes(length, layout.coordinates.q, layout.coordinates.v)
-        return _of(Quantity(f"{name}.force", "N"), rate, actuator, float(gear[0]), length, rate)
-    size = float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
-    power = layout.motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
-    unit = ("force", "N") if gear[:3].any() else ("torque", "N.m")
-    drive = _of(Quantity(f"{name}.{unit[0]}", unit[1]), power, actuator, size, ca.SX(0), ca.SX(0))
-    return replace(drive, rotor=actuator.on)
+        return _limited(Drive(Quantity(f"{name}.force", "N"), rate), actuator, float(gear[0]), length)
+    size, unit = float(np.linalg.norm(gear[:3])), Quantity(f"{name}.force", "N")
+    if not size:
+        size, unit = float(np.linalg.norm(gear[3:])), Quantity(f"{name}.torque", "N.m")
+    power = motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    return _limited(Drive(unit, power, rotor=actuator.on), replace(actuator, bias=(0.0, 0.0, 0.0)), size, ca.SX(0))
 
 
-def _on_joint(name: str, layout: Layout) -> Drive:
+def _on_joint(joint: Joint, layout: Layout) -> Drive:
     """Return the drive of a joint, of its motor where it is elastic."""
-    tree, options = layout.tree, layout.options
-    joint = tree.joints[name]
-    _, unit, force = UNITS[joint.kind]
-    elastic = name in options.elastic
-    if name in options.locked or joint.mimic or joint.kind == "ball" or name not in layout.motion.v:
+    name, (_, unit, force) = joint.name, UNITS[joint.kind]
+    if name in layout.options.locked or joint.mimic or joint.kind == "ball":
         why = "a ball" if joint.kind == "ball" else "a mimic" if joint.mimic else "locked or part of a rope"
         raise InvalidSetting(f"inputs: {name} is {why} and has no drive of its own")
-    rate = layout.coordinates.velocity(f"{name}{MOTOR}") if elastic else layout.motion.v[name]
-    length = layout.coordinates[f"{name}{MOTOR}"] if elastic else layout.motion.q[name]
+    motor = f"{name}{MOTOR}" if name in layout.options.elastic else name
     quantity = Quantity(f"{name}.{force}", unit)
-    on = [actuator for actuator in tree.actuators if actuator.kind == "joint" and actuator.on == name]
-    drive = Drive(quantity, rate, name)
-    if len(on) == 1:
-        drive = _of(quantity, rate, on[0], on[0].gear[0], length, rate, name)
-    if np.isfinite(joint.effort) and quantity.name not in drive.bounds:
-        return Drive(
-            quantity, rate, name, {quantity.name: (-joint.effort, joint.effort), **drive.bounds}, drive.observed
-        )
-    return drive
+    bounds = {quantity.name: (-joint.effort, joint.effort)}
+    drive = Drive(quantity, layout.coordinates.velocity(motor), name, bounds)
+    on = [actuator for actuator in layout.tree.actuators if actuator.kind == "joint" and actuator.on == name]
+    return _limited(drive, on[0], on[0].gear[0], layout.coordinates[motor]) if len(on) == 1 else drive
 
 
-def _of(
-    quantity: Quantity, power: ca.SX, actuator: Actuator, gear: float, length: ca.SX, rate: ca.SX, joint: str = ""
-) -> Drive:
-    """Return the drive of an actuator: its limits, and ctrl where that is not the force itself."""
-    bounds = {quantity.name: _scaled((actuator.lower, actuator.upper), gear)}
-    observed = dict[Quantity, Callable[[ca.SX], ca.SX]]()
-    servo, gain = any(actuator.bias), actuator.gain
-    if servo or gear * gain != 1.0:
-        constant, position, damping = actuator.bias
-        bias = constant + gear * (position * length + damping * rate)
-        ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
-        observed[ctrl] = lambda u: (u / gear - bias) / gain
-        bounds[ctrl.name] = actuator.control
+def _limited(drive: Drive, actuator: Actuator, gear: float, length: ca.SX) -> Drive:
+    """Return the drive with the limits of an actuator, and its ctrl where that is not the force itself."""
+    name, gain, (constant, position, damping) = drive.quantity.name, actuator.gain, actuator.bias
+    low, high = drive.bounds.get(name, (-np.inf, np.inf))
+    ranges = [(actuator.lower, actuator.upper)]
+    ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
+    bounds, observed = dict[str, Bounds](), dict[Quantity, Callable[[ca.SX], ca.SX]]()
+    if any(actuator.bias):
+        bias = constant + gear * (position * length + damping * drive.power)
+        observed[ctrl], bounds[ctrl.name] = lambda u: (u / gear - bias) / gain, actuator.control
     else:
-        low, high = bounds[quantity.name]
-        bounds[quantity.name] = (max(low, actuator.control[0]), min(high, actuator.control[1]))
-    return Drive(quantity, power, joint, {k: each for k, each in bounds.items() if np.isfinite(each).any()}, observed)
-
-
-def _scaled(bounds: Bounds, factor: float) -> Bounds:
-    low, high = sorted(factor * each for each in bounds)
-    return low, high
-
-
-def _centre(layout: Layout, body: str) -> Place:
-    return layout.places[body].moved(layout.tree.body[body].centre)
+        ranges.append((gain * actuator.control[0], gain * actuator.control[1]))
+    for each in ranges:
+        ends = sorted((gear * each[0], gear * each[1]))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return replace(drive, bounds=bounds | {name: (low, high)}, observed=observed)
 
 
 def rotors(layout: Layout, drives: list[Drive]) -> list[tuple[Actuator, Mapping[int, float]]]:
@@ -171,7 +152,7 @@ def rotors(layout: Layout, drives: list[Drive]) -> list[tuple[Actuator, Mapping[
     found = list[tuple[Actuator, Mapping[int, float]]]()
     for body in dict.fromkeys(drive.wrench[0] for drive in drives if drive.wrench):
         parts = {drive.wrench[1]: k for k, drive in enumerate(drives) if drive.wrench and drive.wrench[0] == body}
-        centre = _centre(layout, body)
+        centre = layout.centre(body)
         placed = [(each, layout.place(each.on)) for each in layout.tree.actuators if each.kind == "frame"]
         on = [(each, place) for each, place in placed if place.stage == centre.stage]
         if not on:

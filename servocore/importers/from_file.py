@@ -13,6 +13,7 @@ import casadi as ca
 from servocore.importers.assembly import Assembly, Mechanism
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
+from servocore.importers.sdf import read_sdf
 from servocore.importers.tree import Tree
 from servocore.importers.urdf import read_urdf
 from servocore.importers.xml_files import XmlFile
@@ -32,7 +33,7 @@ _WAY = {"rad": 0.2, "m": 0.1}
 _DURATION = 2.0  # s, of the default path
 _SHARE = 0.2  # of the range of an output, at most
 
-READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf}
+READERS: Mapping[str, Callable[[XmlFile], Tree]] = {"robot": read_urdf, "mujoco": read_mjcf, "sdf": read_sdf}
 """Readers by the root element."""
 
 
@@ -202,35 +203,28 @@ class _Drawing:
     def __call__(self, v: Mapping[str, Any]) -> list[Part]:
         """Return the parts for symbols of the reported quantities by name."""
         assembly = Assembly(self.tree, self.options)
-        layout, coordinates = assembly.layout, assembly.layout.coordinates
-        values = ca.vertcat(*[v[name] for name in coordinates.names])
+        layout, q = assembly.layout, assembly.q
+        values = ca.vertcat(*[v[name] for name in layout.coordinates.names])
+        loads = {*self.options.points, *self.options.ropes}
+        named = [
+            name if name in self.tree.frames else name.rpartition(".")[0] or name for name in assembly.output_names
+        ]
+        tips = [*loads, *(name for name in named if name in {*self.tree.body, *self.tree.frames} - loads)]
+        origins = [position for _, position in layout.motion.world]
+        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
+        parts += [
+            ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
+            for stage, origin in zip(layout.stages, origins, strict=True)
+        ]
+        parts += [("rope", (origins[layout.anchor(body)], layout.point(body)), "") for body in layout.ropes]
+        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+            tip, stage = layout.position(name), layout.place(name).stage
+            parts += [("body", (tip,), name)]
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
 
-        def at(position: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-            x, y, z = ca.vertsplit(ca.densify(ca.substitute(position, coordinates.q, values)))
+        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, q, values)))
             return x, y, z
 
-        parts, ground = list[Part](), ca.SX(3, 1)
-        origins = [position for _, position in layout.motion.world]
-        for stage, origin in zip(layout.stages, origins, strict=True):
-            parent = origins[stage.parent] if stage.parent >= 0 else ground
-            if not (origin - parent).is_zero():
-                parts.append(Part("bar", (at(parent), at(origin))))
-            parts.append(Part("pin", (at(origin),)))
-        for body, rope in layout.ropes.items():
-            anchor = layout.motion.pose(rope.anchor)[1]
-            parts.append(Part("rope", (at(anchor), at(layout.point(body))), colour=f"{body}.tension"))
-        for name in dict.fromkeys(self._frames(assembly)):
-            place, tip = layout.place(name), layout.position(name)
-            if place.stage >= 0 and not (tip - origins[place.stage]).is_zero():
-                parts.append(Part("bar", (at(origins[place.stage]), at(tip))))
-            parts.append(Part("body", (at(tip),), name))
-        return parts
-
-    def _frames(self, assembly: Assembly) -> list[str]:
-        """Return the frames that follow a path, or the last body where joints do."""
-        names = [name for name in assembly.output_names if name not in self.tree.joints]
-        frames = [
-            name if name in self.tree.body or name in self.tree.frames else name.rpartition(".")[0] for name in names
-        ]
-        loads = [*self.options.points, *self.options.ropes]
-        return [*loads, *(frame for frame in frames if frame not in loads)] or [self.tree.bodies[-1].name]
+        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
+        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]

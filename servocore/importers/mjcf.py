@@ -75,44 +75,42 @@ def _require_inside(file: XmlFile, folder: Path, read: set[Path]) -> None:
 
 class _Reader:
     def __init__(self, file: XmlFile, model: Any, mujoco: Any) -> None:
-        self.file, self.m, self.mujoco = file, model, mujoco
-        self.left_out, self.frames = list[str](), dict[str, Frame]()
-        count = model.nbody
-        self.bodies = [GROUND, *(model.body(k).name or f"body{k}" for k in range(1, count))]
+        self.file, self.m, self.mujoco, self.left_out = file, model, mujoco, list[str]()
+        self.bodies = [GROUND, *(model.body(k).name or f"body{k}" for k in range(1, model.nbody))]
         self.joints = [
-            model.joint(k).name
-            or f"{self.bodies[model.jnt_bodyid[k]]}.joint{k - model.body_jntadr[model.jnt_bodyid[k]]}"
-            for k in range(model.njnt)
+            model.joint(k).name or f"{self.bodies[body]}.joint{k - model.body_jntadr[body]}"
+            for k, body in enumerate(model.jnt_bodyid)
         ]
-        self.sites = [model.site(k).name or f"site{k}" for k in range(model.nsite)]
+        names = [model.site(k).name or f"site{k}" for k in range(model.nsite)]
+        self.sites = [f"{name}.site" if name in self.bodies else name for name in names]
         self.tendons = [model.tendon(k).name or f"tendon{k}" for k in range(model.ntendon)]
+        self.frames = {
+            name: Frame(
+                self.bodies[model.site_bodyid[k]], np.array(model.site_pos[k]), self._rotation(model.site_quat[k])
+            )
+            for k, name in enumerate(self.sites)
+        }
 
     def fault(self, sentence: str) -> InvalidModel:
         return InvalidModel(f"{self.file.path.name}: {sentence}")
 
     def tree(self) -> Tree:
-        m = self.m
+        m, root = self.m, self.file.root
         self._require_representable()
-        for k, name in enumerate(self.sites):
-            body = self.bodies[m.site_bodyid[k]]
-            self.frames[name if name not in self.bodies else f"{name}.site"] = self._frame(
-                body, m.site_pos[k], self._rotation(m.site_quat[k])
-            )
-        bodies = [self._body(k) for k in range(1, m.nbody)]
+        self._list_left_out()
         weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         x, y, z = (0.0, 0.0, 0.0) if weightless else m.opt.gravity.tolist()
-        name = self.file.root.get("model") or self.file.root.get("name") or self.file.path.stem
-        tendons = {name: self._tendon(k, name) for k, name in enumerate(self.tendons)}
-        actuators = self._actuators()
+        name = (root.get("model") or root.get("name") or self.file.path.stem).replace(" ", "_")
+        bodies = [self._body(k) for k in range(1, m.nbody)]
+        tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
+        actuators = [self._actuator(k) for k in range(m.nu)]
+        joints = [each.on for each in actuators if each.kind == "joint"]
+        for each in actuators:
+            if joints.count(each.on) > 1:
+                self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
         closures = [closure for k in range(m.neq) for closure in self._closure(k)]
-        self._list_left_out()
-        return Tree(
-            name.replace(" ", "_"), self.file.path.name, bodies, self.frames, actuators, tendons, closures, (x, y, z),
-            tuple(self.left_out),
-        )  # fmt: skip
-
-    def _frame(self, body: str, position: Array, rotation: Array = IDENTITY) -> Frame:
-        return Frame(body, np.array(position), rotation)
+        left_out = tuple(self.left_out)
+        return Tree(name, self.file.path.name, bodies, self.frames, actuators, tendons, closures, (x, y, z), left_out)
 
     def _rotation(self, quaternion: Array) -> Array:
         matrix = np.zeros(9)
@@ -125,12 +123,8 @@ class _Reader:
         for count, what in ((m.nflex, "flex"), (m.nplugin, "plugin")):
             if count:
                 raise self.fault(f"it holds a {what}, which cannot be represented")
-        for bit, what in (
-            (bits.mjDSBL_SPRING, "springs"),
-            (bits.mjDSBL_DAMPER, "dampers"),
-            (bits.mjDSBL_EQUALITY, "equality"),
-        ):
-            if m.opt.disableflags & int(bit):
+        for flag, what in (("SPRING", "springs"), ("DAMPER", "dampers"), ("EQUALITY", "equality")):
+            if m.opt.disableflags & int(getattr(bits, f"mjDSBL_{flag}", 0)):
                 raise self.fault(f"its flags disable {what}: delete these elements instead")
         listed = (
             ("body_gravcomp", self.bodies, "compensates gravity"),
@@ -166,24 +160,14 @@ class _Reader:
                 raise self.fault(f"joint {name} has a spring, which a ball or a free body cannot have here")
             if m.jnt_limited[j]:
                 self.left_out.append(f"limit of joint {name}: a ball has none")
-            last = dof + 5 if kind == _FREE else dof
-            ball = Joint(
-                name,
-                "ball",
-                anchor=np.array(m.jnt_pos[j]),
-                damping=float(m.dof_damping[last]),
-                armature=float(m.dof_armature[last]),
-            )
             slides = [
-                Joint(
-                    f"{name}.{'xyz'[k]}", "slide", rotation.T[:, k], damping=damping, armature=armature,
-                    zero=float(m.qpos0[place + k]),
-                )
-                for k in range(3)
-            ]  # fmt: skip
+                Joint(f"{name}.{axis}", "slide", turned, damping=damping, armature=armature, zero=float(zero))
+                for axis, turned, zero in zip("xyz", rotation, m.qpos0[place : place + 3], strict=True)
+            ]
+            ball = Joint(name, "ball", anchor=np.array(m.jnt_pos[j]), damping=damping, armature=armature)
             return [*slides, ball] if kind == _FREE else [ball]
-        lower, upper = m.jnt_range[j].tolist() if m.jnt_limited[j] else (-math.inf, math.inf)
-        effort = float(np.abs(m.jnt_actfrcrange[j]).max()) if m.jnt_actfrclimited[j] else math.inf
+        lower, upper = _range(m.jnt_limited[j], m.jnt_range[j])
+        effort = max(map(abs, _range(m.jnt_actfrclimited[j], m.jnt_actfrcrange[j])))
         return [
             Joint(
                 name, _KINDS[kind], np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper, effort=effort,
@@ -210,7 +194,7 @@ class _Reader:
             self.left_out.append(f"range of tendon {name}, unless it is taut=['{name}']")
         return Tendon(
             name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), low if low == high else math.nan,
-            float(m.tendon_damping[k]), float(m.tendon_range[k][1]) if m.tendon_limited[k] else math.inf, refusal,
+            float(m.tendon_damping[k]), _range(m.tendon_limited[k], m.tendon_range[k])[1], refusal,
         )  # fmt: skip
 
     def _closure(self, k: int) -> list[Closure]:
@@ -235,35 +219,23 @@ class _Reader:
         # A weld lists the point on the second body before the pose in the first one, a connect the other way round.
         one, other = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
         relative = self._rotation(data[6:10]) if weld else IDENTITY
-        self.frames[f"{name}.1"] = self._frame(self.bodies[first], one, relative)
-        self.frames[f"{name}.2"] = self._frame(self.bodies[second], other)
+        self.frames[f"{name}.1"] = Frame(self.bodies[first], np.array(one), relative)
+        self.frames[f"{name}.2"] = Frame(self.bodies[second], np.array(other))
         return [Closure(name, "weld" if weld else "connect", f"{name}.1", f"{name}.2")]
 
-    def _actuators(self) -> list[Actuator]:
-        m, found, on = self.m, list[Actuator](), set[str]()
-        kinds = self.mujoco.mjtTrn
-        for k in range(m.nu):
-            kind, target = int(m.actuator_trntype[k]), int(m.actuator_trnid[k][0])
-            name, gear = m.actuator(k).name, m.actuator_gear[k]
-            if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT) and m.jnt_type[target] in _KINDS:
-                where, place, gears = "joint", self.joints[target], (float(gear[0]),)
-            elif kind == kinds.mjTRN_TENDON:
-                where, place, gears = "tendon", self.tendons[target], (float(gear[0]),)
-            elif kind == kinds.mjTRN_SITE and m.actuator_trnid[k][1] < 0:
-                where, place, gears = "frame", self.sites[target], tuple(gear.tolist())
-            else:
-                raise self.fault(
-                    f"actuator {name or k} acts on something else than a hinge, a slide, a tendon or a site"
-                )
-            name = name or f"{place}.drive"
-            if where == "joint" and place in on:
-                self.left_out.append(f"gain and limits of actuator {name}: joint {place} has another drive")
-            on |= {place} if where == "joint" else set()
-            found.append(self._actuator(k, name, where, place, gears))
-        return found
-
-    def _actuator(self, k: int, name: str, where: str, place: str, gear: tuple[float, ...]) -> Actuator:
-        m, open_ended = self.m, (-math.inf, math.inf)
+    def _actuator(self, k: int) -> Actuator:
+        m, kinds, gear = self.m, self.mujoco.mjtTrn, tuple(self.m.actuator_gear[k].tolist())
+        kind, (target, reference) = int(m.actuator_trntype[k]), m.actuator_trnid[k]
+        if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT) and m.jnt_type[target] in _KINDS:
+            where, place = "joint", self.joints[target]
+        elif kind == kinds.mjTRN_TENDON:
+            where, place = "tendon", self.tendons[target]
+        elif kind == kinds.mjTRN_SITE and reference < 0:
+            where, place = "frame", self.sites[target]
+        else:
+            name = m.actuator(k).name or k
+            raise self.fault(f"actuator {name} acts on something else than a hinge, a slide, a tendon or a site")
+        name = m.actuator(k).name or f"{place}.drive"
         gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
         affine = m.actuator_biastype[k] == biases.mjBIAS_AFFINE
         known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (
@@ -276,8 +248,8 @@ class _Reader:
                 raise self.fault(f"actuator {name} has {attribute[9:]}: give it to the joint instead")
         if m.actuator_dyntype[k] != dynamics.mjDYN_NONE:
             self.left_out.append(f"dynamics of actuator {name}: the input is its force")
-        lower, upper = m.actuator_forcerange[k].tolist() if m.actuator_forcelimited[k] else open_ended
-        control = tuple(m.actuator_ctrlrange[k].tolist()) if m.actuator_ctrllimited[k] else open_ended
+        lower, upper = _range(m.actuator_forcelimited[k], m.actuator_forcerange[k])
+        control = _range(m.actuator_ctrllimited[k], m.actuator_ctrlrange[k])
         bias = tuple(m.actuator_biasprm[k][:3].tolist()) if affine else (0.0, 0.0, 0.0)
         return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, lower, upper, control)
 
@@ -286,9 +258,13 @@ class _Reader:
         m = self.m
         if m.ngeom and (m.geom_contype.any() or m.geom_conaffinity.any()):
             self.left_out.append("contact between geoms")
-        for k in np.flatnonzero(m.dof_frictionloss):
-            self.left_out.append(f"dry friction of joint {self.joints[m.dof_jntid[k]]}")
-        for k in np.flatnonzero(m.tendon_frictionloss):
-            self.left_out.append(f"dry friction of tendon {self.tendons[k]}")
+        rubbing = [self.joints[m.dof_jntid[k]] for k in np.flatnonzero(m.dof_frictionloss)]
+        rubbing += [self.tendons[k] for k in np.flatnonzero(m.tendon_frictionloss)]
+        self.left_out += [f"dry friction of {name}" for name in rubbing]
         if m.opt.density or m.opt.viscosity:
             self.left_out.append("forces of the fluid")
+
+
+def _range(limited: Any, bounds: Any) -> tuple[float, float]:
+    """Return the bounds of an element, infinite where it is not limited."""
+    return (float(bounds[0]), float(bounds[1])) if limited else (-math.inf, math.inf)

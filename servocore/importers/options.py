@@ -140,12 +140,9 @@ class Options:
                 raise InvalidSetting(f"{option} must be a list of names, not {value!r}")
         for option in ("elastic", "posture", "payload"):
             require_kind(getattr(self, option), Mapping, option, "values by name", InvalidSetting)
-        for name, value in self.posture.items():
-            require_real(value, f"the posture of {name}", "a number", InvalidSetting)
-        for name, mass in self.payload.items():
-            require_real(mass, f"the payload of {name}", "a mass in kg", InvalidSetting)
-            if not 0.0 <= mass < math.inf:
-                raise InvalidSetting(f"the payload of {name} must be zero or more and finite, not {mass:g} kg")
+        for option in ("posture", "payload"):
+            for name, value in getattr(self, option).items():
+                require_real(value, f"the {option} of {name}", "a number", InvalidSetting)
         if self.gravity is not None and len(self.gravity) != 3:
             raise InvalidSetting(f"gravity must be three numbers in m/s2, not {self.gravity!r}")
 

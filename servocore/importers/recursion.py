@@ -1,6 +1,6 @@
 """Dynamics of a tree of rigid bodies by recursion: composite bodies for M, Newton-Euler for the inertia forces.
 
-A `Stage` is a frame behind one hinge, one ball or up to three slides, with everything fixed to it as one inertia. With
+A `Stage` is a frame behind a hinge, a slide or a ball, with everything fixed to it as one inertia. With
 q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its parent's axes, and in its own axes
 
     w = R^T w_p + W q_dot,    v = R^T (v_p + w_p x p) + V q_dot;
@@ -12,7 +12,7 @@ R. Featherstone: Rigid Body Dynamics Algorithms. Springer 2008, chapters 5 and 6
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -43,23 +43,23 @@ class Place:
 
 @dataclass(eq=False)
 class Stage:
-    """A frame behind joints, with its inertia.
+    """A frame behind a joint, with its inertia.
 
     Attributes
     ----------
     parent : int
         Its parent stage; -1 for the ground.
     base : Place
-        Pose of the joints' frame in the parent's axes.
-    joints : tuple of Joint
-        One hinge, one ball, or slides.
+        Pose of the joint's frame in the parent's axes.
+    joint : Joint
+        The joint.
     mass, moment, inertia : float, ndarray of shapes (3,) and (3, 3)
         Mass, first moment and inertia about the origin, in its axes.
     """
 
     parent: int
     base: Place
-    joints: tuple[Joint, ...]
+    joint: Joint
     mass: float = 0.0
     moment: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -78,7 +78,7 @@ class Stage:
         centre = self.moment / self.mass if self.mass > 0.0 else ZERO
         small, middle, large = np.linalg.eigvalsh(self.inertia - self.mass * _about(centre))
         if small + middle < (1.0 - _UNPHYSICAL) * large - _NEGLIGIBLE:
-            body = next(body.name for body in tree.bodies if self.joints[0] in body.joints)
+            body = next(body.name for body in tree.bodies if self.joint in body.joints)
             raise tree.fault(
                 f"the body {body}, with all that is fixed to it, has the principal inertias {small:.4g}, {middle:.4g}"
                 f" and {large:.4g} kg m2, which no distribution of mass has: the largest exceeds the sum of the others"
@@ -96,27 +96,28 @@ def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
     return ca.SX(ca.sparsify(ca.DM(rounded)))
 
 
-def stages_of(
-    tree: Tree, without: Sequence[str] = (), dropped: Sequence[str] = ()
-) -> tuple[list[Stage], dict[str, Place]]:
+def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], dict[str, Place]]:
     """Return the stages of a tree, and the place of every body.
 
     Parameters
     ----------
     tree : Tree
         The mechanism.
-    without : sequence of str
+    without : collection of str
         Bodies whose mass is left out, for it has coordinates of its own.
-    dropped : sequence of str
-        Joints that are held at their zero.
+
+    Raises
+    ------
+    InvalidModel
+        If the inertia of a body, with all that is fixed to it, is not physical.
     """
     stages: list[Stage] = []
     places = {GROUND: Place(-1, ZERO, IDENTITY)}
     for body in tree.bodies:
         here = places[body.parent].moved(body.position, body.rotation)
-        for group in _groups([joint for joint in body.joints if joint.name not in dropped]):
-            stages.append(Stage(here.stage, here.moved(group[0].anchor), group))
-            here = Place(len(stages) - 1, -group[0].anchor, IDENTITY)
+        for joint in body.joints:
+            stages.append(Stage(here.stage, here.moved(joint.anchor), joint))
+            here = Place(len(stages) - 1, -joint.anchor, IDENTITY)
         places[body.name] = here
         if here.stage >= 0 and body.name not in without:
             turned = here.rotation @ body.inertia @ here.rotation.T
@@ -124,20 +125,6 @@ def stages_of(
     for stage in stages:
         stage.require_physical(tree)
     return stages, places
-
-
-def _groups(joints: Sequence[Joint]) -> Iterator[tuple[Joint, ...]]:
-    """Yield the joints of a body, slides in a row as one group: no rotation lies between them."""
-    group: tuple[Joint, ...] = ()
-    for joint in joints:
-        if group and joint.kind == group[-1].kind == "slide":
-            group += (joint,)
-            continue
-        if group:
-            yield group
-        group = (joint,)
-    if group:
-        yield group
 
 
 def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
@@ -193,7 +180,7 @@ class Motion:
     @cached_property
     def columns(self) -> Mapping[str, int]:
         """Number of every coordinate of the stages."""
-        names = [name for stage in self.stages for joint in stage.joints for name in joint.coordinates]
+        names = [name for stage in self.stages for name in stage.joint.coordinates]
         return {name: k for k, name in enumerate(names)}
 
     @cached_property
@@ -201,16 +188,14 @@ class Motion:
         """R, p in the parent's axes, W, V, rates of every stage."""
         local = []
         for stage in self.stages:
-            names = [name for joint in stage.joints for name in joint.coordinates]
-            q, v = (ca.vertcat(*[values[name] for name in names]) for values in (self.q, self.v))
-            offset = ca.vertcat(*[q[k] - joint.zero for k, joint in enumerate(stage.joints)])
-            rotation, position = sparse(stage.base.rotation), sparse(stage.base.position)
-            axes = sparse(np.column_stack([joint.axis for joint in stage.joints]))
-            turn, slide = ca.SX(3, q.numel()), ca.SX(3, q.numel())
-            if stage.joints[0].kind == "slide":
-                position, slide = position + ca.mtimes(rotation, ca.mtimes(axes, offset)), axes
-            elif stage.joints[0].kind == "hinge":
-                rotation, turn = ca.mtimes(rotation, _turned(axes, offset)), axes
+            joint = stage.joint
+            q, v = (ca.vertcat(*[values[name] for name in joint.coordinates]) for values in (self.q, self.v))
+            rotation, position, axis = sparse(stage.base.rotation), sparse(stage.base.position), sparse(joint.axis)
+            turn = slide = ca.SX(3, q.numel())
+            if joint.kind == "slide":
+                position, slide = position + ca.mtimes(rotation, axis * (q - joint.zero)), axis
+            elif joint.kind == "hinge":
+                rotation, turn = ca.mtimes(rotation, _turned(axis, q - joint.zero)), axis
             else:
                 w, x, y, z = ca.vertsplit(q)
                 turn = 2 * ca.blockcat([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
@@ -240,6 +225,14 @@ class Motion:
         """Return rotation and position of a place in the axes of the ground."""
         R, p = self.world[place.stage] if place.stage >= 0 else (ca.SX.eye(3), ca.SX(3, 1))
         return ca.mtimes(R, sparse(place.rotation)), p + ca.mtimes(R, sparse(place.position))
+
+    def seen_from(self, place: Place, stage: int) -> ca.SX:
+        """Return the position of a place in the axes of a stage below it."""
+        position, at = sparse(place.position), place.stage
+        while at != stage:
+            R, p, *_ = self._local[at]
+            position, at = p + ca.mtimes(R, position), self.stages[at].parent
+        return position
 
     def power(self, place: Place, force: Array, torque: Array) -> ca.SX:
         """Return the power of a unit wrench that acts at a place, both in its axes."""
@@ -283,18 +276,16 @@ class Motion:
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
         matrix = ca.SX(len(self.columns), len(self.columns))
-        for stage, (_, _, W, _, _) in zip(self.stages, self._local, strict=True):
-            for joint in stage.joints:
-                if joint.name in values:
-                    k = self.columns[joint.coordinates[0]]
-                    block = ca.mtimes(W.T, W) if joint.kind == "ball" else ca.SX(1)
-                    matrix[k : k + block.size1(), k : k + block.size1()] = values[joint.name] * block
+        for stage, start, (_, _, W, V, _) in zip(self.stages, self._starts, self._local, strict=True):
+            rows = slice(start, start + W.size2())
+            if stage.joint.name in values:
+                matrix[rows, rows] = values[stage.joint.name] * (ca.mtimes(W.T, W) + ca.mtimes(V.T, V))
         return ca.sparsify(matrix)
 
     @cached_property
     def _starts(self) -> list[int]:
         """Number of the first coordinate of every stage."""
-        return [self.columns[stage.joints[0].coordinates[0]] for stage in self.stages]
+        return [self.columns[stage.joint.coordinates[0]] for stage in self.stages]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""

@@ -86,6 +86,13 @@ class XmlFile:
             raise self.fault(element, f"has no <{tag}>")
         return found
 
+    def value(self, element: Element, path: str, default: float) -> float:
+        """Return the number in an attribute or the text of a descendant; the default without one."""
+        head, _, last = path.rpartition("/")
+        holder = element.find(head) if head else element
+        text = None if holder is None else holder.get(last) or holder.findtext(last)
+        return float(self.numbers(element, text, (default,))[0])
+
     def numbers(self, element: Element, text: str | None, default: Sequence[float]) -> Array:
         """Return numbers separated by blanks, as many as in the default, which stands for a missing text."""
         if text is None:
@@ -99,18 +106,3 @@ class XmlFile:
                 element, f"holds {text!r} where {len(default)} finite number{'s' * (len(default) > 1)} belong"
             )
         return values
-
-    def number(self, element: Element | None, attribute: str, default: float) -> float:
-        """Return a number of an attribute; the default without element or attribute."""
-        text = None if element is None else element.get(attribute)
-        return default if element is None or text is None else float(self.numbers(element, text, (default,))[0])
-
-
-def rotation_of(rpy: Sequence[float] | Array) -> Array:
-    """Return the rotation of roll, pitch and yaw (rad) about fixed axes x, y, z, shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip

@@ -91,15 +91,13 @@ class GeneralizedAlpha:
         start, fraction = Start.of(dae), ca.SX.sym("fraction")
         back = (1 - fraction) * h
         # a approximates v_dot at a shifted instant; at the start only v_dot itself is known.
-        first, rate_first = start.values[:, 0], start.rates[places_v]
+        first, rates, z = start.values[:, 0], [start.rates[places_v]] * 2, start.values[2 * n :, 0]
         return Discretization(
             equations=equations,
             state=old,
             next_state=ca.vertcat(q1, v1, dae.z, a1, rate1, z0),
             start=start,
-            first_state=ca.vertcat(
-                first[places_q], first[places_v], first[2 * n :], rate_first, rate_first, first[2 * n :]
-            ),
+            first_state=ca.vertcat(first[places_q], first[places_v], z, *rates, z),
             x=_joined(places_q, places_v, q0, v0),
             z=z0,
             nodes=(1.0,),
@@ -112,15 +110,15 @@ class GeneralizedAlpha:
                 fraction * z0 + (1 - fraction) * z_before,
                 old[2 * n + size_z :],
             ),
-            labels=(
-                *(
-                    f"{kind} of {dae.unknowns[k].name}"
-                    for kind in ("position", "velocity", "acceleration")
-                    for k in places_q
-                ),
-                *(dae.labels[k] for k in rows),
-            ),
+            labels=_labels(dae, places_q, rows),
         )
+
+
+def _labels(dae: Dae, places_q: list[int], rows: list[int]) -> tuple[str, ...]:
+    """Name the equations of a step."""
+    kinds = ("position", "velocity", "acceleration")
+    own = (f"{kind} of {dae.unknowns[k].name}" for kind in kinds for k in places_q)
+    return (*own, *(dae.labels[k] for k in rows))
 
 
 def _pairs(dae: Dae) -> tuple[list[int], list[int]]:

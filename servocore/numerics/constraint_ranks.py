@@ -17,7 +17,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, Call
-from servocore.numerics.components import singular_values
+from servocore.numerics.components import LARGE, singular_values
+from servocore.numerics.conditioning import gram_solver
 
 ROUND_OFF = 1e-9
 """Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""
@@ -139,10 +140,8 @@ def assembled(rows: Rows, x: Array) -> Array | None:
         worst = np.abs(residual).max(initial=0.0)
         if worst <= _CLOSED:
             break
-        left, values, right = np.linalg.svd(jacobian / lengths[:, None], full_matrices=False)
-        size = np.linalg.norm(residual)
-        weights = values / (values**2 + max(damping * size**2, _DAMPING_FLOOR))
-        trial = x - right.T @ (weights * (left.T @ residual))
+        size = float(np.linalg.norm(residual))
+        trial = x - _damped_step(jacobian / lengths[:, None], residual, max(damping * size**2, _DAMPING_FLOOR))
         new, at_trial = rows(trial)
         new = new / lengths
         if np.isfinite(at_trial).all() and np.linalg.norm(new) < size:  # NaN is not less
@@ -152,6 +151,17 @@ def assembled(rows: Rows, x: Array) -> Array | None:
         else:
             damping *= 10.0
     return x if np.abs(residual).max(initial=0.0) <= _ASSEMBLED else None
+
+
+def _damped_step(jacobian: Array, residual: Array, damping: float) -> Array:
+    """Return J^T (J J^T + damping)^-1 residual; of many rows by sparse factors, where these are accurate."""
+    solve = gram_solver(jacobian, damping) if len(jacobian) >= LARGE else None
+    if solve is not None:
+        step: Array = jacobian.T @ solve(residual)
+        return step
+    left, values, right = np.linalg.svd(jacobian, full_matrices=False)
+    shortest: Array = right.T @ (values / (values**2 + damping) * (left.T @ residual))
+    return shortest
 
 
 def _neighbours(rows: Rows, x: Array, distance: float) -> list[Array]:
@@ -172,7 +182,10 @@ def unit_rows(jacobian: Array) -> Array:
 
 
 def _rank(jacobian: Array) -> int:
-    values = singular_values(unit_rows(jacobian))
+    unit = unit_rows(jacobian)
+    if len(unit) >= LARGE and gram_solver(unit) is not None:  # far from dependent
+        return len(unit)
+    values = singular_values(unit)
     return int((values > ROUND_OFF * max(1.0, values[0])).sum())
 
 

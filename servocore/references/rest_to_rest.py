@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -43,7 +44,7 @@ class RestToRest(Reference):
     end: tuple[float, ...]
     profile: Profile
 
-    @property
+    @cached_property
     def stretches(self) -> FloatArray:
         """Start, end, and where the pieces of the time law meet."""
         inner = [self.start_time + junction for junction in self.profile.junctions(self.duration)]

@@ -48,13 +48,13 @@ class Jet:
     @classmethod
     def from_derivatives(cls, derivatives: npt.ArrayLike) -> Jet:
         """Jet of the plain derivatives f, f', ..., shape (order+1, *shape)."""
-        values = np.asarray(derivatives, dtype=np.float64)
+        values = np.asarray(derivatives)
         return cls(values / _factorials(values))
 
     @classmethod
     def constant(cls, value: npt.ArrayLike, order: int) -> Jet:
         """Jet of something that does not change in time, shape of `value`."""
-        first = np.asarray(value, dtype=np.float64)
+        first = np.asarray(value)
         return cls(np.concatenate([first[None], np.zeros((order, *first.shape))]))
 
     @property
@@ -136,7 +136,7 @@ def components(derivatives: npt.ArrayLike) -> tuple[Jet, ...]:
     tuple of Jet, length dimension
         Each with coefficients of shape (order+1, ...).
     """
-    values = np.asarray(derivatives, dtype=np.float64)
+    values = np.asarray(derivatives)
     return tuple(Jet.from_derivatives(np.moveaxis(values[..., i], -1, 0)) for i in range(values.shape[-1]))
 
 
@@ -163,7 +163,7 @@ def atan2(y: Jet, x: Jet) -> Jet:
 def _factors(a: Jet, b: Jet | npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Coefficients of both, up to the lower of their orders; of what is no jet the only one."""
     if not isinstance(b, Jet):
-        return a.coefficients, np.asarray(b, dtype=np.float64)[None]
+        return a.coefficients, np.asarray(b)[None]
     count = min(a.order, b.order) + 1
     return a.coefficients[:count], b.coefficients[:count]
 

@@ -102,7 +102,18 @@ class DerivativeArray:
 @made_once  # every Dae of a system needs its array
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     """Differentiate the equations of `system` as often as their offsets require."""
-    structure = analyse_structure(system)
+    return _differentiated(system, analyse_structure(system))
+
+
+@made_once
+def differentiated_once_more(array: DerivativeArray) -> DerivativeArray:
+    """Return the array with all offsets one higher: with the rates of all unknowns."""
+    structure = array.signature
+    c, d = (tuple(each + 1 for each in some) for some in (structure.equation_offsets, structure.variable_offsets))
+    return _differentiated(array.system, replace(structure, equation_offsets=c, variable_offsets=d))
+
+
+def _differentiated(system: MechanicalSystem, structure: Signature) -> DerivativeArray:
     equations = structure.equations
     c, d = structure.equation_offsets, structure.variable_offsets
     orders = max(equations.y.size2(), max(d) + 1)

@@ -22,13 +22,13 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.numerics.components import equilibrated
 from servocore.numerics.expressions import time_derivative
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 from servocore.structure.signature import (
     Point,
     SecondOrderEquations,
     Signature,
-    equilibrated,
     is_regular,
     jacobian_at,
     jacobian_at_probes,

@@ -17,13 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import Part, filled, largest_assignment, of_one_shape, parts_of
+from servocore.numerics.components import equilibrated, filled, has_full_rank, largest_assignment, parts_of
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that is absent."""
 
-_SWEEPS = 6  # of equilibration
 _DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may have a small range
 _PROBES = 3  # number of points at which a coefficient must vanish to count as absent
 _SUSPICIOUS = 1e-9  # of the largest entry: perhaps round-off of terms that cancel, which equilibration would magnify
@@ -196,45 +195,6 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
     return ca.sparsify(J)
 
 
-def equilibrated(matrix: Array) -> Array:
-    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units.
-
-    Takes one matrix, or many stacked.
-    """
-    scaled = np.array(matrix, dtype=np.float64)
-    size = np.empty_like(scaled)  # in place: allocation in every sweep takes longer than the divisions
-    for sweep in range(_SWEEPS if matrix.size else 0):
-        for axis in (-1, -2):
-            largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
-            factor = np.where(largest > 0.0, largest, 1.0)
-            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
-    return scaled
-
-
-def condition_number(matrix: Array) -> float:
-    """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
-    if not np.isfinite(matrix).all():
-        return float("inf")
-    values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
-    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
-
-
-def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
-    """Return the condition numbers of a sparse square matrix at N instants, from its entries (nnz, N)."""
-    finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
-    largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
-    if any(len(part.rows) != len(part.columns) for part in parts):
-        return np.full(len(finite), np.inf)
-    entries = entries if finite.all() else np.where(finite, entries, 0.0)
-    for same in of_one_shape(parts):  # stacked: calls for hundreds of parts take longer than decompositions
-        stacked = equilibrated(np.stack([part.dense(entries) for part in same]))
-        values = np.linalg.svd(stacked, compute_uv=False)
-        largest = np.maximum(largest, values[:, :, 0].max(axis=0))
-        least = np.minimum(least, values[:, :, -1].min(axis=0))
-    regular = finite & (least > 0.0)
-    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
-
-
 def lost_rank(structure: Signature, J: Array) -> str:
     """Name the equations and variables between which a singular system Jacobian has lost rank."""
     left, _, right = np.linalg.svd(equilibrated(np.nan_to_num(J)))
@@ -314,12 +274,7 @@ def is_regular(structure: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
     finite = (J for J in jacobian_at_probes(structure, p) if np.isfinite(J).all())
     parts = parts_of(structure.jacobian.sparsity())
-    return any(all(_has_full_rank(J[np.ix_(part.rows, part.columns)]) for part in parts) for J in finite)
-
-
-def _has_full_rank(matrix: Array) -> bool:
-    height, width = matrix.shape
-    return height == width and bool(np.linalg.matrix_rank(equilibrated(matrix)) == height)
+    return any(all(has_full_rank(J[np.ix_(part.rows, part.columns)]) for part in parts) for J in finite)
 
 
 def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:

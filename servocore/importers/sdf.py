@@ -1,0 +1,120 @@
+"""SDF: links and joints of a model of Gazebo or Drake. Meshes are not opened.
+
+Links without a joint to a parent are free, unless the model is static. A joint whose child already has a parent closes
+a loop: it becomes a constraint.
+"""
+
+from __future__ import annotations
+
+import math
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from servocore.importers.links import LinkReader
+from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Closure, Frame, Joint, Tree
+from servocore.importers.xml_files import XmlFile
+from servocore.numerics.compiled_calls import Array
+
+_AXES = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "ball": 0, "fixed": 0}
+_LOOPS = {"revolute": "hinge", "continuous": "hinge", "ball": "connect", "fixed": "weld"}
+_GRAVITY = (0.0, 0.0, -9.8)
+_WORLD = "world"
+
+
+def read_sdf(file: XmlFile) -> Tree:
+    """Return the tree of an SDF file.
+
+    Parameters
+    ----------
+    file : XmlFile
+        With the root ``sdf``, and one model in it.
+
+    Returns
+    -------
+    Tree
+        With loops as constraints.
+
+    Raises
+    ------
+    InvalidModel
+        If there is no model or more than one, poses are relative to other frames, or a joint cannot be represented.
+    """
+    return _Reader(file, "inertial/mass", math.inf).tree()
+
+
+class _Reader(LinkReader):
+    def tree(self) -> Tree:
+        file, models = self.file, [*self.file.root.iter("model")]
+        for element in file.root.iter():
+            if element.get("relative_to") or element.get("frame") or element.tag == "include":
+                raise file.fault(element, "refers to another frame or file, which is not supported")
+        if len(models) != 1:
+            raise file.fault(file.root, f"has {len(models)} models, one is read")
+        model = models[0]
+        links = {file.required(link, "name"): link for link in model.findall("link")}
+        self.poses = {_WORLD: (ZERO, IDENTITY)} | {name: self.pose(link, link) for name, link in links.items()}
+        self.static = file.value(model, "static", 0.0) != 0.0
+        self.frames, self.closures, hung = dict[str, Frame](), list[Closure](), dict[str, Element]()
+        for joint in model.findall("joint"):
+            child, parent = (self.end(joint, which, self.poses) for which in ("child", "parent"))
+            if child in hung:
+                self._close(joint, parent, child)
+            hung.setdefault(child, joint)
+        bodies = [self._body(name, link, hung.get(name)) for name, link in links.items()]
+        x, y, z = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
+        return Tree(
+            file.required(model, "name"), file.path.name, bodies, self.frames, closures=self.closures,
+            gravity=(x, y, z), left_out=tuple(self.left_out),
+        )  # fmt: skip
+
+    def _body(self, name: str, link: Element, joint: Element | None) -> Body:
+        parent = _WORLD if joint is None else self.end(joint, "parent", self.poses)
+        (position, rotation), (origin, axes) = self.poses[name], self.poses[parent]
+        joints: tuple[Joint, ...] = ()
+        if joint is not None:
+            joints = self._joints(joint, name)
+        elif not self.static:
+            slides = (Joint(f"{name}.{'xyz'[k]}", "slide", rotation[k], zero=float(position[k])) for k in range(3))
+            joints = (*slides, Joint(name, "ball"))
+        parent = parent if parent != _WORLD else GROUND
+        inertia = self.inertia(link, 1.0)  # mass and inertia of a link that states none
+        return Body(name, parent, axes.T @ (position - origin), axes.T @ rotation, *inertia, joints)
+
+    def _kind(self, joint: Element) -> str:
+        kind = self.file.required(joint, "type")
+        if kind not in _AXES:
+            raise self.file.fault(joint, f"has the type {kind}; {', '.join(_AXES)} are supported")
+        return kind
+
+    def _axis(self, joint: Element, axis: Element, child: str) -> Array:
+        """Return the axis of a joint in the axes of its child."""
+        of_model = self.file.value(axis, "use_parent_model_frame", 0.0) != 0.0
+        turned = self.poses[child][1].T if of_model else self.pose(joint, joint)[1]
+        return np.asarray(turned @ self.direction(joint, axis, (0.0, 0.0, 1.0)))
+
+    def _joints(self, joint: Element, child: str) -> tuple[Joint, ...]:
+        """Return the elementary joints of a joint."""
+        name, kind, anchor = self.file.required(joint, "name"), self._kind(joint), self.pose(joint, joint)[0]
+        if kind == "ball":
+            return (Joint(name, "ball", anchor=anchor),)
+        axes = [self.file.child(joint, tag) for tag in ("axis", "axis2")[: _AXES[kind]]]
+        names = (name, f"{name}.2")
+        found = zip(axes, names, strict=False)
+        return tuple(
+            self.single(joint, axis, each, kind, self._axis(joint, axis, child), anchor) for axis, each in found
+        )
+
+    def _close(self, joint: Element, parent: str, child: str) -> None:
+        """Add the constraint of a joint whose child already has a parent."""
+        name, kind, (anchor, rotation) = self.file.required(joint, "name"), self._kind(joint), self.pose(joint, joint)
+        if kind not in _LOOPS:
+            raise self.file.fault(joint, f"closes a loop by the type {kind}; {', '.join(_LOOPS)} are supported")
+        if _AXES[kind]:
+            axis = self._axis(joint, self.file.child(joint, "axis"), child)
+            rotation = np.linalg.svd(axis[:, None])[0][:, [1, 2, 0]]  # its last column is along the axis
+        (position, axes), (origin, other) = self.poses[child], self.poses[parent]
+        at = other.T @ (position + axes @ anchor - origin)
+        self.frames[f"{name}.1"] = Frame(child, anchor, rotation)
+        self.frames[f"{name}.2"] = Frame(parent if parent != _WORLD else GROUND, at, other.T @ axes @ rotation)
+        self.closures.append(Closure(name, _LOOPS[kind], f"{name}.1", f"{name}.2"))

@@ -1,0 +1,229 @@
+"""Robot files: dynamics, elastic joints, flatness, library scenes as files, changed and broken files, the command."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from command_lines import CommandLine
+from outside.test_random_mechanisms import DIFFERENCE
+from robots import OWN, apart, apart_from_mujoco, apart_from_pinocchio, peer, simulated_stray, terms
+
+import servocore as sc
+from servocore.cli.commands import app as servocore_commands
+from servocore.importers.from_file import read_tree
+from servocore.importers.mjcf import read_mjcf
+from servocore.importers.xml_files import XmlFile
+
+ARM = OWN / "arm.urdf"
+TURNS = {"turn": 0.3, "elbow": 0.4, "extend": 0.1}
+WRENCH = [f"drone.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
+ALOFT: dict[str, Any] = {"outputs": ["load", "drone.rz"], "taut": ["rope"]}
+
+
+def inputs_of(scene: sc.Scene) -> dict[str, np.ndarray]:
+    solution = sc.solve(scene, step=0.05)
+    return {each.name: solution[each.name] for each in scene.model().inputs}
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "gantry.xml", "drone.xml", "fourbar.xml"])
+def test_dynamics_are_those_of_pinocchio_or_mujoco(name: str) -> None:
+    compared = apart_from_pinocchio if name.endswith("urdf") else apart_from_mujoco
+    assert compared(OWN / name) < 1e-12
+
+
+def test_both_readers_agree_on_a_urdf(tmp_path: Path) -> None:
+    peer("mujoco")
+    path = tmp_path / "arm.urdf"  # a mimic is a soft constraint for MuJoCo, which also drops massless links
+    path.write_text(re.sub(r"<mimic[^>]*>", "", ARM.read_text()))
+    one, other = (terms(tree) for tree in (read_tree(path), read_mjcf(XmlFile.read(path))))
+    x, v = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 5))
+    assert one[0].coordinates.names == other[0].coordinates.names
+    pairs = zip(*(map(np.asarray, each[1](x, v)) for each in (one, other)), strict=True)
+    assert apart(list(pairs)) < 1e-12
+
+
+def test_elastic_inputs_are_the_closed_form_and_tend_to_the_rigid_ones() -> None:
+    # u = tau + B (q'' + tau''/K), with tau, which is D q' too, of the rigid arm.
+    scenes = {K: sc.scenes.from_file(ARM, posture=TURNS, elastic=dict.fromkeys(TURNS, sc.Elastic(K, 0.2)) if K else {})
+              for K in (0.0, 1e3, 1e5)}  # fmt: skip
+    times, step = np.array([0.4, 0.9, 1.5]), 5e-3
+    rigid, jets = sc.ExactInversion(scenes[0.0]), scenes[0.0].reference.jet(times, 2)
+    around = np.array([rigid(times + k * step) for k in range(-8, 9)])
+    rates = np.array([np.tensordot(DIFFERENCE, around[k : k + 9], 1) for k in range(9)]) / step
+    second, motors = np.tensordot(DIFFERENCE, rates, 1) / step, np.array([0.2, 0.2, 0.2, 0.0])
+    for K in (1e3, 1e5):
+        exact = around[8] + motors * (jets[:, 2] + second / K)
+        assert np.abs(sc.ExactInversion(scenes[K])(times) - exact).max() < 1e-9 * np.abs(exact).max()
+    report = sc.analyse(scenes[1e3])
+    assert (report.classification, report.index) == ("flat", 5)
+
+
+@pytest.mark.parametrize(("name", "options"), [
+    ("arm.urdf", {"locked": ["left"]}),
+    ("gantry.xml", {"outputs": ["load"], "ropes": ["load"], "posture": {"hoist": 4.0}}),
+])  # fmt: skip
+def test_mujoco_follows_the_path_under_the_inputs(name: str, options: Any, tmp_path: Path) -> None:
+    if name == "arm.urdf":
+        text = re.sub(r'(<joint name="(left|right)" type=)"\w+"', r'\1"fixed"', ARM.read_text())
+        (tmp_path / name).write_text(text)
+    scene = sc.scenes.from_file(OWN / name, **options)
+    assert simulated_stray(tmp_path / name if name == "arm.urdf" else OWN / name, scene) < 1e-3
+
+
+OVERHEAD = [
+    (r'(?s)<body name="bridge">.*?(?=<body name="trolley">)', ""),
+    ('name="s_y" type="slide" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"'),
+    (r'<joint name="swing_y".*?/>', ""),
+    (r"</body>\s*</worldbody>", "</worldbody>"),
+    (r'<motor name="bridge.*?/>', ""),
+    ('joint="s_y"', 'joint="s"'),
+]  # fmt: skip
+SLEWING = [
+    ('name="s_x" type="slide" axis="1 0 0"', 'name="phi" axis="0 0 1"'),
+    ('mass="40" diaginertia="1 1 1"', 'mass="1" diaginertia="480 480 480"'),
+    ('type="slide" axis="0 1 0"', 'type="slide" axis="1 0 0"'),
+    ('mass="10" diaginertia="1 1 1"', 'mass="10" diaginertia="1e-9 1e-9 1e-9"'),
+    ('joint="s_x"', 'joint="phi"'),
+]  # fmt: skip
+CRANES: dict[str, tuple[Callable[[], sc.Scene], list[tuple[str, str]], dict[str, float], list[str]]] = {
+    "gantry": (sc.scenes.gantry_crane, [], {"hoist": 5.0}, ["load"]),
+    "overhead": (sc.scenes.overhead_crane, OVERHEAD, {"hoist": 4.0}, ["load.x", "load.z"]),
+    "rotary": (sc.scenes.rotary_crane, SLEWING, {"hoist": 5.0, "s_y": 4.0}, ["load"]),
+}
+
+
+@pytest.mark.parametrize("form", ["ropes", "points"])
+@pytest.mark.parametrize("name", CRANES)
+def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str, form: str, tmp_path: Path) -> None:
+    peer("mujoco")
+    factory, changes, posture, outputs = CRANES[name]
+    text = (OWN / "gantry.xml").read_text()
+    for pattern, replacement in changes:
+        text = re.sub(pattern, replacement, text)
+    (tmp_path / "crane.xml").write_text(text)
+    crane = factory()
+    options: dict[str, Any] = {"posture": posture, form: ["load"]}
+    scene = sc.scenes.from_file(tmp_path / "crane.xml", outputs, crane.reference, **options)
+    times = np.linspace(crane.reference.start_time, crane.reference.end_time, 41)
+    ours, exact = sc.ExactInversion(scene)(times), crane.exact(times)
+    for column, each in zip(ours.T, crane.model().inputs, strict=True):
+        size = 0.1 if each.name == "M_w" else 1.0  # N m of the winch for a newton in the rope
+        assert apart([(size * column, exact[each.name])]) < 1e-9
+
+
+def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:
+    half = "<inertial><origin xyz='{}'/><mass value='1'/><inertia ixx='0.002'/></inertial>"
+    whole = r'<inertial><origin xyz="0.2 0 0"/>.*?</inertial>'
+    text = re.sub(whole, half.format("0.1 0 0"), ARM.read_text(), flags=re.DOTALL)
+    text = text.replace(
+        "</robot>",
+        f"<link name='end'>{half.format('0 0 0')}</link><joint name='seam' type='fixed'>"
+        "<parent link='fore'/><child link='end'/><origin xyz='0.3 0 0' rpy='1 0 0'/></joint></robot>",
+    )
+    other = ElementTree.fromstring(re.sub(r"""(?<=["'])(?=(turn|elbow|upper|fore|wrist)["'])""", "a ", text))
+    other[:] = reversed(other)
+    ElementTree.ElementTree(other).write(tmp_path / "other.urdf")
+    scenes = [sc.scenes.from_file(path) for path in (ARM, tmp_path / "other.urdf")]
+    inputs = [{name.removeprefix("a "): each for name, each in inputs_of(scene).items()} for scene in scenes]
+    assert apart([(inputs[0][name], inputs[1][name]) for name in inputs[0]]) < 1e-12
+
+
+@pytest.mark.parametrize(("name", "options", "hint"), [
+    ("gantry.xml", {"outputs": ["load"], "posture": {"hoist": 4.0}}, "ropes=['load'] replaces swing_y, swing_x by its"),
+    ("drone.xml", ALOFT | {"inputs": ["front", "left", "rear", "right"]}, ""),
+    ("drone.xml", {"outputs": ["drone.x", "drone.y", "drone.z", "drone.rz"]}, f"inputs={WRENCH} takes the wrench"),
+])  # fmt: skip
+def test_analyse_names_options_that_show_flatness(name: str, options: Any, hint: str) -> None:
+    peer("mujoco")
+    report = sc.analyse(sc.scenes.from_file(OWN / name, **options))
+    assert hint in report.advice
+    assert (report.classification == "flat") == (not hint)
+
+
+def test_rotors_share_the_wrench_on_a_drone_with_a_load() -> None:
+    peer("mujoco")
+    scene = sc.scenes.from_file(OWN / "drone.xml", **ALOFT, inputs=WRENCH)
+    report, solution = sc.analyse(scene), sc.solve(scene)
+    assert (report.classification, report.index) == ("flat", 7)
+    thrust = np.sum([solution[f"{name}.drive"] for name in ("front", "left", "rear", "right")], axis=0)
+    assert apart([(thrust, solution["drone.force_z"])]) < 1e-13
+    assert solution["rope.tension"].min() > 0.0
+
+
+BROKEN = {
+    "truncated": (r"(?s)</joint>.*", "", "is no well-formed XML: line 23, column 102: no element found"),
+    "cycle": ('<parent link="base"/>', '<parent link="tool"/>', "form a cycle"),
+    "two roots": (r'<joint name="mount" .*?</joint>', "", "2 root links, base, tool"),
+    "missing link": ('<child link="fore"/>', '<child link="four"/>', "joint name='elbow'> joins the link four"),
+    "second parent": ('<child link="tool"/>', '<child link="fore"/>', "gives fore a second parent, beside joint elbow"),
+    "negative mass": ('value="2.0"', 'value="-2.0"', "body fore has the negative mass -2 kg"),
+    "inertia": ('iyy="0.02"', 'iyy="0.2"', "body fore, .* no distribution of mass"),
+    "millimetres": (r'xyz="0.05 0 0.3"', 'xyz="50 0 301"', "body fore is 305.* m from its parent: .* millimetres"),
+    "kg mm2": ('ixx="0.004"(.*)iyy="0.02"(.*)izz="0.02"', r'ixx="4e3"\1iyy="2e4"\2izz="2e4"', "fore has a radius of"),
+    "no number": ('value="3.0"', 'value="3,0"', "link name='upper'> holds '3,0' where 1 finite number"),
+    "bomb": ("<robot", '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot', "<!DOCTYPE r> declares"),
+    "external entity": ("<robot", '<!DOCTYPE r SYSTEM "file:///etc/passwd"><robot', "<!DOCTYPE r> declares"),
+    "mimic": ('joint="left"', 'joint="right"', "joint right mimics right, which is itself"),
+    "axis": ('xyz="0 2 0"', 'xyz="0 0 0"', "joint name='elbow'> has an axis of length zero"),
+    "xacro": ("<link", '<xacro:link xmlns:xacro="x" name="a"/><link', "xacro: run xacro"),
+    "other root": ("robot", "model", "is no robot file"),
+    "mesh": (".*", "<mujoco><asset><mesh name='m' file='../m'/></asset></mujoco>", "names ../m, which is outside"),
+    "include": (".*", "<mujoco><include file='/etc/passwd'/></mujoco>", "names /etc/passwd, which is outside"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_refused_in_one_sentence_with_file_and_element(name: str, tmp_path: Path) -> None:
+    pattern, replacement, sentence = BROKEN[name]
+    times = 0 if name == "other root" else 1
+    text, count = re.subn(pattern, replacement, ARM.read_text(), count=times, flags=re.DOTALL)
+    assert count
+    (tmp_path / "arm.urdf").write_text(text)
+    with pytest.raises(sc.InvalidModel, match=f"^arm.urdf.*{sentence}") as refusal:
+        sc.scenes.from_file(tmp_path / "arm.urdf")
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("options", "sentence"), [
+    ({"outputs": ["tools"]}, "there is no frame tools; there are base, upper"),
+    ({"outputs": "tool"}, "outputs must be a list of names, not 'tool'"),
+    ({"outputs": ["tool"]}, r"3 outputs \(tool.x, tool.y, tool.z\) need as many inputs, not 4 \(turn.torque"),
+    ({"outputs": ["turn", "tool.x", "tool.y", "left"]}, "turn, tool.x, tool.y, left are dependent at the posture"),
+    ({"passive": ["shoulder"]}, "passive: arm.urdf has no joint shoulder"),
+    ({"elastic": {"turn": sc.Elastic(1e3)}}, "turn needs a motor inertia, for arm.urdf states no armature"),
+    ({"elastic": {"right": sc.Elastic(1e3, 0.1)}}, "right is a mimic"),
+    ({"inputs": ["turn", "turn"]}, "turn.torque stands twice"),
+    ({"ropes": ["wrist"]}, "wrist cannot hang on a rope: no hinge without a drive"),
+    ({"gravity": [0, 9.81]}, "gravity must be three numbers"),
+    ({"payload": {"tool": -1.0}}, "tool.payload = -1 kg is outside its range"),
+])  # fmt: skip
+def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: str) -> None:
+    with pytest.raises(sc.ServocoreError, match=sentence):
+        sc.scenes.from_file(ARM, **options)
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_commands_take_files_and_settings() -> None:
+    servocore = CommandLine(servocore_commands, "servocore")
+    Path("arm.toml").write_text(
+        'locked = ["left"]\n[payload]\ntool = 2.0\n[elastic]\nturn = 1e3\nelbow = { stiffness = 2e3 }\n'
+    )
+    words = [str(ARM), "--import", "arm.toml", "--motor-inertia", "0.3"]
+    shown = servocore("import", *words)
+    assert all(
+        each in shown.stdout
+        for each in ("elastic hinge", "locked slide", "mimics left", "turn.torque (N.m)", "0 is taken for none")
+    )
+    assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
+    assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
+    for wrong, sentence in (
+        (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
+        ([str(ARM), "--elastic", "0"], "is no stiffness"),
+    ):
+        servocore.assert_refused(servocore("analyse", *wrong), sentence)
