@@ -4,25 +4,29 @@
    products of coefficients come as a table; pairs with a coefficient that is zero in all lanes, as of what does not
    depend on a parameter, are left out. The bounds are those of programs.py. */
 
+#include <stddef.h>
+
 #define LANES 16
-#define EACH for (long l = 0; l < LANES; ++l)
+#define EACH for (whole l = 0; l < LANES; ++l)
+
+typedef ptrdiff_t whole; /* as NumPy's intp */
 
 static const double UNIT = 2.3e-16, UP = 1.0 + 1e-14, TINY = 1e-290;
 
 static double magnitude(double x) { return x < 0.0 ? -x : x; }
 
-static void norm(long terms, const double *restrict a, double *restrict sum)
+static void norm(whole terms, const double *restrict a, double *restrict sum)
 {
     EACH sum[l] = 0.0;
-    for (long k = 0; k < terms; ++k)
+    for (whole k = 0; k < terms; ++k)
         EACH sum[l] += magnitude(a[k * LANES + l]);
 }
 
-static void add(long terms, double sign, const double *a, const double *b, double *restrict to)
+static void add(whole terms, double sign, const double *a, const double *b, double *restrict to)
 {
     double size[LANES];
     const double *r = a + terms * LANES, *s = b + terms * LANES;
-    for (long k = 0; k < terms * LANES; ++k) to[k] = a[k] + sign * b[k];
+    for (whole k = 0; k < terms * LANES; ++k) to[k] = a[k] + sign * b[k];
     norm(terms, to, size);
     EACH to[terms * LANES + l] = (r[l] + s[l] + UNIT * size[l]) * UP;
 }
@@ -34,29 +38,29 @@ static int used(const double *row)
     return any;
 }
 
-static void multiply(long terms, long targets, long full, const long *table, const long *kept, double rounding,
+static void multiply(whole terms, whole targets, whole full, const whole *table, const whole *kept, double rounding,
                      const double *a, const double *b, double *restrict results, double *restrict to)
 {
     double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES];
     const double *r = a + terms * LANES, *s = b + terms * LANES;
     double share = 1.0 / targets;
-    for (long k = 0; k < full * LANES; ++k) results[k] = 0.0;
-    for (long i = 0; i < terms; ++i) {
+    for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
+    for (whole i = 0; i < terms; ++i) {
         if (!used(a + i * LANES)) continue;
         EACH x[l] = share * a[i * LANES + l];
-        for (long j = 0; j < terms; ++j) {
+        for (whole j = 0; j < terms; ++j) {
             const double *right = b + j * LANES;
-            const long *place = table + (i * terms + j) * targets;
+            const whole *place = table + (i * terms + j) * targets;
             if (targets > 2 && !used(right)) continue;
             EACH z[l] = x[l] * right[l];
-            for (long k = 0; k < targets; ++k) {
+            for (whole k = 0; k < targets; ++k) {
                 double *at = results + place[k] * LANES;
                 EACH at[l] += z[l];
             }
         }
     }
     EACH beyond[l] = 0.0;
-    for (long k = 0; k < full; ++k) {
+    for (whole k = 0; k < full; ++k) {
         const double *from = results + k * LANES;
         if (kept[k] < 0)
             EACH beyond[l] += magnitude(from[l]);
@@ -74,33 +78,34 @@ static void multiply(long terms, long targets, long full, const long *table, con
 
 /* Steps have an operation, the slot of the result and those of the arguments. Inputs are read from places among the
    models, an array (rows, places, boxes), to slots, and outputs are written back. */
-void sc_programs(long terms, long targets, long full, const long *table, const long *kept, long count, long reads,
-                 long writes, const long *steps, const long *read, const long *inputs, const long *written,
-                 const long *outputs, long places, long boxes, double *models, double *scratch, double rounding)
+void sc_programs(whole terms, whole targets, whole full, const whole *table, const whole *kept, whole count,
+                 whole reads, whole writes, const whole *steps, const whole *read, const whole *inputs,
+                 const whole *written, const whole *outputs, whole places, whole boxes, double *models,
+                 double *scratch, double rounding)
 {
-    long rows = terms + 1, size = rows * LANES;
+    whole rows = terms + 1, size = rows * LANES;
     double *results = scratch, *slots = scratch + full * LANES;
-    for (long first = 0; first < boxes; first += LANES) {
-        long lanes = boxes - first < LANES ? boxes - first : LANES;
-        for (long n = 0; n < reads; ++n)
-            for (long k = 0; k < rows; ++k) {
+    for (whole first = 0; first < boxes; first += LANES) {
+        whole lanes = boxes - first < LANES ? boxes - first : LANES;
+        for (whole n = 0; n < reads; ++n)
+            for (whole k = 0; k < rows; ++k) {
                 const double *from = models + (k * places + inputs[n]) * boxes + first;
                 double *to = slots + read[n] * size + k * LANES;
                 EACH to[l] = l < lanes ? from[l] : 0.0;
             }
-        for (long n = 0; n < count; ++n) {
-            const long *step = steps + 4 * n;
+        for (whole n = 0; n < count; ++n) {
+            const whole *step = steps + 4 * n;
             double *to = slots + step[1] * size, *a = slots + step[2] * size, *b = slots + step[3] * size;
             if (step[0] < 2)
                 add(terms, step[0] ? -1.0 : 1.0, a, b, to);
             else
                 multiply(terms, targets, full, table, kept, rounding, a, b, results, to);
         }
-        for (long n = 0; n < writes; ++n)
-            for (long k = 0; k < rows; ++k) {
+        for (whole n = 0; n < writes; ++n)
+            for (whole k = 0; k < rows; ++k) {
                 const double *from = slots + written[n] * size + k * LANES;
                 double *to = models + (k * places + outputs[n]) * boxes + first;
-                for (long l = 0; l < lanes; ++l) to[l] = from[l];
+                for (whole l = 0; l < lanes; ++l) to[l] = from[l];
             }
     }
 }

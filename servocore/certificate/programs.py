@@ -223,7 +223,7 @@ def machine_code() -> JustInTime[_Run]:
 
     def load(library: Path) -> _Run:
         run = ctypes.CDLL(str(library)).sc_programs
-        some, many = ctypes.c_long, ctypes.c_void_p
+        some, many = ctypes.c_ssize_t, ctypes.c_void_p
         run.restype, run.argtypes = None, [
             some, some, some, many, many, some, some, some, many, many, many, many, many, some, some, many, many,
             ctypes.c_double,
