@@ -39,9 +39,6 @@ LOOSE_TOLERANCE = 0.01
 _MOST_HALVINGS = 3
 _SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
 _FLOOR = 1e-11  # of the peak: round-off of the better values
-_COARSER = 8  # times the step, of the run that decides whether a closer check is worth its cost
-_SAFE = 0.02  # of the peak: by how much an input may be off, judged by two steps, without a closer look
-_COARSE_ENOUGH = 0.3  # of the peak: by how much it may change with the step
 _SMOOTH = 0.02  # of the range: of third differences, those of a wave at 20 instants a period
 _COMPARED = 40, 400  # instants at which a run with internal dynamics is compared, at first and where it is doubtful
 
@@ -174,31 +171,12 @@ def _thinned(solution: Solution, count: int) -> Solution:
     return replace(solution, t=solution.t[kept], values=solution.values[kept])
 
 
-def changes_with_the_step(
-    problem: Problem, formulation: Formulation, method: Method, run: Run, solution: Solution
-) -> bool:
-    """Whether a run at a much larger step says that inputs may be far from right.
+def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:
+    """Whether a stable result of collocation on a form of index one is smooth from instant to instant, and so right.
 
-    Collocation on a form of index one needs no such run where its stable result is smooth from instant to instant.
+    Third differences of all values are small.
     """
-    index, t, inputs = problem.dae(formulation).index, solution.t, slice(len(problem.system.inputs))
-    orders, steps = method.orders(index), len(t) - 1
-    order = orders.forces
-    if index <= 1 and isinstance(method, RadauIIA) and order > 1 and _is_smooth(solution.values):
-        return False
-    if steps < _COARSER**2 or order < 1 or (index > 1 and not orders.damped):
-        return True
-    try:
-        coarse = run(problem, t[: steps // _COARSER * _COARSER + 1 : _COARSER]).values[:, inputs]
-    except ServocoreError:
-        return True
-    change = np.abs(coarse - solution.values[::_COARSER, inputs][: len(coarse)]).max(axis=0)
-    allowed = min(_COARSE_ENOUGH, _SAFE * (_COARSER**order - 1))
-    return not bool((change <= allowed * np.abs(solution.values[:, inputs]).max(axis=0)).all())
-
-
-def _is_smooth(values: Array) -> bool:
-    """Whether the third differences of all values are small."""
-    if len(values) < _COMPARED[0]:
+    index, values = problem.dae(formulation).index, solution.values
+    if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < _COMPARED[0]:
         return False
     return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= _SMOOTH * np.ptp(values, axis=0)).all())

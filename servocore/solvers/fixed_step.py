@@ -13,9 +13,9 @@ import numpy as np
 
 from servocore.checks.better_solutions import (
     BetterSolver,
-    changes_with_the_step,
     compared_closely,
     compared_with,
+    is_smooth,
     stated_branch,
 )
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
@@ -92,7 +92,7 @@ class Stepped(JudgedRoute):
 
     def is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow."""
-        return changes_with_the_step(problem, self.formulation, self.method, self.run, solution)
+        return not is_smooth(problem, self.formulation, self.method, solution)
 
 
 class FixedStep(Stepped):
