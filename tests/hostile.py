@@ -306,7 +306,8 @@ class Machine:
         for values in (None, *self.fmu.good[:2]):
             if values is not None:
                 assert len({each.set_reals(self.fmu.inputs, values) for each in (live.instance, fresh)}) == 1
-            status, expected = (each.step(time, 0.1) for each in (live.instance, fresh))
+            # a warning is issued once per instance, which may have got it before a state was restored
+            status, expected = (max(each.step(time, 0.1), WARNING) for each in (live.instance, fresh))
             assert status == expected
             time += 0.1 if status <= WARNING else 0.0
             assert live.instance.everything() == fresh.everything()
