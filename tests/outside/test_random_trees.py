@@ -1,10 +1,11 @@
-"""Whatever tree comes by chance: its inputs are right by MuJoCo's inverse dynamics, or refused with a true reason.
+"""Whatever tree comes by chance: its inputs are right by MuJoCo's inverse dynamics, warned of, or truly refused.
 
 `make nightly` takes five hundred.
 """
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -68,12 +69,15 @@ def error_of(solution: sc.Solution, path: Path) -> float:
     return worst / size
 
 
-def solved(scene: sc.Scene, kind: str, step: float) -> sc.Solution:
+def solved(scene: sc.Scene, kind: str, step: float) -> tuple[sc.Solution, bool]:
+    """Return the solution, and whether a warning tells that it is off."""
     how = (sc.Reduced(), sc.RadauIIA(3)) if kind == NON_MINIMUM_PHASE else ()
-    return sc.solve(scene, *how, step=step)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        solution = sc.solve(scene, *how, step=step)
+    return solution, any("is off by" in str(each.message) for each in told)
 
 
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("batch", range(0, COUNT, BATCH))
 def test_a_random_tree_is_right_or_refused(batch: int, tmp_path: Path) -> None:
     peer("mujoco")
@@ -84,7 +88,7 @@ def test_a_random_tree_is_right_or_refused(batch: int, tmp_path: Path) -> None:
         scene = sc.scenes.from_file(path, outputs, inputs=driven)
         kind = sc.analyse(scene).classification
         try:
-            solution = solved(scene, kind, STEP)
+            solution, warned = solved(scene, kind, STEP)
         except (sc.InvalidModel, sc.IntegrationFailed):
             # With the driven joints as outputs the system Jacobian is positive definite: nothing can be singular.
             true = kind != FLAT and outputs != driven
@@ -93,6 +97,6 @@ def test_a_random_tree_is_right_or_refused(batch: int, tmp_path: Path) -> None:
                 raise
             continue
         error = error_of(solution, path)
-        # Internal dynamics that are driven far away take smaller steps, with which the error vanishes.
-        assert error < RIGHT or error_of(solved(scene, kind, STEP / 4), path) < error / 8, f"tree {seed}"
+        if not (warned or error < RIGHT):  # internal dynamics that are driven far away take smaller steps
+            assert error_of(solved(scene, kind, STEP / 4)[0], path) < error / 8, f"tree {seed}"
     assert refused <= BATCH // 2
