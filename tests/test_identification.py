@@ -213,6 +213,6 @@ def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(m
     prediction = Prediction(problem.resolved, (), (0, 1))
     found_ = information(prediction, path.jet(np.arange(0, 20, 0.1), 4), 0.1, problem.p, problem.p[:2], np.ones(2))
     assert (np.linalg.eigvalsh(found_) > 0.0).all()
-    for given, criterion, words in ((None, "D", "needs limits"), ({"F": 9.0}, "E", "'A' or 'D'")):
+    for given, duration, words in ((None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")):
         with pytest.raises(sc.errors.InvalidSetting, match=words):
-            sc.excitation(crane, NAMES, given, criterion=criterion)
+            sc.excitation(crane, NAMES, given, duration=duration)

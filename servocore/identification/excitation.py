@@ -77,7 +77,6 @@ def excitation(
     *,
     duration: float = 20.0,
     effects: Sequence[str] = (),
-    criterion: str = "D",
     noise: float = 0.01,
     believed: Mapping[str, float] | float = UNCERTAINTY,
     seed: int = 0,
@@ -85,7 +84,7 @@ def excitation(
     """Return a path from rest to rest within limits whose log shows parameters best, and a report.
 
     A sum of harmonics about the home of the scene, improved by random search ((1+1) evolution with Rechenberg's rule of
-    success) for the determinant (D) or the trace (A) of the predicted covariance.
+    success) for the determinant of the predicted covariance (D-optimal).
 
     Parameters
     ----------
@@ -99,8 +98,6 @@ def excitation(
         In s.
     effects : sequence of str
         Effects that the model has beside those of the scene.
-    criterion : str
-        ``"D"`` or ``"A"``.
     noise : float
         Standard deviation of the measured inputs every 5 ms, relative to that of the inputs along the scene's own path.
     believed : mapping of str to float, or float
@@ -131,14 +128,12 @@ def excitation(
             raise InvalidSetting(
                 f"the {what} of an excitation is {value:g}: it must be positive, a duration 8 s or more"
             )
-    if criterion not in ("A", "D"):
-        raise InvalidSetting(f"the criterion of an excitation is 'A' or 'D', not {criterion!r}")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
     if not problem.motion_limits:
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
-    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), criterion, noise)
+    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), noise)
     best, trials = search.improved(np.random.default_rng(seed))
     path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
@@ -163,8 +158,6 @@ class _Search:
         Windowed, at the waypoints.
     spreads, noise : ndarray
         Relative uncertainties of the parameters, and noise of the inputs at the instants of the search.
-    criterion : str
-        See `excitation`.
     """
 
     problem: Problem
@@ -173,12 +166,9 @@ class _Search:
     harmonics: Array
     spreads: Array
     noise: Array
-    criterion: str
 
     @classmethod
-    def of(
-        cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, criterion: str, noise: float
-    ) -> _Search:
+    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, noise: float) -> _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
         columns = tuple(problem.system.parameters.names.index(name) for name in names)
@@ -194,7 +184,7 @@ class _Search:
         size = prediction.values(jets, problem.p).std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
         per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
-        return cls(problem, prediction, basis, harmonics, spreads, per_instant, criterion)
+        return cls(problem, prediction, basis, harmonics, spreads, per_instant)
 
     def path(self, x: Array) -> PiecewisePolynomial:
         """Return the path of amplitudes (2 harmonics, outputs)."""
@@ -217,11 +207,7 @@ class _Search:
     def score(self, x: Array) -> float:
         """Return how good amplitudes are, the more the better; minus infinity where the model has no solution."""
         total = self._information(self.path(x))
-        if not np.isfinite(total).all():
-            return -np.inf
-        if self.criterion == "D":
-            return float(np.linalg.slogdet(total)[1])
-        return -float(np.log(np.trace(np.linalg.inv(total))))
+        return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf
 
     def excess(self, x: Array) -> float:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""

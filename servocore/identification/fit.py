@@ -10,7 +10,7 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +27,13 @@ DELAY = 0.005
 _STEPS, _ROUNDS = 25, 3
 _HUBER = 3.0  # standard deviations from which on a residual counts less
 _CREEP = 4.0  # times the usual slope of an input by velocities: in creep dry friction is not known well enough
-_BESIDE = 4  # blocks
+_BESIDE = 7  # blocks
 _LEFT, _BLURRED = 0.03, 0.3  # weights of inputs and positions there
 _COUNTED = 0.1  # weight from which on a value counts in full
 _LAGS = 30  # blocks: residuals that stay for less raise standard errors
 _SETTLED, _ROUGHLY = 0.02, 2.0  # standard errors
 _GAINED = 1e-5
+_NEAR = 0.3  # standard errors: a last step that is longer leaves doubts
 _FARTHEST = 0.5  # change of a parameter in one step, by its believed value
 _LOOSE = 0.1, 0.01  # of the standard deviation of an input, of a position: the noise at the start
 _RIDGE = 1e-13
@@ -82,7 +83,6 @@ class Fit:
     spread: Array
     stretches: tuple[Blocks, ...]
     splines: tuple[PathSpline, ...]
-    lower: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def inputs(self) -> int:
@@ -198,12 +198,15 @@ class Fit:
         found = []
         for log in range(self.logs):
             own = [k for k, data in enumerate(self.stretches) if data.log == log]
+            counted = [used(self.stretches[k], raw[k][0]) for k in own]
+            channels = range(self.inputs + len(self.prediction.measured))
             scales = np.array(
-                [
-                    _scale([raw[k][1][used(self.stretches[k], raw[k][0])[:, c], c] for k in own])
-                    for c in range(raw[0][0].shape[1])
-                ]
+                [_scale([raw[k][1][each[:, c], c] for k, each in zip(own, counted, strict=True)]) for c in channels]
             )
+            # The path takes degrees of freedom from the residuals: s^2 = RSS / (N - unknowns).
+            rows = sum(int(each.sum()) for each in counted)
+            unknowns = sum(self.splines[k].count * self.splines[k].components for k in own)
+            scales *= np.sqrt(rows / max(rows - unknowns, rows / 10))
             scales[self.inputs :] = np.maximum(scales[self.inputs :], 1.0)
             for k in own:
                 far = np.abs(raw[k][1]) / scales
@@ -299,19 +302,21 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
             scales = np.maximum(1.0, share * data.values.std(axis=0) / np.median(data.noise, axis=0))
             loose.append(Weights(scales, factors))
         for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
-            state, _, taken = _descent(stage, state, loose, _ROUGHLY)
+            state, taken = _descent(stage, state, loose, _ROUGHLY)
             steps += taken
-        state, _, taken = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
+        state, taken = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
         steps += taken
     for _ in range(_ROUNDS):
         weights = problem.weights(state, False)
-        state, settled, taken = _descent(problem, state, weights, _SETTLED)
+        state, taken = _descent(problem, state, weights, _SETTLED)
         steps += taken
-    return Converged(state, weights, problem.step(state, weights, 0.0)[1], settled, steps)
+    change, information = problem.step(state, weights, 0.0)
+    sizes = np.sqrt(np.diag(np.linalg.inv(information)))
+    return Converged(state, weights, information, bool((np.abs(_all(change)) < _NEAR * sizes).all()), steps)
 
 
-def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> tuple[State, bool, int]:
-    """Return the state after Gauss-Newton steps under given weights, whether it has settled, and their number."""
+def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> tuple[State, int]:
+    """Return the state after Gauss-Newton steps under given weights, and their number."""
     damping, cost = 0.0, problem.cost(state, weights)
     for taken in range(1, _STEPS + 1):
         change, information = problem.step(state, weights, damping)
@@ -325,9 +330,9 @@ def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: floa
             gained, state, cost = cost - better, candidate, better
             damping = damping / 10 if share == full and damping > 1e-6 else 0.0 if share == full else damping
             if (small and share == 1.0) or gained < _GAINED * tolerance * cost:
-                return state, True, taken
+                return state, taken
         elif small or damping > 1e2:
-            return state, small, taken
+            return state, taken
         else:
             damping = max(10 * damping, 1e-5)
-    return state, False, _STEPS
+    return state, _STEPS

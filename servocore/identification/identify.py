@@ -26,7 +26,7 @@ UNCERTAINTY = 0.3
 _SPACINGS = (0.1, 0.05)  # s between knots: finer where positions show that the path bends faster
 _BENT = 1.3  # times the noise of a position
 _EXPLAINED = 0.3  # of the changes of an input: beyond, its unit or its clock is doubtful
-_UNITS, _LAG = 30.0, 0.05  # factor, and s
+_UNITS, _LAG, _ALIKE = 30.0, 0.05, 0.8  # factor, s, and correlation with the model that late
 _EVERY, _SMOOTH = 0.05, 6.0  # s between equilibria, and standard deviation of their low-pass in these
 
 
@@ -190,7 +190,8 @@ def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None
             a, b = (each - each.mean() for each in (measured, model[:, channel]))
             products = np.correlate(a, b, "full")
             lag = (int(products.argmax()) - len(b) + 1) * step
-            if abs(lag) > _LAG:
+            alike = float(products.max() / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+            if abs(lag) > _LAG and alike > _ALIKE:
                 raise InvalidReference(
                     f"{name}: {quantity.name} is {1e3 * lag:.0f} ms behind the positions: their clocks are not"
                     " synchronized"

@@ -55,7 +55,8 @@ def identified_page(found: Identified, note: str = "") -> str:
     ]
     t, residuals = found.residuals["time"], found.residuals
     for name, (persistence, correlation) in found.whiteness.items():
-        measured, model = found.measured_and_model(name)
+        measured = found.measured[name]
+        model = measured - residuals[name]
         delay, bias = (", ".join(f"{each:.3g}" for each in of[name]) for of in (found.delays, found.biases))
         parts += [
             f"<h3>{escape(name)}</h3>{_chart(t, (measured, model))}<p>Residuals: correlation at lag one"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.effects.position_loops import PositionLoops
 from servocore.errors import InvalidSetting, ServocoreWarning, require_kind
@@ -119,51 +120,36 @@ class Identified:
         return tuple(quantity.name for quantity in self.fit.prediction.resolved.system.inputs)
 
     @cached_property
+    def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
+        """Of each stretch: residuals, which of them count, and their weights."""
+        parts = []
+        for k, (data, weight) in enumerate(zip(self.fit.stretches, self.estimate.weights, strict=True)):
+            residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
+            parts.append((residual, used(data, weight.factors), weight.factors))
+        return parts
+
+    @cached_property
     def residuals(self) -> dict[str, Array]:
         """Measured less predicted channels by name, shape (blocks,), with ``time``; NaN where friction creeps."""
-        rows = []
-        for k, data in enumerate(self.fit.stretches):
-            residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
-            rows.append(
-                np.column_stack([data.t, np.where(used(data, self.estimate.weights[k].factors), residual, np.nan)])
-            )
-        names = ("time", *(quantity.name for quantity in self.fit.prediction.quantities))
-        return dict(zip(names, np.concatenate(rows).T, strict=True))
+        rows = [np.where(counted, residual, np.nan) for residual, counted, _ in self._parts]
+        return self._by_name(rows)
 
-    def measured_and_model(self, name: str) -> tuple[Array, Array]:
-        """Return an input as it was measured, and by the model with bias and delay, at the times of `residuals`.
+    @cached_property
+    def measured(self) -> dict[str, Array]:
+        """Averages of the measured channels over blocks by name, shape (blocks,), with ``time``."""
+        return self._by_name([data.values for data in self.fit.stretches])
 
-        Parameters
-        ----------
-        name : str
-            Of the input.
-
-        Returns
-        -------
-        tuple of ndarray, shape (blocks,)
-            Both.
-        """
-        channel = self._inputs.index(name)
-        pairs = [
-            (
-                data.values[:, channel],
-                self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))[0],
-            )
-            for k, data in enumerate(self.fit.stretches)
-        ]
-        measured = np.concatenate([values for values, _ in pairs])
-        return measured, measured - np.concatenate([residual[:, channel] for _, residual in pairs])
+    def _by_name(self, rows: list[Array]) -> dict[str, Array]:
+        columns: dict[str, Array] = {"time": np.concatenate([data.t for data in self.fit.stretches])}
+        names = (quantity.name for quantity in self.fit.prediction.quantities)
+        return columns | dict(zip(names, np.concatenate(rows).T, strict=True))
 
     @cached_property
     def whiteness(self) -> dict[str, tuple[float, float]]:
         """Of the residuals of each input: spectral density near zero by that of white noise, correlation at lag one."""
         found = {}
-        for channel, name in enumerate(self._inputs):
-            parts = []
-            for k, weight in enumerate(self.estimate.weights):
-                residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
-                counted = used(self.fit.stretches[k], weight.factors)[:, channel]
-                parts.append((residual * weight.factors)[counted, channel])
+        for k, name in enumerate(self._inputs):
+            parts = [(residual * factors)[counted[:, k], k] for residual, counted, factors in self._parts]
             total = sum(float(part @ part) for part in parts) or 1.0
             found[name] = persistence(parts), sum(float(part[1:] @ part[:-1]) for part in parts) / total
         return found
@@ -174,13 +160,7 @@ class Identified:
         fit, relative = self.fit, self.fit.spread / self.fit.scales
         sizes, directions = np.linalg.eigh(self._relative / np.outer(relative, relative))
         m = fit.inputs
-        noise = np.array(
-            [
-                float(np.median(data.noise[:, k])) * self.estimate.weights[0].scales[k]
-                for data in fit.stretches[:1]
-                for k in range(m)
-            ]
-        )
+        noise = np.median(fit.stretches[0].noise[:, :m], axis=0) * self.estimate.weights[0].scales[:m]
         path = fit.splines[0].jets(self.estimate.state.paths[0])[:, 0]
         sentences = []
         for size, direction in zip(sizes[::-1], directions.T[::-1], strict=True):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 
@@ -19,19 +17,6 @@ from servocore.stepping.forward_dynamics import forward_rate
 _CYCLE = 1e-3  # s: of the drives
 _FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
 _CHUNK = 500  # cycles in one call
-
-
-@dataclass(frozen=True)
-class _Sensors:
-    """Sensors and their faults, see `measured`."""
-
-    step: float
-    resolution: float
-    noise: float
-    bias: float
-    delay: float
-    outliers: float
-    missing: float
 
 
 def measured(
@@ -91,8 +76,8 @@ def measured(
     """
     require_scene(scene, "measured")
     require_scene(plant := plant or scene, "measured")
-    sensors = _Sensors(step, resolution, noise, bias, delay, outliers, missing)
-    for name, value in vars(sensors).items():
+    sensors = {"step": step, "resolution": resolution, "noise": noise, "bias": bias, "delay": delay}
+    for name, value in {**sensors, "outliers": outliers, "missing": missing}.items():
         require_real(value, f"the {name} of a synthetic log", "a number", InvalidSetting)
         if not 0.0 <= value < np.inf:
             raise InvalidSetting(f"the {name} of a synthetic log must be finite and not negative, not {value:g}")
@@ -111,16 +96,16 @@ def measured(
     for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
         columns[name] = _quantized(np.unwrap(y[at]) if name in wrapping else y[at], resolution)
     for name in names:
-        _spoil(columns[name], sensors, random)
+        _spoil(columns[name], outliers, missing, random)
     return columns
 
 
-def _spoil(column: Array, sensors: _Sensors, random: np.random.Generator) -> None:
+def _spoil(column: Array, outliers: float, missing: float, random: np.random.Generator) -> None:
     """Replace some values of a column by outliers, and others by NaN."""
-    wrong = random.random(len(column)) < sensors.outliers
+    wrong = random.random(len(column)) < outliers
     size = float(column.std()) or 1.0
     column[wrong] += size * random.choice([-1.0, 1.0], wrong.sum()) * random.uniform(0.5, 3.0, wrong.sum())
-    column[random.random(len(column)) < sensors.missing] = np.nan
+    column[random.random(len(column)) < missing] = np.nan
 
 
 def _quantized(y: Array, resolution: float) -> Array:
