@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 NEWTON_TOLERANCE = 1e-9
-"""Bound of the largest scaled Newton correction; the error is then its square, as convergence is quadratic."""
+"""Usual bound of the largest scaled Newton correction; the error is then its square, as convergence is quadratic."""
 
 QUICK_ITERATIONS = 12
 """Newton iterations after which residuals are compared with round-off, which takes twice as long."""
@@ -29,9 +29,9 @@ TICK = 1e-20
 _ROUND_OFF = 64 * np.finfo(np.float64).eps  # relative change of unknowns and givens that explains a residual
 
 
-def compile_newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
+def compile_newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX, tolerance: float) -> ca.Function:
     """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` the entries of p with errors."""
-    options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
+    options = {"abstol": 0.0, "abstolStep": tolerance, "error_on_fail": False, "common_options": {"cse": True}}
     problem = {"x": x, "p": p, "g": equations}
     jacobian = ca.Function(
         "sc_jacobian", [x, p], [ca.jacobian(equations, x), equations], ["x", "p"], ["J", "g"], {"cse": True}

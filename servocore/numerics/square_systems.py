@@ -57,6 +57,8 @@ class SquareSystem:
     rough : frozenset of str
         Names of unknowns whose guess is rough even where that of the others is exact: forces, taken from a system at
         rest.
+    tolerance : float
+        Bound of the largest scaled Newton correction.
     """
 
     unknowns: ca.SX
@@ -66,6 +68,7 @@ class SquareSystem:
     unknown_scale: ca.SX
     residual_scale: ca.SX
     rough: frozenset[str] = frozenset()
+    tolerance: float = NEWTON_TOLERANCE
 
     def __post_init__(self) -> None:
         for name in ("residual", "guess", "unknown_scale", "residual_scale"):
@@ -349,7 +352,9 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     x = ca.vertcat(scaled, clock)
     p = ca.vertcat(symbols, *[each[k] for each, k in ((scale_symbol, varying), (row_scale_symbol, rows_varying)) if k])
     given = ca.vertcat(values, *[each[k] for each, k in ((scale, varying), (row_scale, rows_varying)) if k])
-    root = compile_newton(x, p, ca.vertcat(equations, ca.exp(-clock / TICK)), symbols)(ca.vertcat(start, 0), given)
+    root = compile_newton(x, p, ca.vertcat(equations, ca.exp(-clock / TICK)), symbols, block.tolerance)(
+        ca.vertcat(start, 0), given
+    )
     ticks = root[size] / TICK
     known.iterations.append(ticks)
     # A count at the limit is a failure: NaN instead of the last iterate.

@@ -38,6 +38,7 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
+from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
 from servocore.solvers.fixed_step import FixedStep
@@ -49,6 +50,7 @@ from servocore.stepping.step_functions import compile_bare_step
 
 _FEWEST, _GROWTH, _MOST = 4, 1.15, 2000  # elements that are tried
 _DIVERGED = 100.0  # times the least error, with several times as many elements: round-off grows
+_LOOSE = 3e-3  # of the root of a tolerance, for corrections of Newton's method
 _MOST_LOOPS = 32  # functions of whole runs that are kept
 _TRUTH = Reduced(), RadauIIA(5)
 
@@ -133,7 +135,7 @@ def prepare(
     exact = solve(scene, *_TRUTH, model=model, start=start)
     trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
     found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
-    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements)
+    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements, found.newton)
     run.error = found.error
     return run
 
@@ -147,9 +149,9 @@ class _Trial:
     t: Array
     exact: Array
 
-    def run(self, elements: int) -> PreparedInversion:
+    def run(self, elements: int, newton: float = NEWTON_TOLERANCE) -> PreparedInversion:
         """Prepare a run, interpreted, and measure its error."""
-        run = PreparedInversion(self.problem, self.route, elements)
+        run = PreparedInversion(self.problem, self.route, elements, newton)
         exact = self.exact[:, : len(run.inputs)]
         with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
             off = np.abs(run._read(run._own, self.t) - exact).max(axis=0)
@@ -173,7 +175,9 @@ class _Trial:
                 f" {tolerance:g}{least}; take a method with more stages, or a larger tolerance: round-off grows"
                 " as elements get shorter"
             )
-        return best
+        # Errors of Newton's method are the square of its last correction, which an iteration less often keeps small.
+        loose = self.run(best.elements, max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE))
+        return loose if loose.error <= tolerance else best
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +188,9 @@ class _Whole:
 
 
 @partial(made_once, most=_MOST_LOOPS)
-def _whole(program: Program, elements: int) -> _Whole:
+def _whole(program: Program, elements: int, newton: float) -> _Whole:
     """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
-    step, (_, entries) = _bare_step(program), _dense_output(program)
+    step, (_, entries) = _bare_step(program, newton), _dense_output(program)
     state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
     gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
     after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
@@ -196,8 +200,8 @@ def _whole(program: Program, elements: int) -> _Whole:
 
 
 @made_once
-def _bare_step(program: Program) -> ca.Function:
-    return compile_bare_step(program.discretization)
+def _bare_step(program: Program, newton: float) -> ca.Function:
+    return compile_bare_step(program.discretization, newton)
 
 
 def _verdict(program: Program) -> ca.Function:
@@ -236,17 +240,19 @@ class PreparedInversion:
         Names of the columns that a call returns.
     elements : int
         Number of steps from start to end.
+    newton : float
+        Largest scaled correction at which Newton's method ends.
     error : float
         Largest error of the inputs on the scene's own path, relative to their peaks, at 201 instants.
     program : Program
         The compiled form and method.
     """
 
-    def __init__(self, problem: Problem, route: FixedStep, elements: int) -> None:
+    def __init__(self, problem: Problem, route: FixedStep, elements: int, newton: float = NEWTON_TOLERANCE) -> None:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self.elements, self.error = elements, float("nan")
         self.program = program = program_of(problem, route.formulation, route.method)
-        self._interpreted = _whole(program, elements)
+        self.newton, self._interpreted = newton, _whole(program, elements, newton)
         self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
         self._route = route
         self._own = self._posed(problem)

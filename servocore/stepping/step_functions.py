@@ -6,6 +6,7 @@ A start depends on the reference alone.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 
@@ -26,9 +27,9 @@ def compile_step(step: Discretization) -> ca.Function:
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
 
 
-def compile_bare_step(step: Discretization) -> ca.Function:
-    """Compile (state, gamma, h, p) -> state, NaN where the step is not solved."""
-    solver = compile_bare_solver("sc_bare", step.equations, [step.next_state])
+def compile_bare_step(step: Discretization, tolerance: float) -> ca.Function:
+    """Compile (state, gamma, h, p) -> state, NaN where the step is not solved; `tolerance` is Newton's."""
+    solver = compile_bare_solver("sc_bare", replace(step.equations, tolerance=tolerance), [step.next_state])
     return _with_step_arguments("sc_bare_step", step, lambda givens: [solver(givens)])
 
 
