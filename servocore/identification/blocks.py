@@ -124,4 +124,4 @@ def _sample_noise(x: Array) -> float:
     known = x[np.isfinite(x)]
     rough = float(np.sqrt(np.mean(np.diff(known, 3) ** 2) / 20.0)) if len(known) > 3 else 0.0
     least = 1e-9 * float(np.abs(known).max(initial=0.0)) if np.ptp(known) > 0.0 else _STILL
-    return max(rough, _quantum(x) / 12.0**0.5, least)
+    return float(max(rough, _quantum(x) / 12.0**0.5, least))
