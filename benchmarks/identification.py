@@ -220,16 +220,20 @@ def main() -> None:
     parser.add_argument("--wrong", type=int, default=8, help="wrong plants of each kind")
     parser.add_argument("--folder", type=Path, default=PAGE)
     parser.add_argument("--first", type=int, default=1000, help="first seed")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--mixed", action="store_true", help="alternate right and wrong plants")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.cranes)
-    cases: list[tuple[Any, ...]] = [(kind, family, k, "none", True) for k in seeds for family in "AB" for kind in KINDS]
-    cases += [(kind, "A", k, wrong, True) for k in seeds[: options.wrong] for kind in KINDS for wrong in WRONG[1:]]
+    cases: list[tuple[Any, ...]] = [
+        (kind, family, k, "none", True) for k in seeds for family in "AB" for kind in options.kinds
+    ]
+    count = len(cases)
+    cases += [
+        (kind, "A", k, wrong, True) for k in seeds[: options.wrong] for kind in options.kinds for wrong in WRONG[1:]
+    ]
     if options.mixed:
-        cases = [
-            case for pair in zip_longest(cases[: 6 * len(seeds)], cases[6 * len(seeds) :]) for case in pair if case
-        ]
+        cases = [case for pair in zip_longest(cases[:count], cases[count:]) for case in pair if case]
     rows, refusals = list[Row](), list[str]()
     for case in cases:  # the page holds what was measured when the study is interrupted
         found = attempted(*case)

@@ -20,6 +20,7 @@ _GAP = 0.3  # s without samples: the motion before and after it is treated apart
 _SHORTEST = 1.0  # s of a stretch between gaps
 _NEIGHBOURS = 7  # samples in the median with which an outlier is compared
 _OUTLIER = 6.0  # standard deviations
+_STILL = 1e-5  # noise of a position that never changes, whose quantum is unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,4 +123,5 @@ def _sample_noise(x: Array) -> float:
     """Return the standard deviation of a sample's noise, by third differences; at least that of a quantum."""
     known = x[np.isfinite(x)]
     rough = float(np.sqrt(np.mean(np.diff(known, 3) ** 2) / 20.0)) if len(known) > 3 else 0.0
-    return float(max(rough, _quantum(x) / 12.0**0.5, 1e-9 * np.abs(known).max(initial=0.0), 1e-300))
+    least = 1e-9 * float(np.abs(known).max(initial=0.0)) if np.ptp(known) > 0.0 else _STILL
+    return float(max(rough, _quantum(x) / 12.0**0.5, least))

@@ -17,6 +17,7 @@ from servocore.stepping.forward_dynamics import forward_rate
 _CYCLE = 1e-3  # s: of the drives
 _FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
 _CHUNK = 500  # cycles in one call
+_HELD = 0.01  # of the unit of a position: the input that the loop adds for it is within the range of its sensor
 
 
 def measured(
@@ -84,13 +85,13 @@ def measured(
     each = round(step / _CYCLE)
     if each < 1 or abs(each * _CYCLE - step) > 1e-9:
         raise InvalidSetting(f"a synthetic log needs a step of whole milliseconds, not {step:g} s")
-    t, inputs, positions, names = _driven(scene, plant, loops, drives, resolution)
+    t, inputs, positions, names, stiffness = _driven(scene, plant, loops, drives, resolution)
     random = np.random.default_rng(seed)
     at = np.arange(0, len(t), each)
     columns = {"time": t[at]}
     wrapping = {quantity.name for quantity in measured_in(plant.model(), names[inputs.shape[1] :])[0] if quantity.wraps}
-    for name, u in zip(names[: inputs.shape[1]], inputs.T, strict=True):
-        size = float(np.ptp(u)) / 2 or float(np.abs(u).max()) or 1.0
+    for name, u, stiff in zip(names[: inputs.shape[1]], inputs.T, stiffness, strict=True):
+        size = max(float(np.ptp(u)) / 2, _HELD * stiff)  # the sensor of a drive that rests is noisy too
         late = np.interp(t[at] - delay, t, u)
         columns[name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
     for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
@@ -114,8 +115,8 @@ def _quantized(y: Array, resolution: float) -> Array:
 
 def _driven(
     scene: Scene, plant: Scene, loops: PositionLoops, drives: tuple[str, ...], resolution: float
-) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, and the names of both."""
+) -> tuple[Array, Array, Array, tuple[str, ...], Array]:
+    """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, the names of both, and gains."""
     problem, moved = Problem.of(scene), Problem.of(plant.with_reference(scene.reference))
     of_model, of_plant = drives or scene.effects.measured, drives or plant.effects.measured
     duration = problem.reference.duration
@@ -138,7 +139,7 @@ def _driven(
         raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")
     m = len(problem.system.inputs)
     names = (*(quantity.name for quantity in moved.system.inputs), *of_plant)
-    return np.arange(count) / round(1 / _CYCLE), rows[:, :m], rows[:, m:], names
+    return np.arange(count) / round(1 / _CYCLE), rows[:, :m], rows[:, m:], names, gains.position
 
 
 @made_once
