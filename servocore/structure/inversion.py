@@ -94,17 +94,23 @@ def inversion(array: DerivativeArray) -> Inversion:
     InvalidModel
         If the equations call a function without the derivatives that are needed.
     """
-    guess = _compile_guess(array)
-    try:
-        return Inversion(guess, _compile_expression(array, guess), array)
-    except RuntimeError as error:
-        if "are free" not in str(error):
-            raise
-        # CasADi treats the slopes of a linear table as constants, with free symbols in the expression.
+    if _differentiates_linear_tables(array):
         raise InvalidModel(
             f"{array.system.name}: its equations call a function that cannot be differentiated as often as the"
             " inputs require, such as a table with linear interpolation; use a table of the kind bspline"
-        ) from None
+        )
+    guess = _compile_guess(array)
+    return Inversion(guess, _compile_expression(array, guess), array)
+
+
+def _differentiates_linear_tables(array: DerivativeArray) -> bool:
+    """Whether rows that are differentiated twice or more call tables with linear interpolation.
+
+    CasADi takes the slopes of such tables for constants.
+    """
+    rows = [k for k, (_, order) in enumerate(array.rows) if order > 1]
+    calls = ca.Function("sc_calls", [], [array.residual[rows]], {"allow_free": True}).find_functions()
+    return any(each.class_name().startswith("LinearInterpolant") for each in calls)
 
 
 @made_once
