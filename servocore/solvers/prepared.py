@@ -234,6 +234,17 @@ class PreparedInversion:
     Calls check convergence and, at the ends of steps, signs; `solve` checks a path and parameters. The path of a call
     may have another duration, which is divided into as many elements.
 
+    Parameters
+    ----------
+    problem : Problem
+        With the scene's own parameters and path.
+    route : FixedStep
+        Form and method.
+    elements : int
+        Number of steps from start to end.
+    newton : float
+        Largest scaled correction at which Newton's method ends.
+
     Attributes
     ----------
     inputs : tuple of str
