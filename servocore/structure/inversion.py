@@ -186,7 +186,7 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
-    if array.states:
+    if array.states or _too_long(array):
         return None  # states are integrated from step to step
     unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
@@ -196,6 +196,16 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
+
+
+def _too_long(array: DerivativeArray) -> bool:
+    """Whether the equations alone are so long that their solution cannot be short enough.
+
+    Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
+    """
+    length: int = ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
+    long = length > 2 * _MOST_OPERATIONS
+    return long and len(parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))) == 1
 
 
 @made_once
