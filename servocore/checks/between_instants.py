@@ -244,6 +244,9 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
     for k, channel in enumerate(program.channels):
         if not channel.wraps:
             continue
+        if motion.problem.follow_branch:  # through places where angles are not defined
+            values[k] = np.unwrap(values[k])
+            continue
         steps = np.diff(np.unwrap(values[k]))
         unclear = ~(np.abs(steps) < _QUARTER_TURN) | motion.far
         if channel.name in names:

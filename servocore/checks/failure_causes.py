@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from servocore.checks.branches import constraint_rows
 from servocore.checks.impulses import jumps
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
@@ -90,7 +91,7 @@ class _Reach:
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = _constraint_rows(problem.resolved), _guess(problem, float(times[0]))
+        rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
         nominal = np.array(problem.system.coordinates.nominal)
         residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
         # Constraints hold to a part of the change of their rows over the range of a coordinate.
@@ -121,15 +122,6 @@ class _Reach:
         weights = np.concatenate([self.held, 1.0 / self.size])
         jacobian = jacobian.reshape(len(residual), -1) * nominal
         return residual * weights, jacobian * weights[:, None]
-
-
-@made_once
-def _constraint_rows(resolved: ResolvedSystem) -> Call:
-    """Compile (q, gamma, p) -> residual and Jacobian of the holonomic and servo constraints."""
-    system = resolved.system
-    residual, S = ca.vertcat(system.constraints, system.output - system.path[:, 0]), ca.vertcat(system.G, system.C)
-    results = [ca.densify(residual), ca.densify(S)]
-    return Call(ca.Function("sc_S_rows", [system.q, system.gamma[:, 0], system.p], results))
 
 
 def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
