@@ -291,7 +291,10 @@ def _passage(
 ) -> Passage:
     ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     blocks, names = diagonal_blocks(problem.array), problem.signature.equations.equations
-    changed = [tuple(names[row] for row in blocks[k].rows) for k in np.flatnonzero(ends[:, 0] * ends[:, 1] < 0.0)]
+    changed = [
+        tuple(names[row] for row in blocks[k].rows)
+        for k in np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
+    ]
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
     least = [_least_singular_value(problem, t, states[branch.q]) for t, states in moments]
     at_once = least[1] < _LESS * max(least[0], least[2])
@@ -343,7 +346,8 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
             f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
             f" {condition_number(matrix):.2g}"
         )
-    return np.flatnonzero((~(known[:, :-1] * known[:, 1:] > 0.0)).any(axis=0)).tolist(), passages
+    signs = np.sign(known)
+    return np.flatnonzero((~(signs[:, :-1] * signs[:, 1:] > 0.0)).any(axis=0)).tolist(), passages
 
 
 def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:

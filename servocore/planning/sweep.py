@@ -169,6 +169,8 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
         try:
             with causes_explained(problem):
                 motion = prepared_motion(problem)
+            if motion.passages:
+                require_feasible(problem)
         except ServocoreError:
             require_feasible(problem)  # a limit says more than a singular matrix
             raise

@@ -20,6 +20,7 @@ LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
 _MOST_OPERATIONS = 30_000  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
 _MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
@@ -153,7 +154,9 @@ def block_determinants(array: DerivativeArray, found: Array, entries: Array | No
     """
     for k, block in enumerate(diagonal_blocks(array) if entries is not None else ()):
         if not _by_formula(block):
-            found[k] = np.linalg.det(block.dense(np.asarray(entries)))
+            with np.errstate(invalid="ignore"):  # where there is no answer
+                signs, logarithms = np.linalg.slogdet(block.dense(np.asarray(entries)))
+            found[k] = signs * np.exp(np.clip(logarithms, -_MOST_LOGARITHM, _MOST_LOGARITHM))
     return found
 
 
