@@ -14,13 +14,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
-from servocore.checks.impulses import jumps
-from servocore.checks.motion import Motion
+from servocore.checks.impulses import first_jump, has_kinks_or_jumps
+from servocore.checks.slack_ropes import slack_rope
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns
@@ -43,8 +42,6 @@ _RESTING = 1e-9  # of the largest entry: derivatives of a path below count as ze
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
-    from servocore.checks.slack_ropes import slack_rope  # noqa: PLC0415 - most runs do not fail
-
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
@@ -55,12 +52,11 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    t = survey(problem.reference)
-    jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
+    jump = first_jump(problem, survey(problem.reference), lambda t: exact_unknowns(problem, t)[0])
     return f"{problem.system.name}: {jump}" if jump else ""
 
 
