@@ -53,12 +53,14 @@ class Option(NamedTuple):
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
     "--parameters": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "crane.toml", Path("crane.toml")),
-    "--drives": Option(of_both(SUBJECT) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")),
+    "--drives": Option(
+        of_both(SUBJECT) | of_servocore(IDENTIFYING) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")
+    ),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
-    "--servo-output": Option(of_servocore(SUBJECT), "tool0", ("tool0",)),
-    "--elastic": Option(of_servocore(SUBJECT), "elbow=1e4", ({"elbow": 1e4},)),
-    "--motor-inertia": Option(of_servocore(SUBJECT), "0.3", 0.3),
-    "--import": Option(of_servocore(SUBJECT), "arm.toml", Path("arm.toml")),
+    "--servo-output": Option(of_servocore(SUBJECT | IDENTIFYING), "tool0", ("tool0",)),
+    "--elastic": Option(of_servocore(SUBJECT | IDENTIFYING), "elbow=1e4", ({"elbow": 1e4},)),
+    "--motor-inertia": Option(of_servocore(SUBJECT | IDENTIFYING), "0.3", 0.3),
+    "--import": Option(of_servocore(SUBJECT | IDENTIFYING), "arm.toml", Path("arm.toml")),
     "--reference": Option(of_both(ALONG) | DRIVEN, "path.csv", Path("path.csv")),
     "--tolerance": Option(of_both(ALONG) | DRIVEN, "1mm", "1mm"),
     "--waypoints": Option(of_both(ALONG) | DRIVEN, "way.csv", Path("way.csv")),

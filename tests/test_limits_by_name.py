@@ -305,7 +305,9 @@ class TestRopes:
         slow, fast = hoist(None, told, 3.0), hoist(None, told, 1.0)
         found = sc.solve(slow)
         np.testing.assert_allclose(found[name], 2.0 * (9.81 + slow.reference.jet(found.t, 2)[:, 2, 0]), rtol=1e-12)
-        said = rf"{re.escape(name)} is -\S+ N, it must stay positive: a rope cannot push$"
+        slack = rf"slack at t = 0\.12\d+ s: {re.escape(name)} comes to 0 N, .* in more than 1\.95\d* s the same"
+        negative = rf"{re.escape(name)} is -\S+ N, it must stay positive: a rope cannot push$"
+        said = f"{slack}|{negative}"
         for run in (
             sc.solve,
             lambda scene: sc.solve(scene, sc.Projected(), sc.BackwardEuler()),

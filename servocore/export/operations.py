@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import casadi as ca
 
 from servocore.numerics.newton import MAX_ITERATIONS, QUICK_ITERATIONS
@@ -32,7 +34,8 @@ def operations(function: ca.Function, at_most: bool) -> int:
         return times * (operations(step, at_most) + _solved(n))
     if kind == "Switch":
         found = function.info()
-        ways = [each for each in (*found["f"], found["f_def"]) if not each.is_null()]
+        every = *cast("list[ca.Function]", found["f"]), cast("ca.Function", found["f_def"])
+        ways = [each for each in every if not each.is_null()]
         return (max if at_most else min)(operations(each, at_most) for each in ways)
     return sum(function.nnz_out(k) for k in range(function.n_out()))  # copies
 
