@@ -13,6 +13,7 @@ import pytest
 import test_meeting_branches as meeting
 from forty_digits import Digits, exactly
 from outside.test_kinks import STRIKES, linear, two_cars
+from outside.test_steps import REFUSED
 from present import present
 
 import servocore as sc
@@ -258,3 +259,9 @@ def test_a_certificate_is_short_in_print_and_has_a_plot() -> None:
     assert repr(certificate).startswith("<Certificate of overhead_crane: proved, ")
     figure = certificate.plot(["F"])
     assert len(figure.axes[0].lines) == 2
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_steps_that_no_motion_takes_are_not_proved(kind: str) -> None:
+    make, _ = REFUSED[kind]
+    assert sc.certify(make()).verdict != "proved"

@@ -19,6 +19,7 @@ from servocore.certificate.statements import (
     left_out_statement,
     limit_statements,
     mass_statement,
+    step_statement,
     summary_of,
     unproved,
 )
@@ -211,7 +212,7 @@ def certify(
         proofs, (*wanted, *signs),
         lambda limit: f"{limit.quantity} positive" if limit in signs else f"{LIMIT}{limit.quantity}",
     )  # fmt: skip
-    statements += [*left_out_statement(proofs), mass_statement(proofs)]
+    statements += [*step_statement(problem), *left_out_statement(proofs), mass_statement(proofs)]
     return Certificate(problem.name, tuple(statements), bounds, intervals, tuple(jumps), tuple(proofs))
 
 

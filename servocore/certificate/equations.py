@@ -20,6 +20,7 @@ from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.expressions import time_derivative
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import without_jumps
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
 from servocore.structure.inversion import Inversion, inversion
@@ -85,7 +86,10 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
     symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(array.residual, x)
     curved = np.zeros(x.numel(), dtype=bool)
-    curved[np.array(ca.jacobian_sparsity(J.nz[:], x).get_col(), dtype=np.intp)] = True
+    # In CasADi the derivative of what jumps is zero: an unknown behind a step has more than one value.
+    smooth = without_jumps(array.residual)
+    slopes = J if smooth is array.residual else ca.jacobian(smooth, x)
+    curved[np.array(ca.jacobian_sparsity(slopes.nz[:], x).get_col(), dtype=np.intp)] = True
     return Equations(array, symbols, walk_of(array.residual, symbols), walk_of(J.nz[:], symbols), J.sparsity(), curved)
 
 

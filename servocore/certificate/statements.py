@@ -18,7 +18,8 @@ from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.numerics.memoization import made_once
-from servocore.problem import LEFT_OUT_HOLDS
+from servocore.numerics.step_operations import JUMPS, holds_any
+from servocore.problem import LEFT_OUT_HOLDS, Problem
 
 Verdict = Literal["proved", "refuted", "undecided"]
 
@@ -265,6 +266,18 @@ def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:
 
 
 # Constraints left out, and masses -------------------------------------------------------------------------------------
+
+
+def step_statement(problem: Problem) -> list[Statement]:
+    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
+
+    The equations hold the derivative, which is zero but at the step.
+    """
+    system, path = problem.system, problem.reference
+    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
+        return []
+    text = "the potential or a mass has a step, of which the equations of motion know nothing"
+    return [Statement("no impulses", "undecided", path.start_time, path.end_time, text)]
 
 
 def left_out_statement(proofs: Sequence[Proof]) -> list[Statement]:
