@@ -15,7 +15,6 @@ import numpy as np
 
 from servocore.checks.branches import constraint_rows
 from servocore.checks.impulses import first_jump, has_kinks_or_jumps
-from servocore.checks.slack_ropes import slack_rope
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
@@ -42,6 +41,8 @@ _RESTING = 1e-9  # of the largest entry: derivatives of a path below count as ze
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
+    from servocore.checks.slack_ropes import slack_rope  # noqa: PLC0415 - most runs do not fail
+
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
