@@ -124,12 +124,11 @@ def test_a_path_without_enough_derivatives_is_refused() -> None:
         sc.ExactInversion(CRANE.with_reference(rough))
 
 
-def test_without_the_limits_another_branch_is_refused_with_the_time() -> None:
+def test_without_the_limits_a_rope_that_goes_slack_is_refused_with_the_time() -> None:
     unlimited = replace(CRANE, limits=())
     jerked = unlimited.with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
-    inputs = sc.ExactInversion(jerked)
-    with pytest.raises(sc.IntegrationFailed, match=r"at t = 0\.3 s l is -0\.\d+ m, on another branch"):
-        inputs([0.0, 0.3])
+    with pytest.raises(sc.IntegrationFailed, match=r"slack at t = 0\.21\d* s: .* in more than 0\.87\d* s the same law"):
+        sc.ExactInversion(jerked)
 
 
 def test_times_that_are_no_numbers_are_refused() -> None:

@@ -22,7 +22,6 @@ from servocore.numerics.step_operations import computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
 
-_LONGEST_FORMULA = 2500  # operations: a plan differentiates them twice at every point of its grid
 _SLIGHT = 1e-3  # of derivatives: where the guess of a motion is no formula, it is off by then
 
 
@@ -141,7 +140,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
 def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
     """Whether an expression gives the motion from the path: near a place of rest, the guess of its model is exact."""
     explicit = inversion(resolved.array).expression
-    if explicit is None or explicit.n_instructions() > _LONGEST_FORMULA:
+    if explicit is None:
         return False
     gamma = np.full((len(rest), resolved.array.reference_order + 1), _SLIGHT)
     gamma[:, 0] = rest

@@ -21,7 +21,7 @@ from servocore.structure.derivative_array import DerivativeArray, nominal
 LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
-_MOST_OPERATIONS = 30_000  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 
