@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -305,14 +306,14 @@ class TestRopes:
         slow, fast = hoist(None, told, 3.0), hoist(None, told, 1.0)
         found = sc.solve(slow)
         np.testing.assert_allclose(found[name], 2.0 * (9.81 + slow.reference.jet(found.t, 2)[:, 2, 0]), rtol=1e-12)
-        slack = rf"slack at t = 0\.12\d+ s: {re.escape(name)} comes to 0 N, .* in more than 1\.95\d* s the same"
+        slack = rf"slack at t = 0\.12\d+ s: {re.escape(name)} comes to 0 N, .* in more than 1\.95\d* s the same law"
         negative = rf"{re.escape(name)} is -\S+ N, it must stay positive: a rope cannot push$"
-        said = f"{slack}|{negative}"
-        for run in (
-            sc.solve,
-            lambda scene: sc.solve(scene, sc.Projected(), sc.BackwardEuler()),
-            lambda scene: sc.ExactInversion(scene)(np.linspace(0.0, 1.0, 50)),
-        ):
+        runs: tuple[tuple[Callable[[sc.Scene], object], str], ...] = (
+            (sc.solve, slack),
+            (lambda scene: sc.solve(scene, sc.Projected(), sc.BackwardEuler()), slack),
+            (lambda scene: sc.ExactInversion(scene)(np.linspace(0.0, 1.0, 50)), negative),
+        )
+        for run, said in runs:
             with pytest.raises(sc.IntegrationFailed, match=said):
                 run(fast)
 
