@@ -22,7 +22,6 @@ from servocore.references.base import Reference
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
 _NAMED = 0.3  # entry of a combination from which on a parameter is named
 _PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of white noise; correlation at lag one
-_WALD = 2.8  # standard errors: some BIC for a thousand samples
 _FAR = 4.0  # standard deviations of an estimate from what was believed, and from no delay
 _SLOW = 10  # blocks of a moving average
 
