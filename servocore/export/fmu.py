@@ -12,7 +12,7 @@ from servocore.export.building import inverse_model
 from servocore.export.description import build_description, model_description, terminals
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.operations import operations
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
@@ -38,7 +38,7 @@ def export_fmu(
     estimates: SampledEstimates | None = None,
     routes: SteppedRoutes | None = None,
     start: Mapping[str, float | str] | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
@@ -65,8 +65,8 @@ def export_fmu(
         Formulations and methods that may be chosen in place of the exact inversion of every instant.
     start : mapping of str to float or str, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
-    deferred_refusals : bool, optional
-        Whether values are checked when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
+    host : HostRules, optional
+        Rules of the hosts: no ``<stdio.h>``, a bound of internal steps.
     about : About, optional
         Origin and rights of the component, and default items of choices.
     progress : callable
@@ -98,8 +98,7 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    made = replace(made.with_starts(start or {}), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    return written(_described(made.with_starts(start or {}), host, about), path, fmi, targets, progress)
 
 
 def export_plant(
@@ -110,7 +109,7 @@ def export_plant(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
@@ -130,7 +129,7 @@ def export_plant(
         Model of the scene; when not given the first without constraints, or its smallest.
     targets : str, optional
         As of `export_fmu`.
-    deferred_refusals : bool, optional
+    host : HostRules, optional
         As of `export_fmu`.
     about : About, optional
         As of `export_fmu`.
@@ -152,8 +151,8 @@ def export_plant(
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
     progress("compiling the forward dynamics")
-    made = replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    made = plant_model(scene, model, options)
+    return written(_described(made, host, about), path, fmi, targets, progress)
 
 
 def export_trajectory(
@@ -164,7 +163,7 @@ def export_trajectory(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
@@ -184,7 +183,7 @@ def export_trajectory(
         Model of the scene, which determines the number of derivatives; its smallest when not given.
     targets : str, optional
         As of `export_fmu`.
-    deferred_refusals : bool, optional
+    host : HostRules, optional
         As of `export_fmu`.
     about : About, optional
         As of `export_fmu`.
@@ -205,13 +204,13 @@ def export_trajectory(
     """
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
-    made = replace(trajectory_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    made = trajectory_model(scene, model, options)
+    return written(_described(made, host, about), path, fmi, targets, progress)
 
 
-def _described(model: NativeModel, about: About | None) -> NativeModel:
+def _described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
     about = about or About()
-    return replace(model.with_starts(about.defaults), about=about)
+    return replace(model.with_starts(about.defaults), host=host or HostRules(), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
