@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import zipfile
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import ERROR, extracted
+from fmu_host import ERROR, Host, extracted
 from native_fmu import FULL, Native, exported, native_file, path_of
 from present import present
 from test_moving_starts import rows
@@ -210,6 +211,71 @@ def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
         for after in reached.values():
             after |= {end for node in list(after) for end in edges.get(node, ())}
     assert not [node for node, after in reached.items() if node in after]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_related_files_are_in_the_fmu_with_their_roles(
+    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """FMI-LS-REF: a parameter set as SSV, a run as smoke test, and its results."""
+    monkeypatch.chdir(tmp_path)
+    line = ("export", "overhead_crane", "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--cross-check")
+    assert run(*line).exit_code == 0
+    folder = "extra/org.fmi-standard.fmi-ls-ref/"
+    with zipfile.ZipFile("x.fmu") as archive:
+        members = {name.removeprefix(folder): archive.read(name) for name in archive.namelist() if folder in name}
+    root = ET.fromstring(members.pop("fmi-ls-manifest.xml"))
+    assert {"org.fmi-standard.fmi-ls-ref", "1.0.0-alpha.1"} <= set(root.attrib.values())
+    roles = {each.attrib["source"]: each.attrib["role"] for each in root}
+    assert roles == {"parameters.ssv": "parameter", "x_in.csv": "experiment/smoke-test", "x_ref.csv": "result",
+                     "x_ref.opt": "configuration"}  # fmt: skip
+    assert set(members) == set(roles)
+    for name in set(roles) - {"parameters.ssv"}:
+        assert members[name] == Path(name).read_bytes()
+    parameters = ET.fromstring(members["parameters.ssv"])
+    assert parameters.get("version") == {2: "1.0", 3: "2.0"}[fmi]
+    values = {each.attrib["name"]: each[0].attrib for each in parameters.iter() if each.tag.endswith("}Parameter")}
+    assert {
+        name: float(each["value"]) for name, each in values.items()
+    } == sc.scenes.overhead_crane().parameter_values()
+    declared = {each.get("name") for each in parameters.iter() if each.tag.endswith("}Unit")}
+    assert {each["unit"] for each in values.values()} == declared
+
+
+def test_a_system_of_fmi_3_has_arrays_and_moves_as_that_of_fmi_2(tmp_path: Path) -> None:
+    """SSP 2.0, in a master of twenty lines; parameters of the scene are one set for inverse model and plant."""
+    scene, files = sc.scenes.overhead_crane(), {}
+    for fmi in (2, 3):
+        files[fmi] = sc.export_ssp(scene, tmp_path / f"{fmi}.ssp", fmi=fmi, targets="host")
+        with zipfile.ZipFile(files[fmi]) as archive:
+            archive.extractall(tmp_path / str(fmi))
+            root = ET.fromstring(archive.read("SystemStructure.ssd"))
+        assert root.get("version") == {2: "1.0", 3: "2.0"}[fmi]
+        bindings = {part.get("name"): [each.get("source") for each in part.iter() if each.get("source")][1:]
+                    for part in root.iter() if part.tag.endswith("}Component")}  # fmt: skip
+        assert bindings == {"trajectory": [], **{name: ["resources/parameters.ssv", f"resources/{name}.ssm"]
+                                                 for name in ("inverse", "plant")}}  # fmt: skip
+        for name in ("inverse", "plant"):
+            mapping = ET.parse(tmp_path / str(fmi) / f"resources/{name}.ssm").getroot()
+            assert {each.get("target") for each in mapping} == set(scene.parameter_values())
+    assert {each[1].get("size") for each in root.iter() if each.tag.endswith("}Connector") and len(each) > 1} == {"2"}
+    wires = [each.attrib for each in root.iter() if each.tag.endswith("}Connection")]
+    h, names = 0.01, ("trajectory", "inverse", "plant")
+    sources = ("overhead_crane_trajectory", "overhead_crane", "overhead_crane_plant")
+    expected = run_ssp(files[2], 2.0, h)
+    with ExitStack() as running:
+        hosts = {name: running.enter_context(Host(tmp_path / "3" / "resources" / f"{file}.fmu"))
+                 for name, file in zip(names, sources, strict=True)}  # fmt: skip
+        for host in hosts.values():
+            host.start()
+        for k in range(200):  # all exchange values, then all step, as in FMPy
+            signals = [(each, hosts[each["startElement"]].get(each["startConnector"])) for each in wires]
+            for each, values in signals:
+                hosts[each["endElement"]].numbers_set([each["endConnector"]], values)
+            assert all(host.step(k * h, h) for host in hosts.values())
+        found = hosts["plant"].get("load.position")
+    last = [expected[f"plant.load.position[{k}]"][199] for k in (1, 2)]  # rows show the ends of steps
+    np.testing.assert_allclose(found, last, atol=1e-12 * np.abs(last).max())
 
 
 # About ---------------------------------------------------------------------------------------------------------------
@@ -416,18 +482,18 @@ def test_outputs_read_before_the_initialization_are_those_of_its_time(fmi: int) 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_trajectory_begins_new_motions_where_it_rests(fmi: int) -> None:
     """Three lines without a reset, each that of the library; while the path moves, a new one is refused."""
-    h, moves = 0.01, [  # set at 0, 3 and 6 s
-        {"trigger": 0.0, "end.y": 1.0, "start_time": 0.5, "duration": 2.0, "profile": "degree9"},
-        {"trigger": 1.0, "end.y": -0.5, "start_time": 1.0, "duration": 1.5, "profile": "three-phase"},  # at once
-        {"trigger": -2.0, "end.y": 0.25, "start_time": 7.0, "duration": 2.0, "profile": "degree13"},
+    h, moves = 0.01, [  # target, start time, duration, profile: set at 0, 3 and 6 s
+        (1.0, 0.5, 2.0, "degree9"), (-0.5, 1.0, 1.5, "three-phase"), (0.25, 7.0, 2.0, "degree13")
     ]  # fmt: skip
     found, wanted, place = [], [], 0.0
     with Native("cars trajectory", fmi) as host:
-        for k, move in enumerate(moves):
-            host.set(**move) if k else host.start(**move, **{"start.y": place})
+        for k, (end, begin, duration, law) in enumerate(moves):
+            host.set(profile=law, duration=duration, start_time=begin, trigger=-k, **{"end.y": end})
+            if k == 0:
+                host.set(**{"start.y": place}).start()
             times = h * np.arange(300 * k, 300 * (k + 1))
-            line = sc.rest_to_rest((place,), (move["end.y"],), move["duration"], sc.TIME_LAWS[str(move["profile"])],
-                                   start_time=max(float(move["start_time"]), times[0]))  # fmt: skip
+            at = max(begin, times[0])  # at once where the time has passed
+            line = sc.rest_to_rest((place,), (end,), duration, sc.TIME_LAWS[law], start_time=at)
             for time in times:
                 if time == times[120]:
                     saved = host.saved()
@@ -440,7 +506,7 @@ def test_a_trajectory_begins_new_motions_where_it_rests(fmi: int) -> None:
                 assert host.step(time, h), host.messages
                 found.append(host.values())
             wanted.append(line.jet(times + h, 4)[:, :, 0])
-            place = float(move["end.y"])
+            place = end
     np.testing.assert_allclose(found, np.concatenate(wanted), atol=1e-9 * np.abs(wanted).max())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from servocore.errors import InvalidSetting
 from servocore.export.about import About
@@ -14,6 +15,7 @@ from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.operations import operations
+from servocore.export.parameter_sets import related_files
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
@@ -40,6 +42,7 @@ def export_fmu(
     start: Mapping[str, float | str] | None = None,
     host: HostRules | None = None,
     about: About | None = None,
+    cross_check: Mapping[str, str] | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -69,6 +72,8 @@ def export_fmu(
         Rules of the hosts: no ``<stdio.h>``, a bound of internal steps.
     about : About, optional
         Origin and rights of the component, and default items of choices.
+    cross_check : mapping of str to str, optional
+        Files of a run, by their names, that become a smoke test inside the FMU: see `cross_check_files`.
     progress : callable
         Called with a phrase for every stage.
 
@@ -98,7 +103,8 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    return written(_described(made.with_starts(start or {}), host, about), path, fmi, targets, progress)
+    complete = described(made.with_starts(start or {}), host, about)
+    return written(complete, path, fmi, targets, progress, cross_check or {})
 
 
 def export_plant(
@@ -152,7 +158,7 @@ def export_plant(
     require_built(path, targets, fmi)
     progress("compiling the forward dynamics")
     made = plant_model(scene, model, options)
-    return written(_described(made, host, about), path, fmi, targets, progress)
+    return written(described(made, host, about), path, fmi, targets, progress)
 
 
 def export_trajectory(
@@ -205,10 +211,11 @@ def export_trajectory(
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
     made = trajectory_model(scene, model, options)
-    return written(_described(made, host, about), path, fmi, targets, progress)
+    return written(described(made, host, about), path, fmi, targets, progress)
 
 
-def _described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
+def described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
+    """Return a model with the rules of its hosts, and with its origin and default items."""
     about = about or About()
     return replace(model.with_starts(about.defaults), host=host or HostRules(), about=about)
 
@@ -221,18 +228,24 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
     require_places({"the FMU": Path(path)})
 
 
-def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
+def written(
+    model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress,
+    cross_check: Mapping[str, str] = MappingProxyType({}),
+) -> Path:  # fmt: skip
     """Compile and write an FMU, and return its file."""
-    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress)})
+    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress, cross_check)})
     return Path(path)
 
 
-def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
+def archive(
+    model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress,
+    cross_check: Mapping[str, str] = MappingProxyType({}),
+) -> bytes:  # fmt: skip
     """Return a compiled FMU."""
     model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
-    return zipped(contents(model, fmi, sources, built, targets))
+    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi, cross_check))
 
 
 def require_version(fmi: int) -> int:
