@@ -27,12 +27,11 @@ from crane_fmu.catalogue import (
     Starts,
     crane_with,
 )
-from servocore.export.native_model import HostRules
 
 ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
 """Formulations and methods of RotaryCrane.fmu besides the exact inversion."""
 
-OF_PYTHONFMU = HostRules(deferred_refusals=True)
+OF_PYTHONFMU = sc.HostRules(deferred_refusals=True)
 """Its setters cannot fail."""
 
 _DISTANCE = 0.5  # m, from the path
@@ -47,7 +46,7 @@ def native_fmu(
     starts: Starts = NO_STARTS,
     targets: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
-    host: HostRules | None = None,
+    host: sc.HostRules | None = None,
 ) -> bytes:
     """Return the archive of trajectory, inverse model or plant, FMI 2.
 
