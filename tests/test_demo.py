@@ -1,6 +1,5 @@
 """The demo leaves a complete folder or none, and the FMU that it runs does what the library does."""
 
-import os
 import re
 import sys
 import tempfile
@@ -160,20 +159,6 @@ def test_the_command_prints_tables_and_where_the_report_is(
     assert result.stdout.index("By default the inputs") < result.stdout.index("scheme of the paper")
     assert "report.html" in result.stdout
     assert result.stderr == ""
-
-
-@pytest.mark.parametrize("command", ["demo", "build"])
-def test_a_folder_that_cannot_be_made_is_one_sentence(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("in the way")
-    for place in ("file", "file/deeper"):
-        result = CliRunner().invoke(app, [command, "-o", place])
-        assert result.exit_code == 2
-        assert result.stdout == ""
-        assert re.fullmatch(r"crane-fmu: cannot write file.*not a folder; name another place\n", result.stderr)
-    assert os.listdir() == ["file"]
 
 
 class TestRunFmu:

@@ -395,16 +395,6 @@ def test_bad_settings_are_refused_by_name(
         sc.effects(crane("overhead_crane"), **options)  # type: ignore[arg-type]  # wrong on purpose
 
 
-def test_a_scene_that_declares_nothing_says_what_to_give() -> None:
-    with pytest.raises(sc.InvalidModel, match="cars declares no effects; give plants of your own"):
-        sc.effects(sc.scenes.cars())
-
-
-def test_drives_must_have_a_bandwidth() -> None:
-    with pytest.raises(sc.InvalidSetting, match="bandwidth of position loops must be positive and finite, not 0"):
-        sc.PositionLoops(bandwidth=0.0)
-
-
 def test_a_rope_shorter_than_its_lumps_refuses_its_row() -> None:
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
     assert found["rope mass"].how == "refused"
@@ -460,29 +450,3 @@ def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> N
     page = Path("page.md").read_text(encoding="utf-8")
     assert page.startswith("# Effects that overhead_crane may neglect")
     assert "| effect | index | internal states |" in page
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("overhead_crane", "--deviation", "5kg"), ("--deviation is given in kg",)),
-        (("overhead_crane", "--deviation", "0mm"), ("the tolerance must be positive",)),
-        (
-            ("overhead_crane", "--deviation", "5"),
-            ("--deviation 5 has no unit: write it as in --deviation 5mm",),
-        ),
-        (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of position loops must be positive",)),
-        (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("there are no position loops",)),
-        (("overhead_crane", "--open-loop", "--bandwidth", "6"), ("there are no position loops",)),
-        (("overhead_crane", "--parameters", "bad.toml"), ("bad.toml", "'rope_colour'")),
-        (("overhead_crane", "--reference", "none.csv"), ("none.csv",)),
-        (("cars",), ("cars declares no effects",)),
-        (("crane",), ("no scene is called crane",)),
-    ],
-)
-def test_bad_input_ends_with_one_sentence_and_no_page(
-    run: CommandLine, arguments: tuple[str, ...], words: tuple[str, ...]
-) -> None:
-    write("bad.toml", "rope_colour = 3.0\n")
-    run.assert_refused(run("effects", *arguments, "--markdown", "page.md"), *words)
-    assert not Path("page.md").exists()

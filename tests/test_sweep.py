@@ -487,27 +487,6 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
     assert [str(each.message) for each in recwarn] == []
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("rotary_crane -o study", "nothing varies: use --vary"),
-        ("rotary_crane --vary load_mass=50..150 -o study", "is written load_mass=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=a..150:3 -o study", "is no NAME=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=50..150:3 --vary load_mass=1..2:2 -o study", "--vary gives load_mass twice"),
-        ("rotary_crane --vary weight=1..2:2 -o study", "has no parameter weight"),
-        ("rotary_crane --vary load_mass=50..150 --sample 0 -o study", "--sample 0 is no whole number of 1 or more"),
-        ("rotary_crane --vary load_mass=50..150:3 --sample 5 -o study", "with --sample load_mass=LOW..HIGH"),
-    ],
-)
-def test_the_command_refuses_in_one_sentence(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = CommandLine(app, "servocore")
-    line.assert_refused(line("sweep", *words.split()), said)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     line = CommandLine(app, "servocore")
