@@ -248,13 +248,6 @@ def test_seconds_since_1970_are_as_exact_as_others(tmp_path: Path) -> None:
     np.testing.assert_allclose(since.jet(T, 2), plain.jet(T, 2), rtol=0.0, atol=1e-12)
 
 
-def test_a_velocity_where_the_path_rests_is_refused_with_its_line(tmp_path: Path) -> None:
-    file = tmp_path / "way.csv"
-    file.write_text("time,x,y,z,vx,vy,vz,stop\n0,1,0,-5,,,,\n5,2,0,-5,0.1,0,0,1\n9,3,0,-5,,,,\n")
-    with pytest.raises(InvalidReference, match=r"way\.csv: line 3 has a velocity, but the path rests there"):
-        sc.waypoints_from_csv(file)
-
-
 # --- waypoints with speeds and stops ----------------------------------------------------------------------
 
 PLACES = np.array([[5.0, 0.0, -5.0], [4.0, 2.0, -3.0], [2.0, 3.0, -3.0], [-1.0, 3.0, -4.0]])

@@ -23,7 +23,6 @@ from crane_fmu.files import filled_folder, put
 from crane_fmu.report.study import LoadRun
 from crane_fmu.run import run_fmu
 
-ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
 FIGURES = ("crane", "reference_function", "inputs_paper", "error_against_step", "tracking", "closed_loop", "cycle_path")
 

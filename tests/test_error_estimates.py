@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import re
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,12 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import vtol
 from present import present
-from problems import as_scene, scene
+from problems import Rest, as_scene, scene
 
 import servocore as sc
 from servocore.checks.better_solutions import warn_and_state_branch
 from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
-from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep
@@ -224,47 +222,31 @@ def test_a_run_is_compared_on_the_branch_that_it_began_on() -> None:
     assert found.error["torque"] == pytest.approx(true, rel=1e-3)
 
 
-def test_a_bounded_inversion_is_compared_with_one_of_higher_order() -> None:
-    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
-    found, said = solved(unstable, None, sc.StableInversion(tolerance=0.05, stages=1), step=0.4)
-    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
+PUSHED = scene("mass_on_car").with_parameters(stiffness=-5.0)
+
+
+@pytest.mark.parametrize(
+    ("subject", "form", "method", "step", "within"),
+    [
+        (PUSHED, None, sc.StableInversion(tolerance=0.05, stages=1), 0.4, 0.1),  # beside one of higher order
+        (PUSHED, sc.Reduced(), sc.RadauIIA(3), 0.04, 1e-6),  # what runs forward, beside what stays bounded
+        (scene("mass_on_car"), sc.Reduced(), sc.BDF(2), sc.Adaptive(1e-3), 0.1),
+    ],
+    ids=["bounded", "forward", "to a tolerance"],
+)
+def test_every_route_of_internal_dynamics_is_compared_with_a_better_one(
+    subject: sc.Scene, form: sc.Formulation | None, method: sc.Method | Route, step: Any, within: float
+) -> None:
+    found, said = solved(subject, form, method, step=step)
+    true = np.abs(found["u"] - subject.exact(found.t)["u"]).max()
     assert said == []
-    assert found.error["u"] == pytest.approx(true, rel=0.1)
-
-
-def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_does() -> None:
-    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
-    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
-        found = sc.solve(unstable, sc.Reduced(), sc.RadauIIA(3), step=0.04)
-    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
-    assert found.error["u"] == pytest.approx(true, rel=1e-6)
-
-
-def test_a_tolerance_is_judged_as_a_step_is() -> None:
-    found, said = solved(scene("mass_on_car"), sc.Reduced(), sc.BDF(2), step=sc.Adaptive(1e-3))
-    true = np.abs(found["u"] - scene("mass_on_car").exact(found.t)["u"]).max()
-    assert said == []
-    assert found.error["u"] == pytest.approx(true, rel=0.1)
-
-
-@dataclass(frozen=True)
-class Elsewhere:
-    """A route of somebody's own."""
-
-    def run(
-        self,
-        problem: sc.Problem,
-        times: Array,
-        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002
-    ) -> sc.Solution:
-        values = np.zeros((len(times), len(problem.system.inputs)))
-        return sc.Solution(times, problem.system.inputs, values, "elsewhere")
+    assert found.error["u"] == pytest.approx(true, rel=within)
 
 
 def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is() -> None:
-    found = sc.solve(scene("cars"), method=Elsewhere())
+    found = sc.solve(scene("cars"), method=Rest())
     assert found.error.relative["u"] == pytest.approx(1.0)
-    found, said = solved(scene("mass_on_car"), method=Elsewhere())
+    found, said = solved(scene("mass_on_car"), method=Rest())
     assert said == []
     assert found.error["u"] is None
     assert found.error.largest is None

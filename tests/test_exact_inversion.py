@@ -79,13 +79,6 @@ def test_before_and_after_the_path_the_crane_is_held_at_rest() -> None:
     )
 
 
-@pytest.mark.parametrize("model", ["points", "bodies"])
-def test_machine_code_gives_the_same_bits(model: str) -> None:
-    t = np.linspace(0.0, 20.0, 37)
-    interpreted, compiled = (sc.ExactInversion(CRANE, model, native=each)(t) for each in (False, True))
-    np.testing.assert_array_equal(compiled, interpreted)
-
-
 def test_a_guess_that_is_not_exact_costs_time_and_nothing_else() -> None:
     system = CRANE.model("points")
     astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))

@@ -8,14 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click import Group
 from command_lines import CommandLine
 
 import servocore as sc
-from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
 from servocore.cli.commands import NAME, app
-from servocore.cli.options import GivenPath
 from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY
 
@@ -109,24 +106,6 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
     names, values = table(done.stdout)
     assert "waypoints" not in done.stderr
     np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)
-
-
-def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: Path) -> None:
-    bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
-    outputs = [each.name for each in bar.model().outputs]
-    file.write_text(sc.path_to_csv(bar.reference, outputs, each=40), encoding="utf-8")
-    assert GivenPath(file).along(bar).reference.smoothness >= 6
-    sensitivities = servocore_command("sensitivities", "elastic_bar", "--reference", file, "-o", tmp_path / "by.csv")
-    assert sensitivities.exit_code == 0, sensitivities.stderr
-
-
-@pytest.mark.parametrize("commands", [app, crane_app], ids=["servocore", "crane-fmu"])
-def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: Group) -> None:
-    """Sentences about files name --waypoints, whatever command reads them."""
-    options = {name: {each for option in one.params for each in option.opts} for name, one in commands.commands.items()}
-    reading = [name for name, known in options.items() if "--reference" in known]
-    assert len(reading) >= 4
-    assert [name for name in reading if not {"--waypoints", "--tolerance"} <= options[name]] == []
 
 
 def test_what_is_undefined_is_told_with_its_first_time() -> None:

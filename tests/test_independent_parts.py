@@ -77,12 +77,6 @@ def test_parts_of_a_matrix_have_no_entries_in_common() -> None:
         np.testing.assert_array_equal(part.dense(entries)[0], BLOCKS[np.ix_(part.rows, part.columns)])
 
 
-def test_empty_rows_and_columns_are_parts_of_their_own() -> None:
-    pattern = ca.Sparsity.triplet(2, 3, [1], [2])
-    found = [(part.rows.tolist(), part.columns.tolist()) for part in parts_of(pattern)]
-    assert sorted(found) == [([], [0]), ([], [1]), ([0], []), ([1], [2])]
-
-
 @pytest.mark.parametrize("matrix", [BLOCKS, BLOCKS[:3], BLOCKS[:, :2], np.zeros((2, 3)), np.diag([1.0, 0.0, 2.0])])
 def test_singular_values_are_those_of_the_parts(matrix: Array) -> None:
     np.testing.assert_allclose(singular_values(matrix), np.linalg.svd(matrix, compute_uv=False), atol=1e-15)
@@ -173,12 +167,6 @@ def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_ca
 
 def test_parts_with_other_numbers_written_into_them_are_not_alike() -> None:
     assert groups(equations((1.0, 2.0, 1.0, 2.0, 3.0))) == [2, 2]
-
-
-def test_equations_that_do_not_fall_apart_have_no_parts() -> None:
-    system = equations((1.0, 1.0))
-    joined = ca.vertcat(system.residual[0] + system.unknowns[7], system.residual[1:])
-    assert not replace(system, residual=joined).alike
 
 
 def test_parts_that_are_alike_are_solved_as_if_each_stood_alone() -> None:

@@ -15,7 +15,6 @@ import scipy.interpolate
 from present import present
 
 import servocore as sc
-from servocore.model.limits import Bounds
 from servocore.model.units import in_unit
 from servocore.rotationless import GROUND, Assembly, PointMass, distance, rope
 from servocore.solvers import within_limits
@@ -109,10 +108,6 @@ class TestRandomCranes:
 
 
 class TestWhatALimitIs:
-    def test_the_limits_of_the_planning_example_are_kept_by_the_default_manoeuvre(self) -> None:
-        limits: dict[str, Bounds] = {"F": 60, "M_w": (-104, -92), "swing": "5 deg", "s.rate": 1.2, "F.rate": 200}
-        assert refusal(CRANE.with_limits(**limits)) is None
-
     def test_one_number_is_symmetric_and_an_upper_bound_for_what_is_never_negative(self) -> None:
         assert present(refusal(CRANE.with_limits(F=17)))["side"] == "lower"  # F runs from -17.6 to 2 N
         assert refusal(CRANE.with_limits(F=(None, 17))) is None

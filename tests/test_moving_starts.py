@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from command_lines import CommandLine
-from fmu_host import Host, fmu_file
+from fmu_host import fmu_file
 from loops import CRANE, FORCES, Case, deviation
 from native_fmu import END, Native, exported
 
@@ -189,10 +189,3 @@ def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(varia
         found = run_ssp(system, 7.995, 0.01)
     load = np.array([found[f"plant.load.position[{k}]"] for k in (1, 2, 3)]).T
     assert np.linalg.norm(load - path.jet(found["time"], 0)[:, 0], axis=1).max() < 1e-6
-
-
-def test_a_plant_whose_rope_would_be_slack_at_the_start_says_so() -> None:
-    with Host(fmu_file("CranePlant")) as host:
-        host.set(**{"start.acceleration[3]": -10.0}).start()
-        assert not host.step(0.0, 0.1)
-        assert "g + z'' is -0.19 m/s2, it must stay above 0 m/s2" in host.messages[0]

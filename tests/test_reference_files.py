@@ -63,12 +63,6 @@ def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
     assert path.rests_after
 
 
-def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path: Path) -> None:
-    path = from_csv(write(tmp_path / "path.csv", table(LINE, 20.0, 5), 5))
-    assert relative_errors(path, LINE, 9).max() < 1e-13
-    assert path.fit_error is None
-
-
 @pytest.mark.parametrize("scene", [sc.scenes.overhead_crane(), sc.scenes.cars()], ids=lambda scene: scene.name)
 @pytest.mark.parametrize("groups", [1, 5])
 def test_columns_are_those_of_the_scene(scene: sc.Scene, groups: int, tmp_path: Path) -> None:
@@ -161,13 +155,6 @@ def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups: int, t
     rows[:, -3] *= -1.0
     with pytest.raises(InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"):
         from_csv(write(tmp_path / "bad.csv", rows, groups))
-
-
-def test_a_single_wrong_velocity_is_named_by_line_and_column(tmp_path: Path) -> None:
-    rows = table(CURVE, 0.1, 2)
-    rows[123, 5] += 0.1
-    with pytest.raises(InvalidReference, match=r"bad\.csv, line 125 \(time 12.3 s\), column vy: "):
-        from_csv(write(tmp_path / "bad.csv", rows, 2))
 
 
 def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> None:

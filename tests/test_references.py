@@ -402,16 +402,6 @@ def test_a_jump_of_one_millimetre_is_refused_and_found() -> None:
         sampled(t, positions)
 
 
-def test_rounded_samples_are_refused_unless_a_tolerance_is_given() -> None:
-    t = np.linspace(0.0, 40.0, 401)
-    rounded = PATH.jet(t, 0)[:, 0].round(6)
-    with pytest.raises(InvalidReference, match="need a tolerance"):
-        sampled(t, rounded)
-    path = sampled(t, rounded, tolerance=1e-6)
-    assert relative_errors(path, PATH, 4)[4] < 1e-3
-    assert present(path.fit_error) < 2e-6
-
-
 @pytest.mark.parametrize(
     ("t", "positions", "tolerance", "sentence"),
     [

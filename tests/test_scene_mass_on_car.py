@@ -46,34 +46,6 @@ def errors(
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize(
-    ("kind", "index", "states", "classification"),
-    [
-        ("inclined", 3, 2, "minimum phase"),
-        ("undamped", 3, 2, "weakly minimum phase"),
-        ("level", 4, 1, "minimum phase"),
-        ("flat", 5, 0, "flat"),
-        ("unstable", 3, 2, "non-minimum phase"),
-    ],
-)
-def test_inclination_damper_and_spring_decide_what_kind_of_problem_it_is(
-    model: str, kind: str, index: int, states: int, classification: str
-) -> None:
-    report = sc.analyse(scene_of(kind), model=model)
-    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, classification)
-
-
-def test_the_eigenvalues_are_those_of_the_mass_on_its_spring() -> None:
-    p = scene_of("inclined").parameter_values()
-    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
-    expected = np.roots([inertia, p["damping"], p["stiffness"]])
-    found = sc.analyse(scene_of("inclined")).eigenvalues
-    np.testing.assert_allclose(np.sort_complex(np.array(found)), np.sort_complex(expected), rtol=1e-9)
-    (level,) = sc.analyse(scene_of("level")).eigenvalues
-    assert level == pytest.approx(-p["stiffness"] / p["damping"])
-
-
-@pytest.mark.parametrize("model", MODELS)
 def test_without_internal_dynamics_the_reduced_form_is_exact_at_any_step(model: str) -> None:
     for steps in (10, 100):
         assert errors("flat", sc.Reduced(), steps, model, ("u", "x", "s", "y")).max() < 1e-12
@@ -109,15 +81,6 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
     late = solution.t > 3.0
     slope = np.polyfit(solution.t[late], np.log(distance[late]), 1)[0]
     assert slope == pytest.approx(rate, rel=0.05)
-
-
-def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution() -> None:
-    this = scene_of("unstable")
-    solution = sc.solve(this)
-    assert "StableInversion" in solution.advice
-    exact = this.exact(solution.t)
-    for name in ("u", "s"):
-        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
 
 
 def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response() -> None:
