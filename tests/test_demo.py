@@ -2,10 +2,8 @@
 
 import re
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ import servocore as sc
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli.commands import app
 from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
-from crane_fmu.files import filled_folder, put
+from crane_fmu.files import filled_folder
 from crane_fmu.report.study import LoadRun
 from crane_fmu.run import run_fmu
 
@@ -203,11 +201,6 @@ def _half_done(folder: Path, failure: type[BaseException]) -> None:
         raise failure
 
 
-def _done(folder: Path) -> None:
-    with filled_folder(folder) as draft:
-        put(draft, dict.fromkeys(("figures/crane.svg", "inputs.csv", "report.html", "table.csv"), "new"))
-
-
 class TestWriting:
     @pytest.mark.parametrize("failure", [KeyboardInterrupt, RuntimeError])
     @pytest.mark.parametrize("there", [False, True])
@@ -221,19 +214,3 @@ class TestWriting:
             _half_done(tmp_path / "out", failure)
         assert [each.read_text() for each in tmp_path.rglob("*.*")] == ["old"] * there
         assert [each.name for each in tmp_path.iterdir()] == ["out"] * there
-
-    @pytest.mark.parametrize("there", [False, True])
-    def test_whether_a_folder_can_be_written_is_tried_once(
-        self, there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        trial, tried = tempfile.TemporaryFile, list[object]()
-
-        def counted(**options: Any) -> Any:
-            tried.append(options)
-            return trial(**options)
-
-        monkeypatch.setattr(tempfile, "TemporaryFile", counted)
-        if there:
-            (tmp_path / "out").mkdir()
-        _done(tmp_path / "out")
-        assert tried == [{"dir": tmp_path / "out" if there else tmp_path}]

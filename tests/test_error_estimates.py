@@ -194,13 +194,6 @@ def test_a_spike_between_samples_is_seen(duration: float, steps: int) -> None:
 # Every route ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch() -> None:
-    for name in ("cars", "overhead_crane", "elastic_bar"):
-        found = sc.solve(scene(name))
-        assert 0.0 < present(found.error.largest) < 1e-10
-        assert found.statistics.branch.startswith("one: ")
-
-
 @pytest.mark.parametrize("scale", [1e-9, 1e3])
 def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale: float) -> None:
     """A path of a nanometre where a metre is typical: Newton's method stops before it has begun."""

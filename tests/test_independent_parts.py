@@ -21,7 +21,6 @@ sys.path.insert(0, str(ROOT))
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
 from servocore.checks.branches import rank_losses  # noqa: E402
-from servocore.model.nominal_magnitudes import _changes, _followed  # noqa: E402
 from servocore.numerics.components import Part, filled, parts_of, singular_values  # noqa: E402
 from servocore.numerics.conditioning import (  # noqa: E402
     condition_number,
@@ -313,20 +312,6 @@ def test_constraints_at_home_are_assembled_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("servocore.model.system.constraint_rank", counted)
     sc.analyse(cranes(2)[0])
     assert len(asked) == 1
-
-
-def test_magnitudes_of_many_cranes_are_those_of_each_and_those_of_the_whole_matrix() -> None:
-    alone, together = (cranes(count)[0].model() for count in (1, 3))
-    extent = np.array([2.0, 0.5, 0.25])
-    np.testing.assert_allclose(_changes(together, np.tile(extent, 3)), np.tile(_changes(alone, extent), 3), rtol=1e-12)
-    generator = np.random.default_rng(2)
-    rows = np.zeros((6, 9))
-    rows[:3, :4] = generator.normal(size=(3, 4))
-    rows[3:, 4:8] = generator.normal(size=(3, 4))
-    rows[2] = rows[0] + rows[1]  # follows from others
-    far = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
-    whole = np.abs(np.linalg.pinv(rows, rcond=1e-9) * far).max(axis=1)
-    np.testing.assert_allclose(_followed(rows, far), whole, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("singular", [False, True])

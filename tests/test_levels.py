@@ -20,7 +20,6 @@ from benchmarks.levels.__main__ import main
 from benchmarks.levels.costs import Cost, Level, Spread
 from benchmarks.levels.measurement import compiled_run, measure_levels, timed_in_turn
 from benchmarks.levels.tables import (
-    COLUMNS,
     HEADINGS,
     csv_text,
     markdown_page,
@@ -125,18 +124,6 @@ def test_a_scene_without_an_exact_answer_has_costs_but_no_errors() -> None:
 def test_nothing_to_measure_is_refused(instants: int, repeats: int, lacking: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=f"at least one {lacking}"):
         measure_levels(sc.scenes.cars(), instants=instants, repeats=repeats)
-
-
-def test_csv_has_one_line_a_model_and_route_in_full_precision() -> None:
-    found = levels("rotary_crane")
-    lines = list(csv.DictReader(io.StringIO(csv_text(found, "here"))))
-    assert tuple(lines[0]) == COLUMNS
-    assert [(each["model"], each["route"]) for each in lines] == [
-        (model, route) for model in ("points", "generalized", "bodies") for route in ("exact", "projected")
-    ]
-    assert float(lines[0]["microseconds"]) == present(found[0].costs["exact"].microseconds).median
-    assert float(lines[1]["error"]) == found[0].costs["projected"].error
-    assert [each["needed"] for each in lines] == ["1", "1", "0", "0", "0", "0"]
 
 
 def test_the_page_is_the_same_from_the_file() -> None:

@@ -6,12 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-from servocore.scenes.mass_on_car import internal_motion
 
 LEVEL = {"inclination": 0.0}
 FLAT = {"inclination": 0.0, "damping": 0.0}
@@ -83,24 +81,6 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
     assert slope == pytest.approx(rate, rel=0.05)
 
 
-def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response() -> None:
-    this = scene_of("inclined")
-    p = this.parameter_values()
-    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
-    decay = p["damping"] / (2 * inertia)
-    frequency = np.sqrt(p["stiffness"] / inertia - decay**2)
-    nodes, weights = leggauss(60)
-    t = np.array([0.3, 1.0, 2.5, 4.0, 6.0])
-    expected = []
-    for time in t:
-        half = min(time, DURATION) / 2
-        past = half * (1 + nodes)
-        force = -p["mass"] * np.cos(p["inclination"]) * this.reference.jet(past, 2)[:, 2, 0]
-        response = np.exp(-decay * (time - past)) * np.sin(frequency * (time - past)) / (inertia * frequency)
-        expected.append(half * weights @ (force * response))
-    np.testing.assert_allclose(this.exact(t)["s"], expected, rtol=0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", ["inclined", "level", "flat", "unstable"])
 def test_the_independent_solution_keeps_both_equations_of_motion(kind: str) -> None:
     this = scene_of(kind)
@@ -150,12 +130,3 @@ def test_without_inclination_spring_and_damper_nothing_determines_the_mass() -> 
     with pytest.raises(sc.InvalidModel, match="the path does not determine s"):
         loose.exact(np.zeros(1))
     assert sc.analyse(loose).classification == "singular here"
-
-
-def test_the_internal_motion_says_what_its_acceleration_is() -> None:
-    this = scene_of("level")
-    t = np.linspace(0.2, 3.8, 5)
-    h = 1e-3
-    before, at, after = (internal_motion(t + k * h, this.reference, this.parameter_values())[0] for k in (-1, 0, 1))
-    _, acceleration = internal_motion(t, this.reference, this.parameter_values())
-    np.testing.assert_allclose((before - 2 * at + after) / h**2, acceleration, atol=1e-5)

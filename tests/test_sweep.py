@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -28,7 +28,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
-from servocore.planning.sweep_settings import Grid, drawn
+from servocore.planning.sweep_settings import drawn
 from servocore.planning.sweep_store import Parquet, Zarr
 from servocore.references.rest_to_rest import RestToRest
 
@@ -396,21 +396,6 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
     found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda *_: done.append(1))
     assert len(done) == 4
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
-
-
-@given(
-    st.lists(st.integers(1, 9), min_size=1, max_size=4),
-    st.integers(1, 60),
-)
-def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths: Sequence[int], most: int) -> None:
-    grid = Grid.of({f"p{k}": np.arange(n, dtype=float) for k, n in enumerate(lengths)}, 0)
-    shape, seen = grid.block(most), np.zeros(grid.shape, dtype=int)
-    assert np.prod(shape) <= most
-    for _, block in grid.blocks(shape):
-        seen[block] += 1
-        for k, name in enumerate(grid.columns):
-            assert set(grid.values(name, block)) == set(range(block[k].start, block[k].stop))
-    assert (seen == 1).all()
 
 
 def test_draws_fill_the_ranges_evenly_and_come_again() -> None:

@@ -294,7 +294,7 @@ def test_it_moves_and_stops(opened: Page) -> None:
     assert opened.run(picture) == stopped
 
 
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("width", [1280, 375])
 def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -> None:
     require_browser()
     path = sc.rest_to_rest((5.1234, 0.0, -5.0), (-2.0, 2.0456, -2.0), 20.25)
@@ -438,14 +438,6 @@ def test_the_mouse_reads_values_zooms_and_orbits(opened: Page) -> None:
     opened.drag((x, y), (x + quarter, y))
     assert opened.run("servocore.stage.look.azimuth") < before
     settled(opened, f"servocore.stage.look.azimuth = {before}; scrollTo(0, 0)")
-
-
-@pytest.mark.parametrize("width", [375, 1280])
-def test_nothing_is_wider_than_the_window(opened: Page, width: int) -> None:
-    opened.size(width, 800)
-    settled(opened, "")
-    assert opened.run("document.documentElement.scrollWidth") <= width
-    opened.size(1280, 900)
 
 
 def test_it_follows_the_dark_mode_and_prints_on_white(opened: Page) -> None:
