@@ -129,8 +129,6 @@ def test_units_of_derivatives_are_converted_too(tmp_path: Path) -> None:
 
 
 UNCLEAR = {
-    "milliseconds": (text(np.round(ROWS * [1e3, 1, 1, 1], 6)), "its times look like milliseconds, .* write time .ms."),
-    "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
     "milliseconds and millimetres": (  # whose mean speed is plausible
         text(np.round(ROWS * [1e3, 1e3, 1e3, 1e3], 6)),
         "milliseconds and its positions look like millimetres, for 20000 s and up to 5000 m .* time .ms. and x .mm.",
@@ -212,15 +210,6 @@ def test_capitals_that_tell_columns_apart_are_heeded(tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match=r"the header time,x,X, .* was expected, but 'time,X,x' was found"):
         waypoints_from_csv(file, ["x", "X"])
     assert waypoints_from_csv(file, ["X", "x"]).jet(1.0, 0)[0].tolist() == [1.0, 2.0]
-
-
-def test_a_header_with_units_ends_the_doubt(tmp_path: Path) -> None:
-    slow = ROWS * [1e3, 1, 1, 1]
-    path, told = read(tmp_path, text(slow, "time [s],x,y,z"))
-    assert (path.duration, told) == (20000.0, [])
-    far = ROWS * [1, 1e3, 1e3, 1e3]
-    path, told = read(tmp_path, text(far, "time,x [m],y [m],z [m]"))
-    assert path.jet(0.0, 0)[0, 0] == pytest.approx(5000.0)
 
 
 def test_plain_numbers_and_cells_one_by_one_give_the_same_table(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from present import of_kind, present
 
 import servocore as sc
 from servocore.cli.commands import app
-from servocore.effects.closed_loop import Driven, linear_answers, run_loop
+from servocore.effects.closed_loop import Driven, run_loop
 from servocore.effects.model_inversion import inverted
-from servocore.effects.position_loops import Gains, gains_of
+from servocore.effects.position_loops import Gains
 from servocore.effects.report import EffectsReport
 from servocore.model.effects import Extended
 from servocore.problem import Problem
@@ -255,22 +255,6 @@ def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> N
     assert "the plant answers otherwise" in found["load inertia"].reason
     assert present(found["load inertia"].estimate) < 0.9 * present(found["load inertia"].error)
     assert found["hook"].how == "estimated"
-
-
-def test_linear_answers_at_both_ends_are_what_a_small_push_does_to_a_plant_at_rest_there() -> None:
-    scene = smooth(crane("overhead_crane"), 5.0)
-    problem, measured = Problem.of(scene), scene.effects.measured
-    own = inverted(problem, measured, 501)
-    gains = gains_of(problem.system, measured, own.end, problem.p, sc.PositionLoops())
-    push = np.outer(1e-3 * np.sin(own.t) ** 4, [1.0, 0.5])
-    answers = linear_answers(problem, own, gains, measured, (), push)
-    for place, q, u, answer in zip(
-        ((0.0, -4.0), (5.0, -1.0)), (own.start[:4], own.end), own.inputs[[0, -1]], answers, strict=True
-    ):
-        still = replace(own, positions=0 * own.positions, rates=0 * own.rates, start=np.concatenate([q, np.zeros(4)]))
-        staying = Problem.of(scene.with_reference(sc.rest_to_rest(place, (place[0], place[1] - 1e-12), 5.0)))
-        moved = run_loop(staying, Driven(still, u + push, gains), still, measured)
-        assert answer == pytest.approx(moved.error, rel=1e-3)
 
 
 def test_effects_of_index_seven_are_looked_at_on_a_smoother_law_which_is_named() -> None:

@@ -19,7 +19,7 @@ from problems import Rest, as_scene, scene
 
 import servocore as sc
 from servocore.checks.better_solutions import warn_and_state_branch
-from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
+from servocore.checks.wrong_inputs import LARGEST_UNWARNED
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep
@@ -325,14 +325,6 @@ def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estim
 
 
 # One motion -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not() -> None:
-    t = np.linspace(0.0, 2.5, 200)
-    winch = np.column_stack([np.cos(6 * t**2), np.sin(6 * t**2), t])
-    assert len(steps_that_stand_out(winch)) == 0
-    jumping = winch + np.where(t > 1.2, 1.0, 0.0)[:, None]
-    assert steps_that_stand_out(jumping).tolist() == [int((t <= 1.2).sum()) - 1]
 
 
 def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:

@@ -35,7 +35,7 @@ from servocore.numerics.constraint_ranks import (  # noqa: E402
 )
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402
-from servocore.solvers import results, within_limits  # noqa: E402
+from servocore.solvers import results  # noqa: E402
 from servocore.structure.inversion import determinant_signs, inversion, is_regular_throughout  # noqa: E402
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
@@ -290,13 +290,6 @@ def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_
     solution = sc.solve(scene, step=crane.reference.duration / 50)
     np.testing.assert_allclose(solution["F_x"], crane.exact(solution.t)["F_x"], rtol=1e-9)
     assert 51 < solution.statistics.newton_iterations < 51 * 4
-
-
-def test_errors_of_a_method_are_cleared_without_looking_between_instants(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Backward Euler on the projected form starts with errors that stand out; exact inputs there do not."""
-    monkeypatch.setattr(within_limits, "refuse_or_warn_of_poles", lambda *_: pytest.fail("looked between"))
-    scene = sc.scenes.gantry_crane()
-    sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=scene.reference.duration / 200)
 
 
 # What `analyse` does once ---------------------------------------------------------------------------------------------

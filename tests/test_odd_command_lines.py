@@ -1,4 +1,4 @@
-"""Odd command lines, as people type them: each is refused in one sentence, exit code 2, and nothing is written."""
+"""Wrong command lines, and odd ones as people type them: refused in one sentence, exit code 2, nothing is written."""
 
 from __future__ import annotations
 
@@ -191,8 +191,8 @@ WORDS = {"CRANE": CRANE, "NULL": os.devnull, "ALL": "--limit M_b=1000 --limit F=
 ODD = [tuple(row.format(**WORDS).split(" -> ")) for row in TABLE.strip().splitlines()]
 
 
-@pytest.mark.parametrize(("line", "said"), ODD, ids=[line for line, _ in ODD])
-def test_an_odd_command_line_is_refused_in_one_sentence(line: str, said: str) -> None:
+@pytest.mark.parametrize(("line", "said"), [*WRONG, *ODD], ids=[line for line, _ in (*WRONG, *ODD)])
+def test_a_wrong_command_line_is_refused_with_the_right_form(line: str, said: str) -> None:
     for name, text in FILES.items():
         Path(name).write_bytes(text.encode("latin-1"))
     command_line, result = run(line)

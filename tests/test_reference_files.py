@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from present import present
+from test_references import relative_errors
 
 import servocore as sc
 from servocore import (
@@ -20,7 +21,6 @@ from servocore import (
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.references.hermite import hermite
-from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -42,12 +42,6 @@ def table(truth: sc.Reference, step: float, groups: int) -> Array:
 def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: list[str] | str = "xyz") -> Path:
     np.savetxt(path, rows, fmt, ",", header=header(groups, columns), comments="")
     return path
-
-
-def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int) -> Array:
-    t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
-    found, exact = path.jet(t, order), truth.jet(t, order)
-    return np.asarray(np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2)))
 
 
 @pytest.mark.parametrize("groups", [1, 2, 3, 4, 5])
