@@ -241,14 +241,6 @@ class TestFeedforward:
         path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES.get(profile, sc.three_phase(8.0)))
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
 
-    @pytest.mark.parametrize("groups", [1, 2, 5])
-    def test_a_reference_file_gives_what_the_line_gives(self, groups: int) -> None:
-        path = reference_csv(groups=groups, count=201)
-        _, values = table(run("feedforward", "--reference", path, "--step", 0.1).stdout)
-        _, expected = table(run("feedforward", *LINE, "--step", 0.1).stdout)
-        np.testing.assert_allclose(values[:, 4:10], expected[:, 4:10], atol=1e-6)
-        np.testing.assert_allclose(values[:, 1:4], expected[:, 1:4], atol=1e-2)
-
     def test_parameters_from_a_file_change_the_crane(self) -> None:
         write("crane.toml", "load_mass = 50\n")
         _, values = table(run("feedforward", *LINE, "--parameters", "crane.toml").stdout)
@@ -260,11 +252,6 @@ class TestFeedforward:
         assert run("feedforward", *LINE, "--plot", name, "--output", "inputs.csv").exit_code == 0
         assert Path(name).read_bytes().startswith(start)
         assert sorted(os.listdir()) == ["inputs.csv", name]
-
-    def test_an_older_output_is_replaced(self) -> None:
-        write("inputs.csv", "old")
-        assert run("feedforward", *LINE, "--output", "inputs.csv").exit_code == 0
-        assert Path("inputs.csv").read_text().startswith(HEADER)
 
 
 TOML = {

@@ -8,14 +8,13 @@ import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import vtol
 from present import present
-from problems import Rest, as_scene, scene
+from problems import Rest, as_scene, car_chain, changed, scene
 
 import servocore as sc
 from servocore.checks.better_solutions import warn_and_state_branch
@@ -152,19 +151,9 @@ class CubicCars:
     k3: float = 3.0
 
     def __call__(self) -> sc.MechanicalSystem:
-        coordinates = sc.Coordinates(sc.Quantity("x_1", "m"), sc.Quantity("x_2", "m"))
-        stretch = coordinates["x_1"] - coordinates["x_2"]
-        return sc.MechanicalSystem(
-            name="cubic cars",
-            coordinates=coordinates,
-            parameters=sc.Parameters(),
-            inputs=(sc.Quantity("F", "N"),),
-            outputs=(sc.Quantity("y", "m"),),
-            mass=ca.SX.eye(2),
-            output=coordinates["x_1"],
-            input_matrix=ca.SX([[0.0, -1.0]]),
-            potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4,
-        )
+        cars = car_chain((1.0, 1.0))
+        stretch = cars.q[0] - cars.q[1]
+        return changed(cars, name="cubic cars", potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4)
 
     def closed_form(self, reference: np.ndarray, _: object) -> dict[str, np.ndarray]:
         """F = x_1'' + x_2'', where x_2 = x_1 - e and k e + k3 e^3 = -x_1''."""

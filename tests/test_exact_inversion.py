@@ -124,11 +124,6 @@ def test_without_the_limits_a_rope_that_goes_slack_is_refused_with_the_time() ->
         sc.ExactInversion(jerked)
 
 
-def test_times_that_are_no_numbers_are_refused() -> None:
-    with pytest.raises(sc.InvalidReference, match="time number 1 is nan"):
-        sc.ExactInversion(CRANE)([0.0, float("nan")])
-
-
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
 def test_few_instants_and_many_calls_give_the_same_bits(name: str) -> None:
     """From the second call on few instants are evaluated together with the path, without NumPy."""

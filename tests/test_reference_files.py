@@ -154,7 +154,7 @@ def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups: int, t
 def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 1)
     rows[rows[:, 0] > 17.0, 3] += 0.01
-    with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17"):
+    with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17.* in position"):
         from_csv(write(tmp_path / "rough.csv", rows, 1))
 
 

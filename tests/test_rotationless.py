@@ -117,15 +117,6 @@ def test_a_free_body_has_the_kinetic_energy_of_its_mass_and_inertia(
     assert energy == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-@given(vectors, vectors, vectors, vectors)
-def test_orthonormality_allows_rigid_motions_only(turn: Array, position: Array, velocity: Array, w: Array) -> None:
-    assembly = Assembly((RigidBody("b", 1.0, (1.0, 1.0, 1.0)),), NONE, (0, 0, 0))
-    q, v = motion(position, rotation(turn), velocity, w)
-    G = jacobian(assembly.orthonormality, assembly, q)
-    assert np.linalg.matrix_rank(G) == 6
-    np.testing.assert_allclose(G @ v, 0.0, atol=1e-12)
-
-
 def test_gravity_acts_at_the_centre_of_mass() -> None:
     assembly = Assembly((RigidBody("b", 2.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.5)),), NONE, (0, 0, -GRAVITY))
     q, _ = motion((0.0, 0.0, 3.0), rotation((np.pi, 0.0, 0.0)), np.zeros(3), np.zeros(3))  # upside down

@@ -91,11 +91,6 @@ def test_the_nearest_steps_named_in_a_refusal_are_accepted() -> None:
         assert len(solve(step=step).t) in (67, 68)
 
 
-def test_steps_in_decimals_that_binary_cannot_hold_are_accepted() -> None:
-    for step in (0.1, 0.2, 0.01, 1 / 3 * 0.3):
-        assert solve(step=step).t[-1] == 20.0
-
-
 # Loops ---------------------------------------------------------------------------------------------------------------
 
 

@@ -165,27 +165,6 @@ def test_a_folder_of_tables_has_a_row_a_case_with_units_and_settings(tmp_path: P
     assert b'"scene": "rotary_crane"' in schema.metadata[b"settings"]
 
 
-class Interrupted(Exception):
-    pass
-
-
-@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
-def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path, name: str) -> None:
-    store, seen = tmp_path / name, []
-
-    def stop(done: int, _: object) -> None:
-        if done >= 9:
-            raise Interrupted
-
-    with pytest.raises(Interrupted):
-        sc.sweep(CRANE, VARIED, store=store, chunk=3, progress=stop)
-    found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda done, _: seen.append(done))
-    assert seen[0] >= 12
-    assert seen[-1] == 21
-    assert len(seen) <= 4
-    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
-
-
 DRIVER = """
 import numpy as np, servocore as sc, sys
 varied = {"load_mass": np.linspace(50.0, 150.0, 7), "duration": np.array([10.0, 14.0, 20.0])}
