@@ -10,10 +10,10 @@ import conserved
 import numpy as np
 import pytest
 from flexible import unstrained
+from outside.writing import coordinates, lagrange
 from thinned import thinned
 
 import servocore as sc
-from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array
 from servocore.rotationless import GROUND, Assembly, Beam, ElasticRope, Frame, Section, angle, fixed, revolute, turned
 
@@ -129,27 +129,16 @@ BAR = float(np.hypot(HALF_SPAN, RISE))
 
 def truss(controlled: str) -> sc.MechanicalSystem:
     """Two bars to one joint, without inertia: q = (across, down, load). The load, or the way down, is prescribed."""
-    names = {"across": "m", "down": "m", "load": "N"}
-    coordinates = sc.Coordinates(*(sc.Quantity(name, unit) for name, unit in names.items()))
-    across, down, load = ca.vertsplit(coordinates.q)
+    q = coordinates("across down load")
+    across, down, load = ca.vertsplit(q.q)
     lengths = [ca.sqrt((HALF_SPAN + side * across) ** 2 + (RISE - down) ** 2) for side in (1, -1)]
     strain = sum(STIFFNESS / (2 * BAR) * (each - BAR) ** 2 for each in lengths)
-    y = reference_symbols(1)
     by_way = controlled == "down"
-    return sc.MechanicalSystem(
-        name="von Mises truss",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("P", "N"),),
-        outputs=(sc.Quantity("prescribed", names[controlled]),),
-        mass=ca.SX(3, 3),
-        output=coordinates[controlled],
-        input_matrix=ca.SX([[0, -1 if by_way else 0, 0 if by_way else -1]]),
+    return lagrange(
+        "von Mises truss", q, ca.SX(0), {"prescribed": q[controlled]}, {"P": q[controlled]},
         potential=strain + (load**2 / 2 if by_way else -load * down),
-        gamma=y,
-        guess=ca.vertcat(0, y[0, 0], 0) if by_way else ca.vertcat(0, 0, y[0, 0]),
-        home=(0.05 if by_way else 1.0,),
-    )
+        guess=lambda y: (0, y[0], 0) if by_way else (0, 0, y[0]), home=(0.05 if by_way else 1.0,),
+    )  # fmt: skip
 
 
 def truss_load(down: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from outside.writing import coordinates, lagrange
 from present import present
 
 from servocore.numerics.compiled_calls import Array
@@ -241,25 +242,15 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
 def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:
     """Of two cranks one goes through its dead centre, where two motions go on."""
     length, radius = 1.0, 0.3
-    names = [f"{name}_{i}" for i in range(2) for name in ("x", "y", "slide")]
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in names))
-    gamma = ca.SX.sym("gamma", 2, 25)
-    q = [ca.vertsplit(coordinates.q[3 * i : 3 * i + 3]) for i in range(2)]
-    system = sc.MechanicalSystem(
-        name="two cranks",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=tuple(sc.Quantity(f"F_{i}", "N") for i in range(2)),
-        outputs=tuple(sc.Quantity(f"place_{i}", "m") for i in range(2)),
-        mass=ca.sparsify(ca.diag(ca.SX.ones(6))),
-        output=ca.vertcat(*[slide for _, _, slide in q]),
-        input_matrix=ca.sparsify(ca.SX.eye(6)[[2, 5], :]),
-        constraints=ca.vertcat(
-            *[each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
-        ),
-        gamma=gamma,
+    both = coordinates("x_0 y_0 slide_0 x_1 y_1 slide_1")
+    q = [ca.vertsplit(both.q[3 * i : 3 * i + 3]) for i in range(2)]
+    slides = [slide for _, _, slide in q]
+    rows = [each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
+    system = lagrange(
+        "two cranks", both, ca.sumsqr(both.v) / 2, {f"place_{i}": slides[i] for i in range(2)},
+        {f"F_{i}": slides[i] for i in range(2)}, constraints=ca.vertcat(*rows), guess=lambda _: [0.0] * 6,
         home=(1.0, 1.0),
-    )
+    )  # fmt: skip
     t = np.linspace(0.0, 1.0, 41)
     angles = np.pi / 3 + np.outer(t, [4.5, 0.5])  # the first passes half a turn
     x, y = radius * np.cos(angles), radius * np.sin(angles)

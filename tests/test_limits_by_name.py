@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.interpolate
+from outside.writing import coordinates, lagrange
 from present import present
 
 import servocore as sc
@@ -335,30 +336,17 @@ class TestRopes:
 
 def two_ropes() -> sc.MechanicalSystem:
     """Return a load on two ropes from (-2, 0) and (2, 0), their lengths driven; on that line they are singular."""
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in ("x", "z", "l_1", "l_2")))
-    x, z, *lengths = ca.vertsplit(coordinates.q)
-    lam, gamma = ca.SX.sym("lam", 2), ca.SX.sym("gamma", 2, sc.MAX_REFERENCE_ORDER + 1)
-    anchors = (-2.0, 2.0)
+    q = coordinates("x z l_1 l_2")
+    x, z, *lengths = ca.vertsplit(q.q)
+    lam, anchors = ca.SX.sym("lam", 2), (-2.0, 2.0)
     rows = [(x - at) ** 2 + z**2 - length**2 for at, length in zip(anchors, lengths, strict=True)]
-    guess = [ca.norm_2(ca.vertcat(gamma[0, 0] - at, gamma[1, 0])) for at in anchors]
-    tensions = [2 * lam[k] * length for k, length in enumerate(lengths)]
-    return sc.MechanicalSystem(
-        name="two ropes",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("F_1", "N"), sc.Quantity("F_2", "N")),
-        outputs=(sc.Quantity("x", "m"), sc.Quantity("z", "m")),
-        mass=ca.diag(ca.SX([100.0, 100.0, 1.0, 1.0])),
-        potential=981.0 * z,
-        constraints=ca.vertcat(*rows),
-        multipliers=lam,
-        input_matrix=ca.horzcat(ca.SX(2, 2), -ca.SX.eye(2)),
-        output=ca.vertcat(x, z),
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], gamma[1, 0], *guess),
+    return lagrange(
+        "two ropes", q, (100.0 * ca.sumsqr(q.v[:2]) + ca.sumsqr(q.v[2:])) / 2, {"x": x, "z": z},
+        {"F_1": lengths[0], "F_2": lengths[1]}, potential=981.0 * z, constraints=ca.vertcat(*rows), multipliers=lam,
+        guess=lambda at: (at[0], at[1], *(ca.norm_2(ca.vertcat(at[0] - each, at[1])) for each in anchors)),
         home=(0.3, -1.0),
-        observables={sc.Quantity(f"tension_{k}", "N"): each for k, each in enumerate(tensions, 1)},
-    )
+        observables={sc.Quantity(f"tension_{k + 1}", "N"): 2 * lam[k] * length for k, length in enumerate(lengths)},
+    )  # fmt: skip
 
 
 class TestPoles:
