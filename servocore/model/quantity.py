@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class RunQuantity:
     quantity: Quantity
     of: str
     rms: bool
+
+    def of_sum(self, total: Any, duration: float) -> Any:
+        """Return it from the integral of the quantity, or of its square, over a duration in s."""
+        return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
 
 
 def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:

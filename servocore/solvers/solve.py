@@ -15,6 +15,7 @@ from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import require_run_limits
 from servocore.errors import (
     InvalidSetting,
     ServocoreError,
@@ -133,6 +134,8 @@ def solve(
     fit = partial(_fit_effect, problem, route)
     found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
     solution = with_run_quantities(found)
+    if checked:
+        require_run_limits(problem, solution)
     if certify:
         from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
         from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
