@@ -140,13 +140,15 @@ def _beside_friction(law: ca.Function, system: sc.MechanicalSystem) -> ca.Functi
     """
     flat, names = _flat(hanging(system)), system.parameters.names
     smooth = ca.DM([0.0 if name.endswith((".coulomb", ".viscous")) else 1.0 for name in names])
-    given = law.mx_in()
+    path, numbers, ahead = ca.SX.sym("jet", _JET), ca.SX.sym("p", len(names)), ca.SX.sym("ahead")
+    there = continued(path, ca.SX.zeros(DIMENSION), ahead)
+    more = flat(there, numbers)[1] - flat(there, numbers * smooth)[1]
+    friction, given = ca.Function("friction", [path, numbers, ahead], [more], {"cse": True}), law.mx_in()
     if law.n_out() == 1:
         jet, measured, p, h = given
         return ca.Function(law.name(), given, [law(jet, measured, p * smooth, h)])
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given
-    reached = jet if law.name().endswith("end") else continued(jet, ca.MX.zeros(DIMENSION), h)
-    now, then = (flat(path, p)[1] - flat(path, p * smooth)[1] for path in (before, reached))
+    now, then = friction(before, p, 0), friction(jet, p, 0 if law.name().endswith("end") else h)
     inputs = acting - now, feedforward - then
     room = ca.fmax(limits - ca.fabs(then), 0)
     after, found = law(memory, jet, before, measured, *inputs, p * smooth, h, share, room)

@@ -290,10 +290,12 @@ def require_reported(problem: Problem, solution: Solution) -> None:
 
 def run_values(problem: Problem, states: States, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
-    limits, duration = problem.run_limits, float(t[-1] - t[0])
-    sums = np.trapezoid(limited_values(replace(problem, limits=limits), states, t), t, axis=1)
-    every = zip(limits, sums, strict=True)
-    return np.array([limit.over_run.of_sum(total, duration) for limit, total in every if limit.over_run])
+    values, found = limited_values(replace(problem, limits=problem.run_limits), states, t), []
+    for limit, each in zip(problem.run_limits, values, strict=True):
+        assert limit.over_run is not None
+        total = np.trapezoid(limit.over_run.integrand(each), t)
+        found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
+    return np.array(found)
 
 
 def require_run_limits(problem: Problem, solution: Solution) -> None:

@@ -125,7 +125,7 @@ class Limit:
         expression = as_expression(evaluate(*arguments), whose)
         if expression.shape != (1, 1):
             raise InvalidModel(f"{whose} has shape {expression.shape}, not (1, 1)")
-        return expression
+        return expression if self.over_run is None else self.over_run.integrand(expression)
 
 
 def _arguments(function: Callable[..., Any]) -> int:
@@ -146,17 +146,6 @@ class Named:
             if self.name in names:
                 return expressions[names.index(self.name)]
         raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
-
-
-@dataclass(frozen=True)
-class Squared:
-    """The square of a reported quantity."""
-
-    name: str
-
-    def __call__(self, system: MechanicalSystem) -> ca.SX:
-        """Return it for a system; raises `InvalidModel` if that has no such quantity."""
-        return Named(self.name)(system) ** 2
 
 
 def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | Sequence[ca.SX]]]:
@@ -216,12 +205,9 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
     texts = [each for each in (bounds if isinstance(bounds, tuple | list) else [bounds]) if isinstance(each, str)]
     given_in = next(filter(None, map(unit_of, texts)), "")
-    expression: Expression = Named(of)
-    if over_run := of_run.get(of):
-        expression = (Squared if over_run.rms else Named)(over_run.of)
-    return Limit(
-        name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in, over_run=over_run
-    )  # fmt: skip
+    over_run = of_run.get(of)
+    expression = Named(over_run.of if over_run else of)
+    return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in, over_run=over_run)
 
 
 def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:

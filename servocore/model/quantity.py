@@ -84,6 +84,10 @@ class RunQuantity:
     of: str
     rms: bool
 
+    def integrand(self, value: Any) -> Any:
+        """Return what is integrated, from the reported quantity."""
+        return value**2 if self.rms else value
+
     def of_sum(self, total: Any, duration: float) -> Any:
         """Return it from the integral of the quantity, or of its square, over a duration in s."""
         return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total

@@ -232,10 +232,10 @@ def _compile_rows(
         lower.append(low)
     arguments = [given[0], motion.unknowns, given[1]]
     results = [ca.vertcat(ca.SX(0, 1), *rows), motion.equations, ca.vertcat(ca.SX(0, 1), *integrands)]
-    here = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
+    rows_here = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
     moving = tuple(not by_formula or highest_derivative(value, gamma) > 0 for value in own)
     function, start = _of_path(given, rows, motion), _start(given, motion)
-    return Rows(local, function, values, order, np.array(lower), moving, here, totals, start)
+    return Rows(local, function, values, order, np.array(lower), moving, rows_here, totals, start)
 
 
 def _of_path(given: list[ca.SX], expressions: Sequence[ca.SX], motion: _Motion) -> ca.Function:

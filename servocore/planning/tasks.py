@@ -20,7 +20,7 @@ from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
 from servocore.planning.time_laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
-from servocore.planning.transcription import Inner, Task, Total
+from servocore.planning.transcription import Inner, Task, totals_of
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
 from servocore.references.piecewise import PiecewisePolynomial
@@ -166,7 +166,8 @@ class _Kept:
 
 def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    expressions, lower, symbols, equations, begun, totals, integrands = [], [], [], [], [], [], []
+    expressions, lower, symbols, equations, begun, integrands = [], [], [], [], [], []
+    totals = list[Limit]()
     for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
         here = gamma[:, : rows.order + 1]
@@ -187,8 +188,9 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     way = float(np.linalg.norm(end - start))
     sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
     sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
-    totals = [Total.of(limit) for limit in kept.totals]
-    integrands = ca.densify(ca.vertcat(ca.SX(0, 1), *kept.integrands)) / ca.DM([each.scale for each in totals])
+    bounded = zip(ca.vertsplit(ca.vertcat(*kept.integrands)), kept.totals, strict=True) if kept.totals else ()
+    totals = [(value, total) for value, limit in bounded for total in totals_of(limit)]
+    integrands = ca.vertcat(ca.SX(0, 1), *[value / total.scale for value, total in totals])
     results = [rows, ca.vertcat(*kept.equations), integrands]
     local = ca.Function("sc_local_rows", [jets, kept.unknowns], results, {"cse": True})
     if kept.unknowns.numel():
@@ -199,7 +201,7 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
         function = ca.Function("sc_task", [jets], [rows, integrands], {"cse": True})
     return Task(
         rows=function,
-        totals=tuple(totals),
+        totals=tuple(total for _, total in totals),
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
         upper=np.full(len(bounds), 1.0 - _ROOM),
         start=start,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -68,24 +69,22 @@ class Inner:
         return sizes, np.where(largest > 0.0, largest, 1.0)
 
 
-@dataclass(frozen=True)
-class Total:
-    """Bounds of an integral over the law, or of the mean of a square, divided by `scale`."""
+class Total(NamedTuple):
+    """An upper bound of an integral over the law, divided by `scale`, or of a mean over its time."""
 
-    rms: bool
+    mean: bool
     scale: float
-    lower: float
-    upper: float
+    most: float
 
-    @classmethod
-    def of(cls, limit: Limit) -> Total:
-        """Return it for a limit of what a run adds up."""
-        rms = limit.over_run is not None and limit.over_run.rms
-        low, high = (
-            np.copysign(bound**2, bound) if rms else bound for bound in (limit.bound, limit.upper)
-        )  # fmt: skip
-        scale = max((abs(each) for each in (low, high) if np.isfinite(each)), default=0.0) or 1.0
-        return cls(rms, float(scale), float(low / scale), float(high / scale))
+
+def totals_of(limit: Limit) -> list[Total]:
+    """Return both sides of a limit of what a run adds up; a lower one has a negative scale."""
+    found, rms = [], limit.over_run is not None and limit.over_run.rms
+    for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
+        bound = float(np.copysign(side**2, side)) if rms else side
+        if np.isfinite(bound):
+            found.append(Total(rms, sign * (abs(bound) or 1.0), sign * bound / (abs(bound) or 1.0)))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +138,7 @@ class Task:
         if not self.totals:
             return np.zeros(0)
         means = np.trapezoid(self.values(jets, 1), dx=1.0 / (jets.shape[2] - 1), axis=1)
-        over = [
-            max(value - each.upper, each.lower - value)
-            for each, mean in zip(self.totals, means, strict=True)
-            for value in (mean if each.rms else mean * duration,)
-        ]
+        over = [mean * (1.0 if e.mean else duration) - e.most for e, mean in zip(self.totals, means, strict=True)]
         return np.where(np.isfinite(over), over, np.inf)
 
     def excess(self, jets: Array) -> Array:
@@ -222,9 +217,9 @@ class Transcription:
         lower, upper = self._bounds()
         zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
         defects = np.zeros(zeros)
-        totals = self.task.totals
-        low = [*(self.task.lower[:, None] + tightened).ravel(order="F"), *([each.lower for each in totals] + less)]
-        high = [*(self.task.upper[:, None] - tightened).ravel(order="F"), *([each.upper for each in totals] - less)]
+        most = np.array([each.most for each in self.task.totals]) - less
+        low = np.append((self.task.lower[:, None] + tightened).ravel(order="F"), np.full(len(most), -np.inf))
+        high = np.append((self.task.upper[:, None] - tightened).ravel(order="F"), most)
         result = self._solver(
             x0=np.clip(self._packed(start), lower, upper),
             lbx=lower,
@@ -306,7 +301,7 @@ def _program(task: Task, intervals: int, checks: int, scale: float, sizes: tuple
     steps = step.map(intervals)(*arguments)
     held, local_rows, parts = local.map(intervals)(*arguments, inside)
     # By the trapezoidal rule: the last instant rests, and so does the first.
-    times = ca.vertcat(*[ca.MX(1.0) if each.rms else theta * scale for each in task.totals])
+    times = ca.vertcat(*[ca.MX(1.0) if each.mean else theta * scale for each in task.totals])
     totals = ca.sum2(parts) / intervals * times if task.totals else ca.MX(0, 1)
     return {
         "x": ca.vertcat(ca.vec(knots), theta, ca.vec(inside)),
