@@ -53,9 +53,7 @@ class Option(NamedTuple):
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
     "--parameters": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "crane.toml", Path("crane.toml")),
-    "--drives": Option(
-        of_both(SUBJECT) | of_servocore(IDENTIFYING) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")
-    ),
+    "--drives": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "drives.toml", Path("drives.toml")),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
     "--servo-output": Option(of_servocore(SUBJECT | IDENTIFYING), "tool0", ("tool0",)),
     "--elastic": Option(of_servocore(SUBJECT | IDENTIFYING), "elbow=1e4", ({"elbow": 1e4},)),

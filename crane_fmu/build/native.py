@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -44,6 +45,7 @@ def native_fmu(
     targets: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
     deferred_refusals: bool = False,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
 ) -> bytes:
     """Return the archive of trajectory, inverse model or plant, FMI 2.
 
@@ -61,8 +63,10 @@ def native_fmu(
         Called with a phrase for every stage.
     deferred_refusals : bool
         Whether values are checked when they are used: the setters of PythonFMU cannot fail.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
     """
-    crane = crane_with(starts)
+    crane = crane_with(starts, drives)
     common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress}
     common["deferred_refusals"] = deferred_refusals
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:

@@ -211,7 +211,7 @@ def export_trajectory(
 
 def _described(model: NativeModel, about: About | None) -> NativeModel:
     about = about or About()
-    return replace(model.with_starts(about.defaults), about=about)
+    return replace(model.with_run_quantities().with_starts(about.defaults), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
