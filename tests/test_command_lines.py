@@ -110,7 +110,9 @@ OPTIONS = {
     "--uncertainty": Option(of_servocore(IDENTIFYING), "20%", "20%"),
     "--job": Option(of_servocore({"identify"}), "job.csv", (Path("job.csv"),)),
     "--page": Option(of_servocore({"identify"}) | {"crane-fmu build"}, "page.html", Path("page.html")),
-    "--fmi": Option(of_servocore({"export"}), "2", 2),
+    "--fmi": Option(of_servocore({"export", "ssp"}), "2", 2),
+    "--no-stdio": Option(of_servocore({"export", "ssp"}), "", True),
+    "--max-internal-steps": Option(of_servocore({"export", "ssp"}), "50", 50),
     "--targets": Option(
         {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
