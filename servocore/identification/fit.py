@@ -124,11 +124,7 @@ class Fit:
         rate -= delay * np.gradient(rate, data.t, axis=0)
         expected = values.copy()
         expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)
-        residual = data.values - expected
-        for channel, quantity in enumerate(self.prediction.quantities):
-            if quantity.wraps:
-                residual[:, channel] = np.angle(np.exp(1j * residual[:, channel]))
-        return residual, rate
+        return self.prediction.wrapped(data.values - expected), rate
 
     def prior(self) -> tuple[Array, Array]:
         """Return center and precision of parameters, biases and delays before anything is measured."""
@@ -326,6 +322,10 @@ def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: floa
         while (better := problem.cost(candidate, weights)) > cost * (1 + 1e-9) and share > 0.02 * full:
             share /= 2
             candidate = _moved(state, change, share)
+        # Where friction bends within the residuals Gauss-Newton steps are far too short, all in one direction.
+        while share >= full and (longer := problem.cost(_moved(state, change, 2 * share), weights)) < better:
+            share *= 2
+            candidate, better = _moved(state, change, share), longer
         if better <= cost * (1 + 1e-9):
             gained, state, cost = cost - better, candidate, better
             damping = damping / 10 if share == full and damping > 1e-6 else 0.0 if share == full else damping

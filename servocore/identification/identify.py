@@ -28,6 +28,7 @@ _BENT = 1.3  # times the noise of a position
 _EXPLAINED = 0.3  # of the changes of an input: beyond, its unit or its clock is doubtful
 _UNITS, _LAG, _ALIKE = 30.0, 0.05, 0.03  # factor, s, and s between the lags of inputs with one clock
 _EVERY, _SMOOTH = 0.05, 6.0  # s between equilibria, and standard deviation of their low-pass in these
+_ROUNDS, _AT_REST = 30, 1e-6  # of Newton's method, and its last step
 
 
 def identify(
@@ -206,23 +207,19 @@ def _equilibria(fit: Fit, problem: Problem, data: Blocks) -> Array:
     """Return low-passed outputs (N, outputs) at which the model would rest with the positions that were measured."""
     from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    m, order = fit.inputs, problem.array.reference_order
+    m, prediction = fit.inputs, fit.prediction
     every = max(1, round(_EVERY / float(np.median(np.diff(data.t)))))
-    place, found = np.array(problem.reference.jet(problem.reference.start_time, 0)[0]), []
-    jets = np.zeros((1, order + 1, len(place)))
-    for row in data.values[::every, m:]:
-        for _ in range(30):
-            jets[0, 0] = place
-            predicted = fit.prediction(jets, problem.p)
-            lacking = row - predicted.values[0, m:]
-            for k, quantity in enumerate(fit.prediction.quantities[m:]):
-                lacking[k] = np.angle(np.exp(1j * lacking[k])) if quantity.wraps else lacking[k]
-            if not np.isfinite(predicted.by_path).all():
-                raise InvalidReference(f"{problem.name} cannot rest at the positions of the log: are its units right?")
-            change = np.linalg.lstsq(predicted.by_path[0, m:, 0], lacking, rcond=None)[0]
-            place = place + change * min(1.0, 1.0 / max(float(np.abs(change).max()), 1e-12))
-            if np.abs(change).max() < 1e-6:
-                break
-        found.append(place)
-    smooth = gaussian_filter1d(np.array(found), _SMOOTH, axis=0, mode="nearest")
+    rows = data.values[::every, m:]
+    jets = np.zeros((len(rows), problem.array.reference_order + 1, len(problem.system.outputs)))
+    jets[:, 0] = problem.reference.jet(problem.reference.start_time, 0)[0]
+    for _ in range(_ROUNDS):
+        predicted = prediction(jets, problem.p)
+        if not np.isfinite(predicted.by_path).all():
+            raise InvalidReference(f"{problem.name} cannot rest at the positions of the log: are its units right?")
+        lacking = prediction.wrapped(rows - predicted.values[:, m:], m)
+        change = (np.linalg.pinv(predicted.by_path[:, m:, 0]) @ lacking[:, :, None])[:, :, 0]
+        jets[:, 0] += change / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1.0)
+        if np.abs(change).max() < _AT_REST:
+            break
+    smooth = gaussian_filter1d(jets[:, 0], _SMOOTH, axis=0, mode="nearest")
     return np.column_stack([np.interp(data.t, data.t[::every], column) for column in smooth.T])

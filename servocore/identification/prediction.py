@@ -8,10 +8,10 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import ResolvedSystem
 from servocore.stepping.exact_evaluation import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
@@ -60,23 +60,27 @@ class Prediction:
         known = _positions(self.resolved)
         return (*self.resolved.system.inputs, *(known[name][0] for name in self.measured))
 
+    def wrapped(self, differences: Array, first: int = 0) -> Array:
+        """Return differences (N, channels from `first`) with those of angles between half a turn to both sides."""
+        turns = [quantity.wraps for quantity in self.quantities[first:]]
+        return np.where(turns, np.angle(np.exp(1j * differences)), differences)
+
     def __call__(self, jets: Array, p: Array) -> Predicted:
         """Return the channels for jets (N, orders, outputs) and all parameters."""
-        results = at_instants(_explicit(self.resolved, self.measured, True), jets=jets, p=p)
-        if not (results[3] < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
+        flat = jets.reshape(len(jets), -1).T
+        values, slopes, residual = _explicit(self.resolved, self.measured, self.columns, True)(flat, p)
+        if not (residual < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
             unknowns = at_instants(inversion(self.resolved.array).function, jets=jets, p=p)[0]
-            results = at_instants(_implicit(self.resolved, self.measured), unknowns, jets=jets, p=p)
-        count, channels = len(jets), len(self.quantities)
-        values, by_path, by_parameter = (each.reshape(channels, count, -1).transpose(1, 0, 2) for each in results[:3])
-        shaped = by_path.reshape(count, channels, jets.shape[1], jets.shape[2])
-        return Predicted(values[:, :, 0], shaped, by_parameter[:, :, list(self.columns)])
+            values, slopes = _implicit(self.resolved, self.measured, self.columns)(unknowns, flat, p)
+        by_path, by_parameter = np.split(slopes.T.reshape(len(jets), -1, len(values)), [jets[0].size], axis=1)
+        shaped = by_path.reshape(*jets.shape, -1)
+        return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
 
     def values(self, jets: Array, p: Array) -> Array:
         """Return the values alone (N, channels), at a fifth of the cost."""
-        results = at_instants(_explicit(self.resolved, self.measured, False), jets=jets, p=p)
-        if not (results[1] < LARGEST_RESIDUAL).all():
-            return self(jets, p).values
-        return results[0].T
+        explicit = _explicit(self.resolved, self.measured, self.columns, False)
+        values, residual = explicit(jets.reshape(len(jets), -1).T, p)
+        return values.T if (residual < LARGEST_RESIDUAL).all() else self(jets, p).values
 
 
 def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
@@ -101,7 +105,9 @@ def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Functio
 
 
 @made_once
-def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], derivatives: bool) -> ca.Function:
+def _explicit(
+    resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...], derivatives: bool
+) -> Vectorized:
     """Compile (gamma, p) -> channels, derivatives and the residual, by the guess of the model where that is exact.
 
     The residual is infinite for a model whose inversion is no expression.
@@ -115,20 +121,19 @@ def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], derivatives: 
     else:
         unknowns, _, residual = expression(gamma, p)
         channels = read(unknowns, gamma, p)
-    slopes = [ca.jacobian(channels, by) for by in (ca.vec(gamma), p)] if derivatives else []
-    results = [channels, *slopes, residual]
-    return ca.Function("sc_channels", [gamma, p], [ca.densify(each) for each in results], {"cse": True})
+    slopes = [ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))] if derivatives else []
+    results = [ca.densify(each) for each in (channels, *slopes, residual)]
+    function = ca.Function("sc_channels", [gamma, p], results, {"cse": True})
+    return Vectorized(function, (True, False), None, system.name)
 
 
 @made_once
-def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
+def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
     """Compile (unknowns of the derivative array, gamma, p) -> the same, by the implicit function theorem."""
     array, system = resolved.array, resolved.system
-    if array.states:
-        raise InvalidModel(f"{system.name} has internal dynamics: its inputs do not follow from its path alone")
     read = _channels(resolved, measured)
     column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
-    given = ca.vertcat(ca.vec(gamma), system.p)
+    given = ca.vertcat(ca.vec(gamma), system.p[list(columns)])
     channels = read(column, gamma, system.p)
     terms = ca.Function(
         "sc_terms",
@@ -138,7 +143,5 @@ def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Functio
     symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
     values, by_unknowns, by_given, J, right = terms(*symbols)
     total = by_given - ca.mtimes(by_unknowns, ca.solve(J, right, "qr"))
-    count = gamma.numel()
-    return ca.Function(
-        "sc_channels", symbols, [ca.densify(each) for each in (values, total[:, :count], total[:, count:])]
-    )
+    function = ca.Function("sc_channels", symbols, [ca.densify(each) for each in (values, total)])
+    return Vectorized(function, (True, True, False), False, system.name)
