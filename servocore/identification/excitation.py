@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servocore.checks.motion_limits import limited_values, motion_limits
-from servocore.errors import InvalidReference, InvalidSetting, PlanningFailed, require_real
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
 from servocore.identification.information import information
 from servocore.identification.prediction import Prediction
@@ -129,6 +129,8 @@ def excitation(
             )
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
+    if not problem.flat:
+        raise InvalidModel(f"{scene.name} has internal dynamics: an excitation needs a flat output")
     if not motion_limits(problem):
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
@@ -171,7 +173,7 @@ class _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
         columns = tuple(problem.system.parameters.names.index(name) for name in names)
-        prediction = Prediction(problem.resolved, (), columns)
+        prediction = Prediction(problem.resolved, (), columns, len(problem.system.inputs))
         t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
         basis = through(np.eye(len(t)), t, rest_order=order)
         count = int(np.clip(round(_FASTEST * duration), 2, _MOST))

@@ -70,6 +70,8 @@ class Fit:
         Units of the estimates, and their standard deviations before anything is measured.
     center : ndarray, shape (parameters,)
         Their believed values.
+    biases : ndarray, shape (inputs,)
+        Standard deviations of the biases of the inputs before anything is measured.
     stretches : tuple of Blocks
         Data.
     splines : tuple of PathSpline
@@ -81,12 +83,13 @@ class Fit:
     center: Array
     scales: Array
     spread: Array
+    biases: Array
     stretches: tuple[Blocks, ...]
     splines: tuple[PathSpline, ...]
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
+        """Number of inputs, with forces that are known to be zero."""
         return len(self.prediction.resolved.system.inputs)
 
     @property
@@ -129,8 +132,7 @@ class Fit:
     def prior(self) -> tuple[Array, Array]:
         """Return center and precision of parameters, biases and delays before anything is measured."""
         m = self.inputs
-        sizes = np.ones(m) * np.max([np.abs(each.values[:, :m]).max(axis=0) for each in self.stretches], axis=0)
-        offsets = np.concatenate([1.0 / np.maximum(sizes, 1e-12) ** 2, np.full(m, 1.0 / DELAY**2)])
+        offsets = np.concatenate([self.biases**-2, np.full(m, DELAY**-2)])
         center = np.concatenate([self.center / self.scales, np.zeros(2 * m * self.logs)])
         return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
 
@@ -177,16 +179,16 @@ class Fit:
 
     def weights(self, state: State, first: bool) -> list[Weights]:
         """Return weights by the residuals of a state, or by the noise of the data alone at first."""
-        raw = []
+        raw, m = [], self.prediction.inputs
         for k, data in enumerate(self.stretches):
             predicted = self.predicted(state, k)
             factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
-            slope = np.linalg.norm(predicted.by_path[:, : self.inputs, 1], axis=2)
+            slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
             creeping = _near(slope > _CREEP * np.quantile(slope, 0.25, axis=0))
-            factors[:, : self.inputs] *= np.where(creeping, _LEFT, 1.0)
+            factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
             if not first:
                 # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
-                factors[:, self.inputs : 2 * self.inputs] *= np.where(creeping, _BLURRED, 1.0)
+                factors[:, self.inputs : self.inputs + m] *= np.where(creeping, _BLURRED, 1.0)
             raw.append((factors, factors * self.residuals(state, k, predicted.values)[0]))
         ones = [Weights(np.ones(factors.shape[1]), factors) for factors, _ in raw]
         if first:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from servocore.model.quantity import Quantity
+from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
-from servocore.problem import ResolvedSystem
+from servocore.problem import ResolvedSystem, resolve
 from servocore.stepping.exact_evaluation import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+
+FORCE = "force on "
+"""Begin of the name of a force that `released` adds along a coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +47,19 @@ class Prediction:
     Attributes
     ----------
     resolved : ResolvedSystem
-        Without internal dynamics.
+        Without internal dynamics, as `released` returns it.
     measured : tuple of str
         Quantities that depend on the configuration alone.
     columns : tuple of int
         Of the parameters by which it is differentiated.
+    inputs : int
+        Number of inputs that a log has; the other ones of the system are forces of `released`, which are zero.
     """
 
     resolved: ResolvedSystem
     measured: tuple[str, ...]
     columns: tuple[int, ...]
+    inputs: int
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -102,6 +109,30 @@ def _positions(resolved: ResolvedSystem) -> dict[str, tuple[Quantity, ca.SX]]:
 def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
     known = _positions(resolved)
     return reading(resolved, [resolved.system.u, *(known[name][1] for name in measured)])
+
+
+@made_once
+def released(resolved: ResolvedSystem) -> ResolvedSystem:
+    """Return a system without internal dynamics: coordinates that the output leaves free are outputs of their own.
+
+    A force acts along each of them, which a log knows to be zero. So the equations of the internal dynamics are channels
+    as the inputs are, and their states are on the path: no initial values, no stability.
+    """
+    system, n = resolved.system, len(resolved.system.coordinates)
+    free = sorted({k for k, _ in resolved.array.states if k < n})
+    if not free:
+        return resolved
+    known = [system.coordinates.quantities[k] for k in free]
+    forces = tuple(Quantity(f"{FORCE}{each.name}") for each in known)
+    paths, guess, start = reference_symbols(len(free)), ca.SX(system.guess), system.home_configuration()[0][free]
+    guess[free] = paths[:, 0]
+    extended = replace(
+        system, inputs=(*system.inputs, *forces), u=ca.vertcat(system.u, ca.SX.sym("force", len(free))),
+        outputs=(*system.outputs, *known), output=ca.vertcat(system.output, system.q[free]),
+        input_matrix=ca.vertcat(system.input_matrix, -ca.SX.eye(n)[free, :]), guess=guess,
+        gamma=ca.vertcat(system.gamma, paths), home=(*system.home, *start.tolist()),
+    )  # fmt: skip
+    return resolve(extended, extended.home_parameters)
 
 
 @made_once

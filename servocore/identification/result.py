@@ -10,13 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.effects.position_loops import PositionLoops
-from servocore.errors import InvalidSetting, ServocoreWarning, require_kind
+from servocore.errors import InvalidModel, InvalidSetting, ServocoreWarning, require_kind
 from servocore.files import csv_text
 from servocore.identification.fit import Converged, Fit, persistence, used
 from servocore.identification.information import showing
 from servocore.identification.stray import Stray, strayed
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.references.base import Reference
 
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
@@ -116,7 +117,7 @@ class Identified:
 
     @property
     def _inputs(self) -> tuple[str, ...]:
-        return tuple(quantity.name for quantity in self.fit.prediction.resolved.system.inputs)
+        return tuple(quantity.name for quantity in self.based_on.model().inputs)
 
     @cached_property
     def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
@@ -225,8 +226,10 @@ class Identified:
             ``total``, and ``by_parameters``, what their uncertainty contributes.
         """
         require_kind(path, Reference, "the path of stray", "a Reference", InvalidSetting)
-        m, parts = self.fit.inputs, self.residuals
-        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs[:m]])
+        if not Problem.of(self.based_on).flat:
+            raise InvalidModel(f"{self.based_on.name} has internal dynamics: how far it goes off a path is not computed")
+        parts = self.residuals
+        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs])
         return strayed(self.scene(), self.names, self.covariance, path, self.loops, (parts["time"], slow))
 
     @cached_property
