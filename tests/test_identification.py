@@ -179,7 +179,7 @@ def test_files_and_page_hold_the_result(tmp_path: Path) -> None:
 def test_derivatives_of_channels_are_those_of_their_values() -> None:
     for effects in (["friction"], ["friction", "air drag"]):  # by expression, and by Newton's method
         problem = Problem.of(sc.scenes.overhead_crane().with_effects(*effects))
-        prediction = Prediction(problem.resolved, ("s", "l"), (0, 1))
+        prediction = Prediction(problem.resolved, ("s", "l"), (0, 1), 2)
         jets = problem.reference.jet(np.linspace(0.5, 2.5, 20), 4)
         random, h = np.random.default_rng(0), 1e-6
         d, dp = random.standard_normal(jets.shape) * h, problem.p * h * (np.arange(len(problem.p)) < 2)
@@ -210,7 +210,7 @@ def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(m
     assert "times less" in str(report)
     sc.solve(crane.with_reference(path).with_limits(**limits))
     problem = Problem.of(CRANE)
-    prediction = Prediction(problem.resolved, (), (0, 1))
+    prediction = Prediction(problem.resolved, (), (0, 1), 2)
     found_ = information(prediction, path.jet(np.arange(0, 20, 0.1), 4), 0.1, problem.p, problem.p[:2], np.ones(2))
     assert (np.linalg.eigvalsh(found_) > 0.0).all()
     for given, duration, words in ((None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")):
