@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 import servocore as sc
 from benchmarks.identification.cranes import KINDS, WRONG, changed, crane, multisine, sensors, without_friction
@@ -49,7 +50,7 @@ class Row:
     refused: str = ""
 
     @property
-    def z(self) -> np.ndarray:
+    def z(self) -> npt.NDArray[np.float64]:
         """Errors by standard errors."""
         return np.array(self.errors) / np.array(self.standard_errors)
 
@@ -118,7 +119,8 @@ def identified(case: Case) -> Row:
     row = Row(case, seconds=seconds, doubts=list(found.doubts), settled=found.estimate.settled)
     row.errors = [found.values[name] / true[name] - 1.0 for name in names]
     row.standard_errors = [found.standard_errors[name] / true[name] for name in names]
-    row.bounds = cramer_rao(found, true)
+    bounds = cramer_rao(found, true)
+    row.bounds = [bounds[name] for name in names]
     home = believed.model().home
     job = sc.rest_to_rest(home, [each + 1.5 for each in home], random.uniform(8.0, 15.0))
     predicted = found.stray(job)
@@ -127,7 +129,7 @@ def identified(case: Case) -> Row:
     return row
 
 
-def cramer_rao(found: sc.Identified, true: dict[str, float]) -> list[float]:
+def cramer_rao(found: sc.Identified, true: dict[str, float]) -> dict[str, float]:
     """Return the least standard errors that an unbiased estimate can have, at the true values.
 
     The noise is that of the samples, all of which count; the motion is free, and so are biases and delays.
@@ -137,7 +139,7 @@ def cramer_rao(found: sc.Identified, true: dict[str, float]) -> list[float]:
     factors = [np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0) for data in fit.stretches]
     information = fit.step(state, [Weights(np.ones(each.shape[1]), each) for each in factors], 0.0)[1]
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))[: len(values)] * fit.scales / np.abs(values)
-    return [float(bound) for bound in bounds]
+    return dict(zip(found.names, bounds.tolist(), strict=True))
 
 
 def strayed(plant: sc.Scene, scene: sc.Scene, job: sc.Reference, loops: sc.PositionLoops) -> float:
