@@ -19,8 +19,8 @@ FAMILIES = {
 _HEAD = """# Identification of random cranes
 
 `make identification` writes this page, and continues a study that was interrupted. Synthetic logs: `sc.measured`
-simulates random cranes under sampled drives. Parameters are 1/1.5 to 1.5 times the defaults, believed values wrong by up
-to 22 %, paths of 20 s random multisines. Families of logs:
+simulates random cranes under sampled drives. Parameters are 1/1.5 to 1.5 times the defaults, believed values wrong by
+up to 22 %, paths of 20 s random multisines. Families of logs:
 
 """
 _STRAY = """
@@ -107,7 +107,7 @@ def _by_parameter(rows: Sequence[Row]) -> list[str]:
 def _stray(rows: Sequence[Row]) -> str:
     if not rows:
         return "No job yet.\n"
-    stray, predicted, believed = (np.array([getattr(row, each) for row in rows]) for each in ("stray", "predicted", "believed"))  # fmt: skip
+    stray, predicted, believed = np.array([(row.stray, row.predicted, row.believed) for row in rows]).T
     medians = [float(np.median(each)) for each in (believed, stray, predicted)]
     cells = [str(len(rows)), *(f"{each:.2g}" for each in medians), f"{medians[2] / medians[1]:.2g}"]
     cells += [f"{np.mean(stray <= predicted):.0%}", str(int(np.sum(stray > believed + predicted)))]

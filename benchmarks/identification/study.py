@@ -52,7 +52,7 @@ class Row:
     @property
     def z(self) -> npt.NDArray[np.float64]:
         """Errors by standard errors."""
-        return np.array(self.errors) / np.array(self.standard_errors)
+        return np.divide(self.errors, self.standard_errors)
 
 
 def cases(cranes: int, special: int, first: int) -> Iterator[Case]:

@@ -45,28 +45,17 @@ class ExcitationReport:
         Geometric mean of their ratios.
     limits : KeptLimits
         How far the limits are kept, and whether that is proved for all times.
-    trials : int
-        Paths that were tried.
     """
 
     standard_errors: Mapping[str, float]
     of_scene: Mapping[str, float]
     gain: float
     limits: KeptLimits
-    trials: int
 
     def __str__(self) -> str:
-        width = max(map(len, self.standard_errors))
-        rows = [
-            f"{name:<{width}}  {100 * error:8.3g} %  {100 * self.of_scene[name]:8.3g} %"
-            for name, error in self.standard_errors.items()
-        ]
-        return "\n".join([
-            f"{'standard error':<{width}}  {'this path':>10}  {'scene':>10}",
-            *rows,
-            f"geometric mean  {self.gain:.3g} times less",
-            f"limits          {self.limits.evidence}",
-        ])  # fmt: skip
+        rows = [f"{name:<24}{error:>12.3%}{self.of_scene[name]:>12.3%}" for name, error in self.standard_errors.items()]
+        head = f"{'standard error':<24}{'this path':>12}{'scene':>12}"
+        return "\n".join([head, *rows, f"{self.gain:.3g} times less; {self.limits.evidence}"])
 
 
 def excitation(
@@ -135,12 +124,12 @@ def excitation(
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
     search = _Search.of(problem, names, spreads_of(names, believed), float(duration), noise)
-    best, trials = search.improved(np.random.default_rng(seed))
+    best = search.improved(np.random.default_rng(seed))
     path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
-    return path, ExcitationReport(named[0], named[1], gain, kept, trials)
+    return path, ExcitationReport(named[0], named[1], gain, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +171,7 @@ class _Search:
         harmonics = np.hstack([np.sin(phases), np.cos(phases)]) * (grown**3 * (10 - 15 * grown + 6 * grown**2))[:, None]
         own = problem.reference
         jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
-        size = prediction.values(jets, problem.p).std(axis=0)
+        size = prediction(jets, problem.p).values.std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
         per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
         return cls(problem, prediction, basis, harmonics, spreads, per_instant)
@@ -229,8 +218,8 @@ class _Search:
             x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
         return None
 
-    def improved(self, random: np.random.Generator) -> tuple[Array, int]:
-        """Return the best amplitudes that were found, and the number of trials; raises `PlanningFailed` without any."""
+    def improved(self, random: np.random.Generator) -> Array:
+        """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
         shape = self.harmonics.shape[1], len(self.problem.system.outputs)
         best, score = np.zeros(shape), -np.inf
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
@@ -250,7 +239,7 @@ class _Search:
                 best, score, size = x, found, 1.3 * size
             else:
                 size = max(0.94 * size, 0.01)
-        return best, _STARTS + _TRIALS
+        return best
 
     def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
         """Return a path that keeps the limits at all times, and whether that is proved."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -9,7 +10,14 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from servocore.effects.position_loops import PositionLoops
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind, require_real
+from servocore.errors import (
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    ServocoreWarning,
+    require_kind,
+    require_real,
+)
 from servocore.identification.blocks import Blocks, stretches
 from servocore.identification.fit import Converged, Fit, minimized, start
 from servocore.identification.logs import Log, Record, records
@@ -118,7 +126,8 @@ def identify(
         found = minimized(fit, state, fresh=False)
     _require_explained(fit, found, [record.name for record in read])
     result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), extended, fit, found)
-    result.warn()
+    if result.doubts:
+        warnings.warn("; ".join(result.doubts), ServocoreWarning, stacklevel=2)
     return result
 
 
@@ -167,7 +176,9 @@ def _fit(
     known_forces = np.zeros(len(resolved.system.inputs) - len(inputs))
     parts = []
     for k, record in enumerate(read):
-        for part in stretches(record.t, np.column_stack([record.columns[each] for each in inputs + measured]), len(inputs), k):
+        for part in stretches(
+            record.t, np.column_stack([record.columns[each] for each in inputs + measured]), len(inputs), k
+        ):
             values, noise = (
                 np.insert(each, [len(inputs)] * len(known_forces), given, axis=1)
                 for each, given in ((part.values, 0.0), (part.noise, _FORCE * peaks.max()))
@@ -187,8 +198,8 @@ def _fit(
 def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:
     """Raise `InvalidReference` where inputs are hardly explained because of units or clocks."""
     for k, data in enumerate(fit.stretches):
-        model, name = fit.prediction.values(fit.splines[k].jets(found.state.paths[k]), fit.p), names[data.log]
-        residual, _ = fit.residuals(found.state, k, fit.values(found.state, k))
+        model, name = fit.prediction(fit.splines[k].jets(found.state.paths[k]), fit.p).values, names[data.log]
+        residual, _ = fit.residuals(found.state, k)
         lags, explained = list[float](), True
         for channel, quantity in enumerate(fit.prediction.quantities[: fit.prediction.inputs]):
             a, b = (each - each.mean() for each in (data.values[:, channel], model[:, channel]))

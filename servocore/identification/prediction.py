@@ -8,6 +8,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from servocore.effects.position_loops import is_position, reported
 from servocore.model.quantity import Quantity
 from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -64,7 +65,7 @@ class Prediction:
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Inputs, then measured quantities."""
-        known = _positions(self.resolved)
+        known = reported(self.resolved.system)
         return (*self.resolved.system.inputs, *(known[name][0] for name in self.measured))
 
     def wrapped(self, differences: Array, first: int = 0) -> Array:
@@ -75,7 +76,7 @@ class Prediction:
     def __call__(self, jets: Array, p: Array) -> Predicted:
         """Return the channels for jets (N, orders, outputs) and all parameters."""
         flat = jets.reshape(len(jets), -1).T
-        values, slopes, residual = _explicit(self.resolved, self.measured, self.columns, True)(flat, p)
+        values, slopes, residual = _explicit(self.resolved, self.measured, self.columns)(flat, p)
         if not (residual < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
             unknowns = at_instants(inversion(self.resolved.array).function, jets=jets, p=p)[0]
             values, slopes = _implicit(self.resolved, self.measured, self.columns)(unknowns, flat, p)
@@ -83,31 +84,15 @@ class Prediction:
         shaped = by_path.reshape(*jets.shape, -1)
         return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
 
-    def values(self, jets: Array, p: Array) -> Array:
-        """Return the values alone (N, channels), at a fifth of the cost."""
-        explicit = _explicit(self.resolved, self.measured, self.columns, False)
-        values, residual = explicit(jets.reshape(len(jets), -1).T, p)
-        return values.T if (residual < LARGEST_RESIDUAL).all() else self(jets, p).values
-
 
 def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
     """Return the quantities that a log may measure beside the inputs, by name: those of the configuration alone."""
-    return {name: quantity for name, (quantity, _) in _positions(resolved).items()}
-
-
-def _positions(resolved: ResolvedSystem) -> dict[str, tuple[Quantity, ca.SX]]:
-    system = resolved.system
-    known = [
-        *system.observables.items(),
-        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
-        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
-    ]
-    others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
-    return {quantity.name: (quantity, each) for quantity, each in known if not ca.depends_on(each, others)}
+    known = reported(resolved.system)
+    return {name: quantity for name, (quantity, each) in known.items() if is_position(resolved.system, each)}
 
 
 def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
-    known = _positions(resolved)
+    known = reported(resolved.system)
     return reading(resolved, [resolved.system.u, *(known[name][1] for name in measured)])
 
 
@@ -115,8 +100,8 @@ def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Functio
 def released(resolved: ResolvedSystem) -> ResolvedSystem:
     """Return a system without internal dynamics: coordinates that the output leaves free are outputs of their own.
 
-    A force acts along each of them, which a log knows to be zero. So the equations of the internal dynamics are channels
-    as the inputs are, and their states are on the path: no initial values, no stability.
+    A force acts along each of them, which a log knows to be zero. So the equations of the internal dynamics are
+    channels as the inputs are, and their states are on the path: no initial values, no stability.
     """
     system, n = resolved.system, len(resolved.system.coordinates)
     free = sorted({k for k, _ in resolved.array.states if k < n})
@@ -136,9 +121,7 @@ def released(resolved: ResolvedSystem) -> ResolvedSystem:
 
 
 @made_once
-def _explicit(
-    resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...], derivatives: bool
-) -> Vectorized:
+def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
     """Compile (gamma, p) -> channels, derivatives and the residual, by the guess of the model where that is exact.
 
     The residual is infinite for a model whose inversion is no expression.
@@ -152,8 +135,8 @@ def _explicit(
     else:
         unknowns, _, residual = expression(gamma, p)
         channels = read(unknowns, gamma, p)
-    slopes = [ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))] if derivatives else []
-    results = [ca.densify(each) for each in (channels, *slopes, residual)]
+    slopes = ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))
+    results = [ca.densify(each) for each in (channels, slopes, residual)]
     function = ca.Function("sc_channels", [gamma, p], results, {"cse": True})
     return Vectorized(function, (True, False), None, system.name)
 
