@@ -1,7 +1,7 @@
 """Other methods on the same logs of rotary cranes: least squares on the inverse dynamics, pySINDy, output error.
 
-They need the equations written out, and the swing of the load by hand: it is integrated along the smoothed motion of the
-drives, free of parameters. `identify` needs neither.
+They need the equations written out, and the swing of the load by hand: it is integrated along the smoothed motion of
+the drives, free of parameters. `identify` needs neither.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -47,8 +48,8 @@ def table(folder: Path) -> str:
             file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     lines = [
         "\n## Other methods\n",
-        f"The same {_LOGS} good logs of rotary cranes, rms error in %; *s* is processor time a log, median. Output error"
-        " starts at the answer of least squares and takes torques for exact inputs.\n",
+        f"The same {_LOGS} good logs of rotary cranes, rms error in %; *s* is processor time a log, median. Output"
+        " error starts at the answer of least squares and takes torques for exact inputs.\n",
         f"| method | logs | {' | '.join(NAMES)} | s |",
         "|---|---|" + "---|" * (len(NAMES) + 1),
     ]
@@ -127,9 +128,11 @@ def output_error(log: Mapping[str, Array], scene: sc.Scene) -> list[float]:
     begin = np.array([*least_squares(log, scene), 0.0, 0.0, 0.0])
     units = np.array([*begin[:-3], *(np.ptp(log[name]) / 2 for name in ("M_b", "F", "M_w"))])
     simulate = _simulation(log, scene)
-    found = scipy.optimize.least_squares(
-        lambda x: simulate(x * units), begin / units, diff_step=_CHANGE, max_nfev=_ITERATIONS + 1
-    )
+
+    def residual(x: Array) -> Array:
+        return simulate(x * units)
+
+    found = scipy.optimize.least_squares(residual, begin / units, diff_step=[_CHANGE], max_nfev=_ITERATIONS + 1)
     return [float(value) for value in (found.x * units)[:-3]]
 
 
@@ -181,7 +184,7 @@ def _pull(trolley: Array, rope: Array, rate: Array, faster: Array, gravity: floa
         return np.asarray(-size * d, dtype=np.float64)
 
     d, v, found = np.array([0.0, 0.0, -rope[0]]), np.zeros(3), list[Array]()
-    for at, after in zip(known[:-1], known[1:], strict=True):
+    for at, after in pairwise(known):
         found.append(pull(at, d, v))
         middle, first = (at + after) / 2, found[-1] - at[:3]
         second = pull(middle, d + _STEP / 2 * v, v + _STEP / 2 * first) - middle[:3]
@@ -217,7 +220,7 @@ def _simulation(log: Mapping[str, Array], scene: sc.Scene) -> Callable[[Array], 
         p_[columns] = values[: len(columns)]
         u = torques - values[len(columns) :, None]
         pairs = np.stack([u[:, :-1], u[:, 1:]], axis=2).reshape(3, -1)
-        states = run(start, pairs, ca.repmat(p_, 1, torques.shape[1] - 1))
+        states = run(start, pairs, np.tile(p_[:, None], torques.shape[1] - 1))
         return np.asarray(read(states[:n, :]) - seen)[:, ::10].ravel()
 
     return residual
