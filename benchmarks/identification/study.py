@@ -67,7 +67,10 @@ def cases(cranes: int, special: int, first: int) -> Iterator[Case]:
 
 def continued(file: Path, wanted: Iterator[Case]) -> Iterator[list[Row]]:
     """Run the cases that a file of results lacks, append each, and yield all results after each."""
-    rows = kept(file)
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []
+    lines = [line for line in lines if line.endswith("}\n")]  # the last one may have been cut off
+    file.write_text("".join(lines), encoding="utf-8")
+    rows = [Row(**{**each, "case": Case(**each["case"])}) for each in map(json.loads, lines)]
     yield rows
     done = {row.case for row in rows}
     for case in wanted:
@@ -77,13 +80,6 @@ def continued(file: Path, wanted: Iterator[Case]) -> Iterator[list[Row]]:
         with file.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(asdict(rows[-1])) + "\n")
         yield rows
-
-
-def kept(file: Path) -> list[Row]:
-    """Return the results in a file; a last line that was cut off is left out."""
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    found = (json.loads(line) for line in lines if line.endswith("}"))
-    return [Row(**{**each, "case": Case(**each["case"])}) for each in found]
 
 
 def attempted(case: Case) -> Row:
