@@ -27,7 +27,7 @@ _SPACING, _GRID = 0.5, 0.1  # s between waypoints, and between instants of the s
 _WINDOW = 2.0  # s in which the harmonics grow from rest
 _STARTS, _TRIALS = 30, 1000
 _MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
-_SAMPLE = 0.005  # s between samples of the log that is predicted
+_SAMPLE, _NOISE = 0.005, 0.01  # s between samples of the log that is predicted, its noise by the inputs
 _SHRUNK, _SHRINKS = 0.97, 20
 
 
@@ -65,7 +65,6 @@ def excitation(
     *,
     duration: float = 20.0,
     effects: Sequence[str] = (),
-    noise: float = 0.01,
     believed: Mapping[str, float] | float = UNCERTAINTY,
     seed: int = 0,
 ) -> tuple[Reference, ExcitationReport]:
@@ -86,8 +85,6 @@ def excitation(
         In s.
     effects : sequence of str
         Effects that the model has beside those of the scene.
-    noise : float
-        Standard deviation of the measured inputs every 5 ms, relative to that of the inputs along the scene's own path.
     believed : mapping of str to float, or float
         See `identify`.
     seed : int
@@ -110,12 +107,9 @@ def excitation(
         If no path about home keeps the limits.
     """
     require_scene(scene, "excitation")
-    for what, value in (("duration", duration), ("noise", noise)):
-        require_real(value, f"the {what} of an excitation", "a positive number", InvalidSetting)
-        if not 0.0 < value < np.inf or (what == "duration" and value < 4 * _WINDOW):
-            raise InvalidSetting(
-                f"the {what} of an excitation is {value:g}: it must be positive, a duration 8 s or more"
-            )
+    require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
+    if not 4 * _WINDOW <= duration < np.inf:
+        raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
     if not problem.flat:
@@ -123,7 +117,7 @@ def excitation(
     if not motion_limits(problem):
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
-    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), noise)
+    search = _Search.of(problem, names, spreads_of(names, believed), float(duration))
     best = search.improved(np.random.default_rng(seed))
     path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
@@ -158,7 +152,7 @@ class _Search:
     noise: Array
 
     @classmethod
-    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, noise: float) -> _Search:
+    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
         columns = tuple(problem.system.parameters.names.index(name) for name in names)
@@ -173,7 +167,7 @@ class _Search:
         jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
         size = prediction(jets, problem.p).values.std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
-        per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
+        per_instant = _NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
         return cls(problem, prediction, basis, harmonics, spreads, per_instant)
 
     def path(self, x: Array) -> PiecewisePolynomial:

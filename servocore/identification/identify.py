@@ -153,12 +153,8 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
             raise InvalidSetting(f"the uncertainty of {pattern} must be positive and finite, not {value:g}")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
-    return np.array(
-        [
-            next((float(value) for pattern, value in given.items() if fnmatchcase(name, pattern)), UNCERTAINTY)
-            for name in names
-        ]
-    )
+    own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)
+    return np.array([float([*values, UNCERTAINTY][0]) for values in own])
 
 
 def _fit(

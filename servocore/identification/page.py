@@ -5,13 +5,9 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 from servocore.identification.result import Identified
 from servocore.presentation import Curve, figure_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _POINTS = 1500  # of a curve
 _STYLE = (
@@ -53,7 +49,7 @@ def identified_page(found: Identified, note: str = "") -> str:
         f"<p><b>Verdict.</b> {escape(found.verdict)}.</p><h2>Values</h2>",
         f"{_table(found.table)}<p>With standard errors.</p>",
         f"<h2>Not shown by the logs</h2><ul>{unknown}</ul><h2>Inputs and residuals</h2>",
-        _table(residuals), _svg(_inputs(found)), "</html>\n",
+        _table(residuals), _figure(found), "</html>\n",
     ])  # fmt: skip
 
 
@@ -64,18 +60,15 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
     return "<table>" + "".join(f"<tr>{each}</tr>" for each in (header, *cells[1:])) + "</table>"
 
 
-def _svg(figure: Figure) -> str:
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue().partition("<svg")[1] + stream.getvalue().partition("<svg")[2]
-
-
-def _inputs(found: Identified) -> Figure:
-    """Return inputs as they were measured and by the model, and their residuals."""
+def _figure(found: Identified) -> str:
+    """Return inputs as they were measured and by the model, and their residuals, as an SVG."""
     every, curves = max(1, len(found.residuals["time"]) // _POINTS), list[Curve]()
     for quantity in found.based_on.model().inputs:
         measured, residual = (each[quantity.name][::every] for each in (found.measured, found.residuals))
         for label, values in (("measured", measured), ("by the model", measured - residual)):
             curves.append(Curve(quantity.name, quantity.unit, "", values, {"label": label}))
         curves.append(Curve(f"{quantity.name}, residual", quantity.unit, "", residual, {"color": "0.4"}))
-    return figure_of(found.residuals["time"][::every], curves, "inputs")
+    stream = io.StringIO()
+    figure = figure_of(found.residuals["time"][::every], curves, "inputs")
+    figure.savefig(stream, format="svg", metadata={"Date": None})
+    return "<svg" + stream.getvalue().partition("<svg")[2]

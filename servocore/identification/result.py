@@ -207,6 +207,11 @@ class Identified:
         -------
         Stray
             ``total``, and ``by_parameters``, what their uncertainty contributes.
+
+        Raises
+        ------
+        InvalidModel
+            If the scene has internal dynamics.
         """
         require_kind(path, Reference, "the path of stray", "a Reference", InvalidSetting)
         if not Problem.of(self.based_on).flat:
