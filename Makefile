@@ -108,8 +108,8 @@ jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (som
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
 
-identification: $(INSTALLED)  ## identify random cranes from synthetic logs, into docs/identification (an hour)
-	$(RUN) benchmarks.identification
+identification: $(PEERS)/.installed  ## identify random cranes from synthetic logs, into docs/identification (half an hour)
+	$(PEERS)/bin/python -m benchmarks.identification
 
 docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples and notebooks (three minutes)
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b html docs build/docs

@@ -6,8 +6,10 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 import servocore as sc
 from crane_fmu.build.archive import Progress, packed
@@ -31,6 +33,7 @@ def build_fmu(
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
     targets: str | None = None,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
 ) -> Path:
     """Build an FMU, check it in a separate process, and then rename it into place.
 
@@ -48,6 +51,8 @@ def build_fmu(
         Start values of variables that differ from the defaults, parameters of the crane among them.
     targets : str, optional
         Platforms of its libraries, as of `sc.export_fmu`; this machine and 64-bit Windows by default.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
 
     Returns
     -------
@@ -66,7 +71,7 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, OF_PYTHONFMU)
+        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, OF_PYTHONFMU, drives)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a separate process")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -47,6 +48,7 @@ def native_fmu(
     targets: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
     host: sc.HostRules | None = None,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
 ) -> bytes:
     """Return the archive of trajectory, inverse model or plant, FMI 2.
 
@@ -64,8 +66,10 @@ def native_fmu(
         Called with a phrase for every stage.
     host : HostRules, optional
         Rules of its hosts: `OF_PYTHONFMU`, with which the inverse model has all formulations and methods.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
     """
-    crane = crane_with(starts)
+    crane = crane_with(starts, drives)
     common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress, "host": host}
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         file = Path(folder, kind.file_name)

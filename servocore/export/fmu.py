@@ -217,7 +217,7 @@ def export_trajectory(
 def described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
     """Return a model with the rules of its hosts, and with its origin and default items."""
     about = about or About()
-    return replace(model.with_starts(about.defaults), host=host or HostRules(), about=about)
+    return replace(model.with_run_quantities().with_starts(about.defaults), host=host or HostRules(), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from servocore.errors import InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
-from servocore.export.variables import Causality, Choice, Variable, with_item, with_start
-from servocore.model.quantity import Quantity
+from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
+from servocore.model.quantity import Quantity, run_quantities
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,9 @@ class NativeModel:
         Parameters with a list of named items.
     outputs : tuple of Quantity
         Computed quantities, in the order of the outputs' numbers.
+    added_up : tuple of (int, bool)
+        Of each of the last outputs: the output of which it is the integral over the run, or, where marked, the root of
+        the mean square.
     limits : tuple of Bound
         Bounds of its validity.
     depends : ndarray of bool, shape (outputs, numbers of the inputs)
@@ -144,6 +147,7 @@ class NativeModel:
     duration: float
     differentiable: bool
     terminals: Mapping[str, tuple[str, str]]
+    added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
     host: HostRules = HostRules()
@@ -192,6 +196,18 @@ class NativeModel:
                     f"{self.title} has no input or parameter {name!r} to start with; there are {known}"
                 )
         return replace(self, variables=tuple(variables), choices=tuple(choices))
+
+    def with_run_quantities(self) -> Self:
+        """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
+        found, names = run_quantities(self.outputs), [each.name for each in self.outputs]
+        of, quantities = [names.index(each.of) for each in found], tuple(each.quantity for each in found)
+        return replace(
+            self,
+            outputs=(*self.outputs, *quantities),
+            variables=placed([*self.variables, *output_variables(quantities)]),
+            depends=np.vstack([self.depends, self.depends[of]]),
+            added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
+        )
 
     def source(self) -> tuple[str, str]:
         """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""

@@ -122,6 +122,7 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "stamp": int(token[1:9] or "0", 16),
         "inputs": model.numbers("input"),
         "outputs": model.outputs,
+        "added_up": model.added_up,
         "parameters": model.numbers("parameter") - sum(setting.size or 1 for setting in model.settings),
         "settings": sum(setting.size or 1 for setting in model.settings),
         "roles": {role: places for role, places in roles.items() if role},

@@ -387,6 +387,32 @@ static inline void keep_turning(double *outputs, const double *before)
         }
 }
 
+/* Add a step to the integrals of outputs and to the roots of mean squares, by the trapezoidal rule: between rest and rest
+   it is as accurate as the outputs are smooth. Without a step these are their values at the start. */
+static void add_up(const State *state, double *outputs, double h)
+{
+    const double *before = state->now.outputs, elapsed = state->now.time - state->start;
+    for (size_t k = 0; k < N_ADDED_UP; k++) {
+        const size_t of = ADDED_UP[k].of, to = N_OUTPUTS - N_ADDED_UP + k;
+        const double a = before[of], b = outputs[of];
+        if (!ADDED_UP[k].rms)
+            outputs[to] = h > 0.0 ? before[to] + h * (a + b) / 2.0 : 0.0;
+        else
+            outputs[to] = h > 0.0 ? sqrt((before[to] * before[to] * elapsed + h * (a * a + b * b) / 2.0) / (elapsed + h)) : fabs(b);
+    }
+}
+
+/* Their derivatives, from those of the other outputs: what was added up before the last step is given. */
+static void differentiate_added_up(const State *state, double *found)
+{
+    const double h = state->steps > 0 ? state->step : 0.0, elapsed = state->now.time - state->start;
+    for (size_t k = 0; k < N_ADDED_UP; k++) {
+        const size_t of = ADDED_UP[k].of, to = N_OUTPUTS - N_ADDED_UP + k;
+        const double share = h > 0.0 ? h / (2.0 * elapsed) : 1.0;
+        found[to] = ADDED_UP[k].rms ? share * state->now.outputs[of] / state->now.outputs[to] * found[of] : h / 2.0 * found[of];
+    }
+}
+
 /* Make the computed moment the present. */
 static void accept(Instance *instance)
 {
@@ -408,6 +434,7 @@ static Outcome begun(Instance *instance)
     instance->keeps = 0;
     outcome = first_moment(instance);
     if (outcome != GOOD) return outcome;
+    add_up(state, instance->work.outputs, 0.0);
     state->before = instance->work;
     accept(instance);
     memcpy(state->last_inputs, state->inputs, sizeof state->last_inputs);
@@ -465,6 +492,7 @@ static Outcome do_step(Instance *instance, double time, double h)
     remark = remark_step(instance, time);
     if (remark > WARNING) return remark;
     if (outcome == WARNING) remark = WARNING;
+    add_up(state, instance->work.outputs, h);
     state->before = state->now;
     accept(instance);
     memcpy(state->earlier, state->last_inputs, sizeof state->earlier);
@@ -614,6 +642,7 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
     }
     outcome = differentiate(instance, input_seed, parameter_seed, outputs);
     if (outcome != GOOD) return outcome;
+    differentiate_added_up(&instance->state, outputs);
     for (size_t k = 0; k < unknown_count; k++) {
         found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
         /* Only requested ones must exist: the angle of a rope that hangs vertically, for one, has no derivative. */
