@@ -5,7 +5,7 @@
    trajectory.h) defines the data of an instant and the step to the next one, and includes this file. Everything is static
    and only constants are global: instances are independent, and several models can be linked into one program. Memory
    is allocated for instances and saved states only: by the host where FMI lets it, else by ALLOCATE and RELEASE, which a
-   target without heap may define. There is no call of an operating system; with NO_STDIO none of <stdio.h> either, and
+   target without heap may define. There is no call of an operating system; without HAS_STDIO none of <stdio.h> either, and
    messages have a question mark in the place of each number. */
 
 #ifndef INSTANCE_H
@@ -17,7 +17,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifndef NO_STDIO
+#if HAS_STDIO
 #include <stdio.h>
 #endif
 
@@ -49,10 +49,6 @@ CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 
 #ifndef N_MEASURED
 #define N_MEASURED 0              /* the last inputs: the measured values of a feedback */
-#endif
-
-#ifndef DEFERRED_CHECKS
-#define DEFERRED_CHECKS 0         /* whether values are checked when they are used: the host's setters cannot fail */
 #endif
 
 #if N_INPUTS > 0
@@ -135,7 +131,7 @@ static inline int call(Instance *instance, int (*function)(const double **, doub
     return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
 }
 
-#ifdef NO_STDIO
+#if !HAS_STDIO
 /* Write a format with its texts and characters, but with question marks for numbers. */
 static void written(char *message, size_t room, const char *format, va_list values)
 {
