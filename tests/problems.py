@@ -311,7 +311,7 @@ def car_chain(
     stiffnesses: list[float] | tuple[float] = (50.0,),
     rest: list[float] | tuple[float] = (0.5,),
 ) -> sc.MechanicalSystem:
-    """Cars in a row joined by springs, the first tracked, a force on the last: theory.md section 7."""
+    """Cars in a row joined by springs, the first tracked, a force on the last: docs/scenes.md."""
     n = len(masses)
     x = sc.Coordinates(*(sc.Quantity(f"x{k + 1}", "m") for k in range(n)))
     stretches = [x.q[k] - x.q[k + 1] - rest[k] for k in range(n - 1)]

@@ -148,7 +148,7 @@ def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest() -> None:
 
 
 def test_an_inconsistent_start_disturbs_backward_euler_for_two_steps_and_no_longer() -> None:
-    """A position error d shows as 2 M d/h^2 and is forgotten: theory.md section 6."""
+    """A position error d shows as 2 M d/h^2 and is forgotten: docs/stability, section 3."""
     path = polynomial_path([[0.2], [0.5], [-0.7]])
     free = as_scene(driven_pendulum(), path, parameters={"g": 0.0})
     stepper = sc.Stepper(free, sc.Original(), sc.BackwardEuler(), 0.1)
