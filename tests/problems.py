@@ -408,26 +408,6 @@ def redundant_pendulum(output: str = "x") -> sc.MechanicalSystem:
     )
 
 
-def mass_on_car(alpha: float, damping: float) -> sc.MechanicalSystem:
-    """Seifried and Blajer 2013: car m1 driven by u, m2 on an incline held by a spring, y = x + s cos(alpha)."""
-    coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("s", "m"))
-    m1, m2, k = 1.0, 1.0, 5.0
-    cos = float(np.cos(alpha))
-    s, s_dot = coordinates["s"], coordinates.velocity("s")
-    return sc.MechanicalSystem(
-        name="mass on car",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("u", "N"),),
-        outputs=(sc.Quantity("y", "m"),),
-        mass=ca.SX([[m1 + m2, m2 * cos], [m2 * cos, m2]]),
-        output=coordinates["x"] + s * cos,
-        input_matrix=ca.sparsify(ca.SX([[-1.0, 0.0]])),
-        potential=k / 2 * s**2,
-        force=ca.vertcat(0, -damping * s_dot) if damping else ca.SX.zeros(2),
-    )
-
-
 def changed(system: sc.MechanicalSystem, **attributes: Any) -> sc.MechanicalSystem:
     """Return a copy with other attributes; fails as construction does. What follows from M and inputs is made anew."""
     anew = {"gyroscopic": DERIVED, "u": DERIVED} | attributes
