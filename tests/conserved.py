@@ -171,7 +171,7 @@ def points_with(
     q, v = start
     axes = "xyz"[: np.shape(q)[1]]
     names = [f"P{k}.{axis}" for k in range(count) for axis in axes]
-    of, home = coordinates(" ".join(names)), np.ravel(q)
+    of, home = coordinates(" ".join(names)), np.ravel(q).tolist()
     places = [of.q[len(axes) * k : len(axes) * (k + 1)] for k in range(count)]
     system = lagrange(
         name,

@@ -56,7 +56,7 @@ def test_constraint_forces_are_G_transposed_times_lam() -> None:  # noqa: N802
 
 def test_C_is_the_jacobian_of_the_servo_output() -> None:  # noqa: N802
     system = scene("mass_on_car").model()
-    C = value(system.C, (system.p, system.parameters.values({"inclination": 0.3})))
+    C = value(system.C, (system.p, system.parameters.values({"inclination": 0.3}).tolist()))
     np.testing.assert_allclose(C, [[1.0, np.cos(0.3)]])
 
 
