@@ -260,6 +260,12 @@ def largest_errors(what: Problem, steps: int, names: tuple[str, ...], smooth: bo
     return np.array([np.abs(found[name] - expected[name]).max() for name in names])
 
 
+def shares_of_peaks(this: sc.Scene, solution: sc.Solution, names: Sequence[str]) -> Array:
+    """Largest errors, as fractions of the largest exact values."""
+    exact = this.exact(solution.t)
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
+
+
 def observed_orders(coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
     """Return the orders of convergence that errors at steps h and h/2 show."""
     return np.asarray(np.log2(coarse / fine))
