@@ -83,6 +83,7 @@ SCENES = {
     "mass_on_car": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "passive_joint_arm": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "elastic_bar": SceneCase(index=7, projected_index=5, algebraic=("w_1", "w_2")),
+    "heavy_rope": SceneCase(index=7, projected_index=5, algebraic=("p1_x", "p1_z", "tension")),
     "quadrotor_with_load": SceneCase(index=7, projected_index=5, algebraic=("p_x", "p_z", "swing", "tension")),
     "driven_crane": SceneCase(index=5, algebraic=("s", "l", "tension", "swing")),
 }

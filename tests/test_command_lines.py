@@ -53,9 +53,7 @@ class Option(NamedTuple):
 LINES = of_both(ALONG - {"plan"}) | DRIVEN
 OPTIONS = {
     "--parameters": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "crane.toml", Path("crane.toml")),
-    "--drives": Option(
-        of_both(SUBJECT) | of_servocore(IDENTIFYING) | {"crane-fmu drive"}, "drives.toml", Path("drives.toml")
-    ),
+    "--drives": Option(of_both(SUBJECT) | of_servocore(IDENTIFYING) | FMUS, "drives.toml", Path("drives.toml")),
     "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
     "--servo-output": Option(of_servocore(SUBJECT | IDENTIFYING), "tool0", ("tool0",)),
     "--elastic": Option(of_servocore(SUBJECT | IDENTIFYING), "elbow=1e4", ({"elbow": 1e4},)),
@@ -112,7 +110,9 @@ OPTIONS = {
     "--uncertainty": Option(of_servocore(IDENTIFYING), "20%", "20%"),
     "--job": Option(of_servocore({"identify"}), "job.csv", (Path("job.csv"),)),
     "--page": Option(of_servocore({"identify"}) | {"crane-fmu build"}, "page.html", Path("page.html")),
-    "--fmi": Option(of_servocore({"export"}), "2", 2),
+    "--fmi": Option(of_servocore({"export", "ssp"}), "2", 2),
+    "--no-stdio": Option(of_servocore({"export", "ssp"}), "", True),
+    "--max-internal-steps": Option(of_servocore({"export", "ssp"}), "50", 50),
     "--targets": Option(
         {"servocore export", "servocore ssp", "crane-fmu build", "crane-fmu ssp"}, "host", "host"),
     "--cross-check": Option(of_servocore({"export"}), "", True),
