@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from servocore.identification.blocks import Blocks
+from servocore.identification.blocks import MOVES, Blocks
 from servocore.identification.prediction import Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array
@@ -185,7 +185,8 @@ class Fit:
             slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
             # Beside creep too: the path bends there faster than its spline.
             near = np.ones((2 * _BESIDE + 1, 1), dtype=bool)
-            creeping = binary_dilation(slope > _CREEP * np.quantile(slope, 0.25, axis=0), near)
+            still = np.ptp(data.values[:, self.inputs : self.inputs + m], axis=0) < MOVES
+            creeping = binary_dilation(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), near)
             factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
             if not first:
                 # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.

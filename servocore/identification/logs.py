@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described
+from servocore.identification.blocks import MOVES
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.units import in_unit
@@ -170,7 +171,7 @@ def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quant
                     f"{record.name}: {label} changes by {size:.3g} {unit}, which looks like {likely}"
                     + (hint if label not in record.declared else "")
                 )
-            moving |= span > 1e-3
+            moving |= span > MOVES
             continue
         if span == 0.0:
             raise InvalidReference(
