@@ -227,9 +227,8 @@ class Identified:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
         for name, (persistent, correlated) in self.whiteness.items():
-            residual = self.residuals[name]
-            size = float(np.sqrt(np.nanmean(residual**2)))
             if persistent > _PERSISTENT or correlated > _CORRELATED:
+                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
                 found.append(
                     f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
                     f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
