@@ -11,6 +11,7 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +49,7 @@ class State:
     paths: tuple[Array, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
+class Weights(NamedTuple):
     """Weights of one stretch: standard deviations by channel (channels,), and factors of single values."""
 
     scales: Array
@@ -167,7 +167,7 @@ class Fit:
             right[places] += flat.T @ (residual * w).ravel() - sides[:, 1:].T @ answer[:, 0]
             solved.append((answer, places))
         damped = information + damping * np.diag(np.diag(information))
-        change = np.linalg.solve(damped, right)
+        change = np.asarray(np.linalg.solve(damped, right), dtype=np.float64)
         moved = [
             (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
             for answer, places in solved
@@ -245,9 +245,8 @@ def _all(state: State) -> Array:
     return np.concatenate([state.theta, state.offsets.ravel()])
 
 
-def _state(x: npt.ArrayLike, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
-    flat: Array = np.array(x, dtype=np.float64)
-    return State(flat[:count], flat[count:].reshape(shape), paths)
+def _state(x: Array, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
+    return State(x[:count], x[count:].reshape(shape), paths)
 
 
 def _moved(state: State, change: State, share: float) -> State:
@@ -271,8 +270,7 @@ def start(problem: Fit, places: list[Array]) -> State:
     return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
 
 
-@dataclass(frozen=True, eq=False)
-class Converged:
+class Converged(NamedTuple):
     """An estimate: state, weights, information, and whether the steps have settled."""
 
     state: State

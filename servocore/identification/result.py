@@ -69,8 +69,7 @@ class Identified:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the values, shape (parameters, parameters)."""
-        scales = self.fit.scales
-        return self._relative * np.outer(scales, scales)
+        return self._relative * np.outer(self.fit.scales, self.fit.scales)
 
     @property
     def _relative(self) -> Array:
@@ -308,5 +307,4 @@ def _combined(names: tuple[str, ...], direction: Array) -> str:
 
 
 def _smoothed(residual: Array) -> Array:
-    known = np.nan_to_num(residual)
-    return np.convolve(known, np.ones(_SLOW) / _SLOW, mode="same")
+    return np.convolve(np.nan_to_num(residual), np.ones(_SLOW) / _SLOW, mode="same")
