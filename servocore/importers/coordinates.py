@@ -99,23 +99,21 @@ class Layout:
                 held = scale * self.start(joint)
                 values |= {name: ca.SX(float(each)) for name, each in zip(joint.coordinates, held, strict=True)}
         for joint in self.joints:
-            if joint.name not in values and joint.mimic:
-                values[joint.name] = self._mimic(joint, values, scale)
+            self._follow(joint, values, scale, [])
         return values
 
-    def _mimic(self, joint: Joint, values: Mapping[str, ca.SX], scale: float) -> ca.SX:
-        factor, offset, seen = 1.0, 0.0, {joint.name}
-        while joint.mimic:
-            master, times, plus = joint.mimic
-            factor, offset = factor * times, offset + factor * plus
-            if master in seen or master not in self.tree.joints:
-                why = "itself" if master in seen else "no joint of the file"
-                raise self.tree.fault(f"the joint {joint.name} mimics {master}, which is {why}")
-            seen.add(master)
-            joint = self.tree.joints[master]
-        if joint.name not in values:
+    def _follow(self, joint: Joint, values: dict[str, ca.SX], scale: float, followers: list[str]) -> None:
+        """Add the value of a joint that mimics another one, after that of the other one."""
+        if joint.name in values or joint.kind == "ball":
+            return
+        if not joint.mimic:
             raise self.tree.fault(f"the joint {joint.name} is mimicked by others and has no coordinate of its own")
-        return factor * values[joint.name] + scale * offset
+        master, factor, offset = joint.mimic
+        if master in (*followers, joint.name) or master not in self.tree.joints:
+            why = "itself" if master in self.tree.joints else "no joint of the file"
+            raise self.tree.fault(f"the joint {joint.name} mimics {master}, which is {why}")
+        self._follow(self.tree.joints[master], values, scale, [*followers, joint.name])
+        values[joint.name] = factor * values[master] + scale * offset
 
     @cached_property
     def motion(self) -> Motion:
@@ -181,10 +179,7 @@ def rope_hinges(tree: Tree, load: str, driven: Collection[str], required: bool =
     InvalidModel
         If there are none, and they are required.
     """
-    above, body = list(reversed(tree.body[load].joints)), tree.body[load]
-    while body.parent:
-        body = tree.body[body.parent]
-        above += reversed(body.joints)
+    above = [joint for body in tree.above(load) for joint in reversed(body.joints)]
     free = dropwhile(lambda joint: joint.kind == "slide", above)
     hinges = list(takewhile(lambda joint: joint.kind != "slide" and joint.name not in driven, free))
     if required and not hinges:
@@ -206,8 +201,7 @@ def _below(tree: Tree, hinges: list[Joint]) -> list[str]:
 
 def _light(tree: Tree, load: Body, driven: Collection[str]) -> list[str]:
     """Return the bodies above a point mass, up to the next driven hinge, whose mass is nothing beside its own."""
-    found, body = list[str](), load
-    while body.parent and not any(joint.name in driven and joint.kind != "slide" for joint in body.joints):
-        body = tree.body[body.parent]
-        found += [body.name] if body.mass < _LIGHT * load.mass else []
-    return found
+    way = tree.above(load.name)
+    turns = [any(joint.name in driven and joint.kind != "slide" for joint in body.joints) for body in way]
+    above = way[1 : turns.index(True) + 1] if True in turns else way[1:]
+    return [body.name for body in above if body.mass < _LIGHT * load.mass]

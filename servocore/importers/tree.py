@@ -251,7 +251,8 @@ class Tree:
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
                 raise self.fault(f"two {kind} are called {twice}")
-        object.__setattr__(self, "bodies", tuple(self._sorted()))
+        ordered = sorted(self.bodies, key=lambda body: len(self.above(body.name)))
+        object.__setattr__(self, "bodies", tuple(ordered))
         for body in self.bodies:
             self._require_physical(body)
         self._require_metres()
@@ -260,25 +261,18 @@ class Tree:
         """Return the error of a sentence about the file."""
         return InvalidModel(f"{self.source}: {sentence}")
 
-    def _sorted(self) -> list[Body]:
-        """Return the bodies, parents before children."""
-        known, left = {GROUND}, list(self.bodies)
-        placed: list[Body] = []
-        while left:
-            ready = [body for body in left if body.parent in known]
-            if not ready:
-                lost = {body.name: body.parent for body in left}
-                missing = next((body for body in left if body.parent not in lost), None)
-                if missing is not None:
-                    raise self.fault(f"the body {missing.name} hangs on {missing.parent}, which does not exist")
-                cycle = [left[0].name]
-                while cycle[-1] not in cycle[:-1]:
-                    cycle.append(lost[cycle[-1]])
-                raise self.fault(f"the bodies form a cycle: {' on '.join(cycle[cycle.index(cycle[-1]) :])}")
-            placed += ready
-            known |= {body.name for body in ready}
-            left = [body for body in left if body.name not in known]
-        return placed
+    def above(self, name: str) -> list[Body]:
+        """Return a body and those that carry it, up to the ground; raises `InvalidModel` if they do not end there."""
+        way = [self.body[name]]
+        while way[-1].parent != GROUND:
+            parent = way[-1].parent
+            if parent not in self.body:
+                raise self.fault(f"the body {way[-1].name} hangs on {parent}, which does not exist")
+            way.append(self.body[parent])
+            if way[-1] in way[:-1]:
+                cycle = [body.name for body in way[way.index(way[-1]) :]]
+                raise self.fault(f"the bodies form a cycle: {' on '.join(cycle)}")
+        return way
 
     def _require_physical(self, body: Body) -> None:
         """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
