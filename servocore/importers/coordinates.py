@@ -47,7 +47,7 @@ class Layout:
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
         points = {*options.points, *options.ropes}
         self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in points]
-        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points]
+        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points if tree.body[name].mass]
         held = [joint.name for hinges in self.ropes.values() for joint in hinges]
         self.options = options = replace(options, locked=[*options.locked, *held])
         self.stages, self.places = stages_of(tree, points | on_way)
@@ -133,8 +133,8 @@ class Layout:
 
     def place(self, name: str) -> Place:
         """Return the place of a frame; raises `InvalidModel` if there is none."""
-        frame = self.tree.frame(name)
-        return self.places[frame.body].moved(frame.position, frame.rotation)
+        self.tree.above(name)
+        return self.places[name]
 
     def point(self, body: str) -> ca.SX:
         """Return the coordinates x, y, z of a body that is a point mass, shape (3,)."""
@@ -143,16 +143,19 @@ class Layout:
 
     def position(self, name: str) -> ca.SX:
         """Return the position of a frame, shape (3,), m; a point mass is at one place."""
-        body = self.tree.frame(name).body
-        if body in self.options.points or body in self.options.ropes:
-            return self.point(body)
-        return self.motion.pose(self.place(name))[1]
+        load = self._load(name)
+        return self.point(load) if load else self.motion.pose(self.place(name))[1]
+
+    def _load(self, name: str) -> str:
+        """Return the point mass that a frame belongs to; empty if there is none."""
+        way = self.tree.above(name)
+        own = way[: next((k + 1 for k, body in enumerate(way) if body.joints), len(way))]
+        return next((body.name for body in own if body.name in (*self.options.points, *self.options.ropes)), "")
 
     def rotation(self, name: str) -> ca.SX:
         """Return the axes of a frame in those of the ground, shape (3, 3)."""
-        body = self.tree.frame(name).body
-        if body in self.options.ropes:
-            raise self.tree.fault(f"the body {body} hangs on a rope as a point mass: it has no orientation")
+        if (load := self._load(name)) in self.options.ropes:
+            raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
 
     def anchor(self, body: str) -> int:

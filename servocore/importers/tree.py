@@ -79,7 +79,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body.
+    """A rigid body, or a frame: a tool or a site is a body without mass that is fixed to another one.
 
     Parameters
     ----------
@@ -107,15 +107,6 @@ class Body:
     centre: Array = field(default_factory=lambda: ZERO)
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
     joints: Sequence[Joint] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """A point with axes on a body: a tool, a site. Position (m) and rotation in the axes of the body."""
-
-    body: str
-    position: Array = field(default_factory=lambda: ZERO)
-    rotation: Array = field(default_factory=lambda: IDENTITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,16 +197,14 @@ class Closure:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A mechanism: bodies, named frames, drives, constraints, and a list of all that the model leaves out.
+    """A mechanism: bodies and frames, drives, constraints, and a list of all that the model leaves out.
 
     Parameters
     ----------
     name, source : str
         Name of the mechanism, and of its file in messages.
     bodies : sequence of Body
-        In any order; `Tree` sorts parents before children.
-    frames : mapping of str to Frame
-        Beside those of the bodies.
+        And frames, in any order; `Tree` sorts parents before children.
     actuators : sequence of Actuator
         Drives.
     tendons : mapping of str to Tendon
@@ -236,7 +225,6 @@ class Tree:
     name: str
     source: str
     bodies: Sequence[Body]
-    frames: Mapping[str, Frame] = field(default_factory=dict)
     actuators: Sequence[Actuator] = ()
     tendons: Mapping[str, Tendon] = field(default_factory=dict)
     closures: Sequence[Closure] = ()
@@ -263,6 +251,8 @@ class Tree:
 
     def above(self, name: str) -> list[Body]:
         """Return a body and those that carry it, up to the ground; raises `InvalidModel` if they do not end there."""
+        if name not in self.body:
+            raise self.fault(f"there is no frame {name}; there are {', '.join(self.body)}")
         way = [self.body[name]]
         while way[-1].parent != GROUND:
             parent = way[-1].parent
@@ -308,11 +298,3 @@ class Tree:
     def body(self) -> Mapping[str, Body]:
         """All bodies by name."""
         return {body.name: body for body in self.bodies}
-
-    def frame(self, name: str) -> Frame:
-        """Return the frame of a name: of the file's frames, or a body's own; raises `InvalidModel` for others."""
-        if name in self.frames:
-            return self.frames[name]
-        if name not in self.body and name != GROUND:
-            raise self.fault(f"there is no frame {name}; there are {', '.join([*self.body, *self.frames])}")
-        return Frame(name)
