@@ -7,7 +7,7 @@ Small systems with known answers, made by hand, follow below.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -83,6 +83,7 @@ SCENES = {
     "mass_on_car": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "passive_joint_arm": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "elastic_bar": SceneCase(index=7, projected_index=5, algebraic=("w_1", "w_2")),
+    "heavy_rope": SceneCase(index=7, projected_index=5, algebraic=("p1_x", "p1_z", "tension")),
     "quadrotor_with_load": SceneCase(index=7, projected_index=5, algebraic=("p_x", "p_z", "swing", "tension")),
     "driven_crane": SceneCase(index=5, algebraic=("s", "l", "tension", "swing")),
 }
@@ -432,3 +433,17 @@ def changed(system: sc.MechanicalSystem, **attributes: Any) -> sc.MechanicalSyst
     """Return a copy with other attributes; fails as construction does. What follows from M and inputs is made anew."""
     anew = {"gyroscopic": DERIVED, "u": DERIVED} | attributes
     return replace(system, **anew)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A route of somebody's own: no inputs at all, whatever the path does."""
+
+    def run(
+        self,
+        problem: sc.Problem,
+        times: Array,
+        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002 - there is nothing to tell
+    ) -> sc.Solution:
+        values = np.zeros((len(times), len(problem.system.inputs)))
+        return sc.Solution(times, problem.system.inputs, values, "rest")

@@ -60,6 +60,7 @@ def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(
         ("mass_on_car", "generalized", "u", 0.8),
         ("passive_joint_arm", "generalized", "u", 0.1),
         ("elastic_bar", "points", "u", 0.6),
+        ("heavy_rope", "points", "F_x", 0.34),
         ("quadrotor_with_load", "points", "M", 12),
     ],
 )

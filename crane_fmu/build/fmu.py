@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import servocore as sc
 from crane_fmu.build.archive import Progress, packed
-from crane_fmu.build.native import native_fmu
+from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
@@ -71,7 +71,7 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, True, drives)
+        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, OF_PYTHONFMU, drives)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a separate process")
@@ -93,7 +93,7 @@ def page_of(kind: FmuKind) -> str:
     str
         The page.
     """
-    return user_page(kind, native_fmu(kind, targets="none", deferred_refusals=True))
+    return user_page(kind, native_fmu(kind, targets="none", host=OF_PYTHONFMU))
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:

@@ -52,6 +52,35 @@ class Bound:
         return f"{why}{self.quantity} must stay {which} {self.bound:g} {self.unit}"
 
 
+@dataclass(frozen=True)
+class HostRules:
+    """Rules of the hosts of an FMU.
+
+    Attributes
+    ----------
+    deferred_refusals : bool
+        Whether values are checked when they are used, since the host's setters cannot fail: a slave of PythonFMU.
+    stdio : bool
+        Whether the C library has ``<stdio.h>``; without it messages have a question mark in the place of each number.
+    internal_steps : int
+        Largest number of steps of a method in a communication step; one with more is refused.
+
+    Raises
+    ------
+    InvalidSetting
+        If the number is not positive.
+    """
+
+    deferred_refusals: bool = False
+    stdio: bool = True
+    internal_steps: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Refuse an impossible number."""
+        if self.internal_steps < 1:
+            raise InvalidSetting(f"there must be at least 1 internal step, not {self.internal_steps}")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NativeModel:
     """An exported model, ready to be written as an FMU.
@@ -95,8 +124,8 @@ class NativeModel:
         Functions that are called besides `functions`.
     more_sources : mapping of str to str
         Further C sources to compile, with their headers, by file name.
-    deferred_refusals : bool
-        Whether values are checked when they are used, since the host's setters cannot fail.
+    host : HostRules
+        Rules of its hosts.
     about : About
         Origin and rights.
     """
@@ -121,7 +150,7 @@ class NativeModel:
     added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
-    deferred_refusals: bool = False
+    host: HostRules = HostRules()
     about: About = field(default_factory=About)
 
     @property
@@ -186,7 +215,7 @@ class NativeModel:
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.deferred_refusals)).encode())
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.host)).encode())
         for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr(self.limits), *more):
             digest.update(text.encode())
         code = digest.hexdigest()

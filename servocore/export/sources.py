@@ -130,7 +130,7 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "choices": model.choices,
         "limits": model.limits,
         "timed": model.timed,
-        "deferred_refusals": model.deferred_refusals,
+        "host": model.host,
         "arrays": model.variables,
         "scratch": scratch_of([*model.functions.values(), *model.elsewhere]),
         "numbers": [row for variable in model.variables for row in _numbers(variable)],

@@ -9,6 +9,7 @@ from servocore.scenes.boom_crane import boom_crane
 from servocore.scenes.cars import cars
 from servocore.scenes.elastic_bar import elastic_bar
 from servocore.scenes.gantry_crane import gantry_crane
+from servocore.scenes.heavy_rope import heavy_rope
 from servocore.scenes.mass_on_car import mass_on_car
 from servocore.scenes.overhead_crane import overhead_crane
 from servocore.scenes.passive_joint_arm import passive_joint_arm
@@ -27,6 +28,7 @@ __all__ = [  # noqa: RUF022 - in the order in which they are listed everywhere
     "mass_on_car",
     "passive_joint_arm",
     "elastic_bar",
+    "heavy_rope",
     "quadrotor_with_load",
 ]
 

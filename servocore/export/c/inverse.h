@@ -284,8 +284,8 @@ static Outcome require_agreement(Instance *instance, double time)
     instance->work.is_odd = k < ORDERS;
     if (k == ORDERS || (!again && instance->warned & 1)) return GOOD;
     for (size_t j = k + 1; j <= top; j++) {
-        const size_t length = strlen(above);
-        snprintf(above + length, sizeof above - length, "%s%s", j > k + 1 ? " and " : "", ORDER_NAMES[j]);
+        if (j > k + 1) strcat(above, " and ");
+        strcat(above, ORDER_NAMES[j]);
     }
     instance->warned |= again ? 0 : 1;
     return say(instance, again ? DISCARD : WARNING, "at t = %.6g s the " FOLLOWER "'s %s changes, but its %s %s zero: connect what"
