@@ -23,7 +23,8 @@ turns about J,
 
 As the arm with a passive joint it is of minimum phase where y_2 is less than the centre of percussion, two thirds of
 l_3, and of non-minimum phase at the tip: index 3, two internal states. Forces follow from the balances of links and
-carts. `exact` integrates the line above by SciPy, at the tip as a boundary value problem.
+carts. There is no closed form, for theta depends on the history of the path: `exact` integrates the line above by
+SciPy, at the tip as a boundary value problem.
 
 After the example of Berger, Druecker, Lanza, Reis and Seifried, Tracking control for underactuated non-minimum phase
 multibody systems, Nonlinear Dynamics 104 (2021) 3671: a manipulator with a loop and a passive joint in a combination of
