@@ -56,8 +56,8 @@ def identify(
     """Estimate parameters of a scene from logs of its inputs and measured positions, with standard errors.
 
     Maximum likelihood on the flat output: the path of the output is a spline, all channels follow from its jet by exact
-    inversion, and path, parameters, biases of the inputs and their delays are estimated together. What the scene has
-    is one more measurement, with its uncertainty: what the logs do not show stays as believed.
+    inversion, and path, parameters, biases of the inputs and their delays are estimated together. Values of the
+    scene are one more measurement, with its uncertainty: parameters that the logs do not show keep them.
 
     Parameters
     ----------

@@ -240,7 +240,7 @@ class Identified:
 
     @cached_property
     def verdict(self) -> str:
-        """What the result is good for, in sentences."""
+        """Quality of the result, in sentences."""
         lines = list(self.doubts) or ["the model explains the logs: the residuals of the inputs are noise"]
         lines += [f"not shown by the logs: {each}" for each in self.unidentifiable]
         for k, job in enumerate(self.jobs):
