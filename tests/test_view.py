@@ -31,7 +31,7 @@ from servocore.view.live_model import LiveModel, live_model
 
 run = CommandLine(app, "servocore")
 SCENES = sorted(sc.scenes.REGISTRY)
-LIVE = [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm")]
+LIVE = [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm", "loop_manipulator")]
 LARGEST_PAGE = 6_000_000
 
 

@@ -38,7 +38,7 @@ def import_file(subject: Subject) -> None:
 
 
 def listed(scene: Scene, mechanism: Mechanism) -> list[tuple[str, str]]:
-    """Return what a file holds, as labels and texts."""
+    """Return the contents of a file, as labels and texts."""
     tree, options, system = mechanism.tree, mechanism.options, scene.model()
     rows = list[tuple[str, str]]()
     for joint in tree.joints.values():
