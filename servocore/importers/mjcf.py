@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from servocore.errors import InvalidModel, extra
-from servocore.importers.tree import GROUND, IDENTITY, Actuator, Body, Closure, Joint, Tendon, Tree
+from servocore.importers.tree import GROUND, IDENTITY, LARGEST, Actuator, Body, Closure, Joint, Tendon, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
@@ -234,6 +234,8 @@ class _Reader:
             name = m.actuator(k).name or k
             raise self.fault(f"actuator {name} acts on something else than a hinge, a slide, a tendon or a site")
         name = m.actuator(k).name or f"{place}.drive"
+        if not 0.0 < np.abs(gear if where == "frame" else gear[:1]).max() < LARGEST:
+            raise self.fault(f"actuator {name} has a gear of zero, or above {LARGEST:g}")
         gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
         affine = m.actuator_biastype[k] == biases.mjBIAS_AFFINE
         known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (

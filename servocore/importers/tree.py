@@ -23,8 +23,10 @@ GROUND = ""
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of gravity of files that do not state one, m/s2."""
 
+LARGEST = 1e15
+"""Numbers of files are smaller, in SI units: no body is made of larger ones."""
+
 _LONGEST = 300.0  # m between two joints: cranes are smaller, robots in millimetres are larger
-_LARGEST = 1e15  # in SI units: of squares and products of such numbers no body is made
 _SLENDER = 30.0  # radius of gyration in lengths of the mechanism: inertias in kg mm2 are a thousand
 
 ZERO = np.zeros(3)
@@ -268,8 +270,8 @@ class Tree:
     def _require_physical(self, body: Body) -> None:
         """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
         values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
-        if not (np.abs(values) < _LARGEST).all():
-            raise self.fault(f"the body {body.name} holds a number that is not finite, or above {_LARGEST:g}")
+        if not (np.abs(values) < LARGEST).all():
+            raise self.fault(f"the body {body.name} holds a number that is not finite, or above {LARGEST:g}")
         if body.mass < 0.0:
             raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
 

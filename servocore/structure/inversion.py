@@ -169,13 +169,9 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
-    if array.states:
-        return None  # states are integrated from step to step
-    most = _MOST_OPERATIONS
-    if _too_long(array, most):
-        most = _MOST_EXPLICIT
-        if _too_long(array, most) or compile_explicit(array) is None:
-            return None
+    most = 0 if array.states else _most_operations(array)  # states are integrated from step to step
+    if not most:
+        return None
     unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
         return None
@@ -186,14 +182,17 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     return function if _longest(function, array) <= most else None
 
 
-def _too_long(array: DerivativeArray, most: int) -> bool:
-    """Whether the equations alone are so long that their solution cannot be short enough.
+def _most_operations(array: DerivativeArray) -> int:
+    """Return how many operations one expression may take; 0 if the equations alone are so long that it takes more.
 
     Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
     """
     length: int = ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
-    long = length > 2 * most
-    return long and len(parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))) == 1
+    if length <= 2 * _MOST_OPERATIONS:
+        return _MOST_OPERATIONS
+    if len(parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))) > 1:
+        return _MOST_OPERATIONS
+    return _MOST_EXPLICIT if length <= 2 * _MOST_EXPLICIT and compile_explicit(array) is not None else 0
 
 
 @made_once
