@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from problems import changed
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -111,17 +112,7 @@ def crane() -> Motion:
     base = sc.scenes.rotary_crane(invariant=True).model()
     s, rope = base.coordinates["s"], base.coordinates["l"]
     potential = sc.Potential(base.potential + 2000.0 / 2 * (rope - 4.0) ** 2, [(lambda x: 5.0 * (x / 25.0) ** 2, s**2)])
-    system = sc.MechanicalSystem(
-        name="crane",
-        **{
-            each: getattr(base, each)
-            for each in (
-                "coordinates", "parameters", "inputs", "outputs", "mass", "output", "input_matrix", "constraints",
-                "multipliers", "gamma", "guess", "home",
-            )
-        },
-        potential=potential,
-    )  # fmt: skip
+    system = changed(base, name="crane", potential=potential)
     swing = np.array([0.5, 0.0, -np.sqrt(25.0 - 0.25)])
     q = [1, 0, 5, 0, 5, 5, *(np.array([5.0, 0, 0]) + swing)]
     omega, slide, across = 0.1, 0.2, np.array([0.0, 1.0, 0.0])

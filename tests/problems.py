@@ -7,7 +7,7 @@ Small systems with known answers, made by hand, follow below.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -435,3 +435,17 @@ def changed(system: sc.MechanicalSystem, **attributes: Any) -> sc.MechanicalSyst
     """Return a copy with other attributes; fails as construction does. What follows from M and inputs is made anew."""
     anew = {"gyroscopic": DERIVED, "u": DERIVED} | attributes
     return replace(system, **anew)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A route of somebody's own: no inputs at all, whatever the path does."""
+
+    def run(
+        self,
+        problem: sc.Problem,
+        times: Array,
+        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002 - there is nothing to tell
+    ) -> sc.Solution:
+        values = np.zeros((len(times), len(problem.system.inputs)))
+        return sc.Solution(times, problem.system.inputs, values, "rest")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
 import scipy.integrate
 from problems import (
-    FORMULATIONS,
     METHODS,
     WRITTEN,
     MethodCase,
@@ -239,18 +237,3 @@ def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwa
         by, sc.Reduced(), mass_on_car(np.pi / 4, 2.0), lambda t: mass_on_car_exactly(MOVING, t)[1], "u"
     )
     assert order == pytest.approx(by.by_index[0], abs=0.15)
-
-
-@pytest.mark.parametrize("formulation", [each.formulation for each in FORMULATIONS], ids=lambda f: f.name)
-def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation: sc.Formulation) -> None:
-    """The mass on a car of Seifried and Blajer at 45 degrees, minimum phase, against its own internal dynamics."""
-    path = sc.rest_to_rest((0.0,), (1.0,), 2.0)
-    cart = as_scene(mass_on_car(np.pi / 4, 2.0), path)
-    errors = []
-    for steps in (200, 400, 800):
-        found = sc.solve(cart, formulation, sc.BackwardEuler(), step=2.0 / steps)
-        s, u = mass_on_car_exactly(path, found.t)
-        errors.append([np.abs(found["s"] - s).max(), np.abs(found["u"] - u).max()])
-    assert (np.array(errors[-1]) < [0.01, 0.1]).all()
-    for coarse, fine in pairwise(errors):
-        np.testing.assert_allclose(np.divide(coarse, fine), 2.0, rtol=0.1)

@@ -46,19 +46,6 @@ def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> Non
         assert errors(this, solution, ("u", "y", *(f"w_{i}" for i in range(1, count + 1)))).max() < 1e-11
 
 
-def test_the_projected_form_converges_at_first_order() -> None:
-    coarse, fine = (sc.solve(scene(), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.005, 0.0025))
-    (ratio,) = errors(scene(), coarse, "u") / errors(scene(), fine, "u")
-    assert ratio == pytest.approx(2.0, abs=0.05)
-    assert errors(scene(), fine, "u") < 0.01
-
-
-@pytest.mark.parametrize("count", [2, 3, 6])
-def test_under_the_exact_force_the_free_end_returns_to_its_path(count: int) -> None:
-    inputs = sc.solve(scene(count), sc.Reduced(), step=0.005)
-    assert sc.simulate(scene(count), inputs)["tracking_error"].max() < 1e-7
-
-
 def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body() -> None:
     p = scene(6).with_parameters(axial_stiffness=1e9).parameter_values()
     t = np.linspace(0.0, DURATION, 9)

@@ -11,7 +11,6 @@ from hypothesis.strategies import DataObject
 from problems import MODELS, as_scene, driven_pendulum, jets_near_home, polynomial_path, scene
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("rotary_crane")
 
@@ -45,18 +44,6 @@ def test_a_start_on_a_moving_path_is_consistent_in_every_equation(name: str, mod
     values = stepper.values(state, jet)
     for k, each in enumerate(stepper.system.outputs):
         assert values[each.name] == pytest.approx(jet[0, k], abs=1e-12)
-
-
-@settings(max_examples=10)
-@given(perturbation=arrays(float, (5, 3), elements=st.floats(-1.0, 1.0)))
-def test_a_start_gives_the_closed_form_s_inputs(perturbation: Array) -> None:
-    stepper = crane_stepper()
-    jet = jets_near_home(stepper.system, perturbation)
-    values = stepper.values(stepper.start(jet)[0], jet)
-    assert CRANE.closed_form is not None
-    exact = CRANE.closed_form(jet[None], CRANE.parameter_values())
-    for name in ("M_b", "F", "M_w", "s", "l", "tension", "swing"):
-        assert values[name] == pytest.approx(exact[name][0], abs=1e-9 * max(1.0, abs(exact["M_b"][0])))
 
 
 def test_a_start_without_solution_says_so_and_holds_nan() -> None:
@@ -125,11 +112,6 @@ def test_an_angle_is_reported_by_its_coordinate_or_by_its_observable_once() -> N
 def test_a_step_size_that_makes_no_sense_is_refused(step: float) -> None:
     with pytest.raises(sc.InvalidSetting, match="the step must be positive and finite"):
         crane_stepper(step=step)
-
-
-def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(sc.InvalidModel, match="rotary_crane has no model clay; it has points, generalized, bodies"):
-        crane_stepper(model="clay")
 
 
 def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest() -> None:

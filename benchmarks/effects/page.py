@@ -77,6 +77,7 @@ Without drives, where no loop takes what a force lacks (*here / there*, mm; *los
 
 Every plant is driven by its own exact inputs, without loops, along paths two derivatives smoother than it needs, over
 {own_duration:g} s, by `sc.simulate` with a tolerance of 1e-12. The largest error is {own_worst:.1e} mm ({own_name}).
+Errors this small are rounding: they differ between machines and versions.
 
 {own}
 """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servocore.checks.motion_limits import limited_values, motion_limits
-from servocore.errors import InvalidReference, InvalidSetting, PlanningFailed, require_real
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
 from servocore.identification.information import information
 from servocore.identification.prediction import Prediction
@@ -27,7 +27,7 @@ _SPACING, _GRID = 0.5, 0.1  # s between waypoints, and between instants of the s
 _WINDOW = 2.0  # s in which the harmonics grow from rest
 _STARTS, _TRIALS = 30, 1000
 _MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
-_SAMPLE = 0.005  # s between samples of the log that is predicted
+_SAMPLE, _NOISE = 0.005, 0.01  # s between samples of the log that is predicted, its noise by the inputs
 _SHRUNK, _SHRINKS = 0.97, 20
 
 
@@ -45,28 +45,17 @@ class ExcitationReport:
         Geometric mean of their ratios.
     limits : KeptLimits
         How far the limits are kept, and whether that is proved for all times.
-    trials : int
-        Paths that were tried.
     """
 
     standard_errors: Mapping[str, float]
     of_scene: Mapping[str, float]
     gain: float
     limits: KeptLimits
-    trials: int
 
     def __str__(self) -> str:
-        width = max(map(len, self.standard_errors))
-        rows = [
-            f"{name:<{width}}  {100 * error:8.3g} %  {100 * self.of_scene[name]:8.3g} %"
-            for name, error in self.standard_errors.items()
-        ]
-        return "\n".join([
-            f"{'standard error':<{width}}  {'this path':>10}  {'scene':>10}",
-            *rows,
-            f"geometric mean  {self.gain:.3g} times less",
-            f"limits          {self.limits.evidence}",
-        ])  # fmt: skip
+        rows = [f"{name:<24}{error:>12.3%}{self.of_scene[name]:>12.3%}" for name, error in self.standard_errors.items()]
+        head = f"{'standard error':<24}{'this path':>12}{'scene':>12}"
+        return "\n".join([head, *rows, f"{self.gain:.3g} times less; {self.limits.evidence}"])
 
 
 def excitation(
@@ -76,7 +65,6 @@ def excitation(
     *,
     duration: float = 20.0,
     effects: Sequence[str] = (),
-    noise: float = 0.01,
     believed: Mapping[str, float] | float = UNCERTAINTY,
     seed: int = 0,
 ) -> tuple[Reference, ExcitationReport]:
@@ -97,8 +85,6 @@ def excitation(
         In s.
     effects : sequence of str
         Effects that the model has beside those of the scene.
-    noise : float
-        Standard deviation of the measured inputs every 5 ms, relative to that of the inputs along the scene's own path.
     believed : mapping of str to float, or float
         See `identify`.
     seed : int
@@ -121,24 +107,23 @@ def excitation(
         If no path about home keeps the limits.
     """
     require_scene(scene, "excitation")
-    for what, value in (("duration", duration), ("noise", noise)):
-        require_real(value, f"the {what} of an excitation", "a positive number", InvalidSetting)
-        if not 0.0 < value < np.inf or (what == "duration" and value < 4 * _WINDOW):
-            raise InvalidSetting(
-                f"the {what} of an excitation is {value:g}: it must be positive, a duration 8 s or more"
-            )
+    require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
+    if not 4 * _WINDOW <= duration < np.inf:
+        raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
+    if not problem.flat:
+        raise InvalidModel(f"{scene.name} has internal dynamics: an excitation needs a flat output")
     if not motion_limits(problem):
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
-    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), noise)
-    best, trials = search.improved(np.random.default_rng(seed))
+    search = _Search.of(problem, names, spreads_of(names, believed), float(duration))
+    best = search.improved(np.random.default_rng(seed))
     path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
-    return path, ExcitationReport(named[0], named[1], gain, kept, trials)
+    return path, ExcitationReport(named[0], named[1], gain, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +152,11 @@ class _Search:
     noise: Array
 
     @classmethod
-    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, noise: float) -> _Search:
+    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
         columns = tuple(problem.system.parameters.names.index(name) for name in names)
-        prediction = Prediction(problem.resolved, (), columns)
+        prediction = Prediction(problem.resolved, (), columns, len(problem.system.inputs))
         t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
         basis = through(np.eye(len(t)), t, rest_order=order)
         count = int(np.clip(round(_FASTEST * duration), 2, _MOST))
@@ -180,9 +165,9 @@ class _Search:
         harmonics = np.hstack([np.sin(phases), np.cos(phases)]) * (grown**3 * (10 - 15 * grown + 6 * grown**2))[:, None]
         own = problem.reference
         jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
-        size = prediction.values(jets, problem.p).std(axis=0)
+        size = prediction(jets, problem.p).values.std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
-        per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
+        per_instant = _NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
         return cls(problem, prediction, basis, harmonics, spreads, per_instant)
 
     def path(self, x: Array) -> PiecewisePolynomial:
@@ -227,8 +212,8 @@ class _Search:
             x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
         return None
 
-    def improved(self, random: np.random.Generator) -> tuple[Array, int]:
-        """Return the best amplitudes that were found, and the number of trials; raises `PlanningFailed` without any."""
+    def improved(self, random: np.random.Generator) -> Array:
+        """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
         shape = self.harmonics.shape[1], len(self.problem.system.outputs)
         best, score = np.zeros(shape), -np.inf
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
@@ -248,7 +233,7 @@ class _Search:
                 best, score, size = x, found, 1.3 * size
             else:
                 size = max(0.94 * size, 0.01)
-        return best, _STARTS + _TRIALS
+        return best
 
     def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
         """Return a path that keeps the limits at all times, and whether that is proved."""

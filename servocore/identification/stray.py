@@ -90,4 +90,4 @@ def strayed(
         [np.interp((motion.t - motion.t[0]) % np.ptp(t), t - t[0], each) for each in residual.T]
     )
     rest = run_loop(problem, Driven(motion, motion.inputs + disturbance, gains), motion, measured).error
-    return Stray(1e3 * float(np.hypot(by_parameters, rest)), 1e3 * by_parameters)
+    return Stray(1e3 * (by_parameters + rest), 1e3 * by_parameters)  # both in one direction at worst

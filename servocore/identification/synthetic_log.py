@@ -12,7 +12,7 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, chained
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.forward_dynamics import forward_rate
+from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
 
 _CYCLE = 1e-3  # s: of the drives
 _FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
@@ -95,7 +95,8 @@ def measured(
         late = np.interp(t[at] - delay, t, u)
         columns[name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
     for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
-        columns[name] = _quantized(np.unwrap(y[at]) if name in wrapping else y[at], resolution)
+        seen = np.unwrap(y[at]) if name in wrapping else y[at]
+        columns[name] = np.round(seen / resolution) * resolution if resolution else seen.copy()
     for name in names:
         _spoil(columns[name], outliers, missing, random)
     return columns
@@ -107,10 +108,6 @@ def _spoil(column: Array, outliers: float, missing: float, random: np.random.Gen
     size = float(column.std()) or 1.0
     column[wrong] += size * random.choice([-1.0, 1.0], wrong.sum()) * random.uniform(0.5, 3.0, wrong.sum())
     column[random.random(len(column)) < missing] = np.nan
-
-
-def _quantized(y: Array, resolution: float) -> Array:
-    return np.round(y / resolution) * resolution if resolution else y.copy()
 
 
 def _driven(
@@ -160,20 +157,12 @@ def _cycle(resolved: ResolvedSystem, measured_: tuple[str, ...]) -> tuple[ca.Fun
     position = read(x)
     seen = quantum * ca.floor(position / quantum + 0.5)
     ahead, moved = wanted[m : 2 * m] - seen, seen - slow
-    turn = [quantity.wraps for quantity in quantities]
-    ahead, moved = (
-        ca.vertcat(*(ca.atan2(ca.sin(d[k]), ca.cos(d[k])) if turn[k] else d[k] for k in range(m)))
-        for d in (ahead, moved)
-    )
+    for k in (k for k, quantity in enumerate(quantities) if quantity.wraps):
+        ahead[k], moved[k] = (ca.atan2(ca.sin(d[k]), ca.cos(d[k])) for d in (ahead, moved))
     u = wanted[:m] + gains[:m] * ahead + gains[m:] * (wanted[2 * m :] - _FILTER * moved / _CYCLE)
     after = x
     for _ in range(2):
-        h = _CYCLE / 2
-        first = rate(after, u, ca.DM.zeros(m), p)[0]
-        second = rate(after + h / 2 * first, u, ca.DM.zeros(m), p)[0]
-        third = rate(after + h / 2 * second, u, ca.DM.zeros(m), p)[0]
-        fourth = rate(after + h * third, u, ca.DM.zeros(m), p)[0]
-        after = after + h / 6 * (first + 2 * second + 2 * third + fourth)
+        after = runge_kutta(lambda at, _: rate(at, u, ca.DM.zeros(m), p)[0], after, ca.MX(_CYCLE / 2))
     logged = ca.vertcat(u, position)
     return ca.Function(
         "sc_cycle", [state, wanted, p, gains, quantum], [ca.vertcat(after, slow + _FILTER * moved), logged]

@@ -1,4 +1,5 @@
-/* A path and its derivatives over time: a line from rest to rest by a time law, or a built-in path.
+/* A path and its derivatives over time: a line from rest to rest by a time law, or a built-in path. At rest a new line
+   begins where another value of the trigger is set: the settings of a motion are those that its begin found.
 
    The time laws are generated: start, end, start time, end time, ramp and time -> the path, order by order. */
 
@@ -7,10 +8,11 @@
 
 #include "model.h"
 
-/* The data of one instant. */
+/* The data of one instant, with the settings of its motion and the number of its profile. */
 typedef struct {
     double time;
     double outputs[N_OUTPUTS];
+    double settings[N_SETTINGS], profile;
 } Moment;
 
 typedef struct {
@@ -69,9 +71,10 @@ static void follow_table(double instant, double *found)
 
 static Outcome followed(Instance *instance, Moment *moment)
 {
-    const double *settings = instance->state.parameters, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
+    const double *settings = moment->settings, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
     const double end_time = settings[PLACE_START_TIME] + duration;
-    const int64_t law = instance->state.choices[PROFILE];
+    const int64_t law = moment->profile >= 1.0 && moment->profile <= N_LAWS + 1.0 ? (int64_t)moment->profile : 0;
+    if (law == 0) return say(instance, DISCARD, "the restored state has no profile");
     if (ramp > 0.0 && law != RAMPED)
         return say(instance, DISCARD, "a ramp belongs to the profile %s, not to %s", LAW_NAMES[RAMPED - 1],
                    LAW_NAMES[law - 1]);
@@ -99,10 +102,48 @@ static Outcome followed(Instance *instance, Moment *moment)
     return GOOD;
 }
 
-static Outcome first_moment(Instance *instance) { return followed(instance, &instance->work); }
+static void take_settings(Instance *instance)
+{
+    memcpy(instance->work.settings, instance->state.parameters, sizeof instance->work.settings);
+    instance->work.profile = (double)instance->state.choices[PROFILE];
+}
+
+static Outcome first_moment(Instance *instance)
+{
+    take_settings(instance);
+    return followed(instance, &instance->work);
+}
+
+/* Begin a new motion where the present one rests, at its start time or now. */
+static Outcome begin_again(Instance *instance, double time)
+{
+    Moment *work = &instance->work;
+    const double begin = work->settings[PLACE_START_TIME], end = begin + work->settings[PLACE_DURATION];
+    const double slight = JITTER * (end - begin); /* no lower derivative is above round-off there */
+    double first = begin, last = end;
+#if N_PIECES > 0
+    if (work->profile > N_LAWS) {
+        first = RESTS_BEFORE ? KNOTS[0] : -HUGE_VAL;
+        last = RESTS_AFTER ? KNOTS[N_PIECES] : HUGE_VAL;
+    }
+#endif
+    if (time > first + slight && time < last - slight)
+        return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the present one ends at t = %.6g s", time,
+                   last);
+    take_settings(instance);
+    if (work->profile > N_LAWS)
+        return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the profile %s has its own times", time,
+                   LAW_NAMES[N_LAWS]);
+    memcpy(work->settings + PLACE_START, work->outputs, COMPONENTS * sizeof(double));
+    work->settings[PLACE_START_TIME] = fmax(time, work->settings[PLACE_START_TIME]);
+    return GOOD;
+}
 
 static Outcome move(Instance *instance, double time, double h)
 {
+    if (instance->state.parameters[PLACE_TRIGGER] != instance->work.settings[PLACE_TRIGGER]
+        && begin_again(instance, time) != GOOD)
+        return DISCARD;
     instance->work.time = time + h;
     return followed(instance, &instance->work);
 }
