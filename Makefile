@@ -49,7 +49,7 @@ nightly: $(INSTALLED)  ## run what takes minutes, five hundred random mechanisms
 	$(RUN) pytest -n $(TEST_PROCESSES) -m hypothesis --hypothesis-profile=fresh --hypothesis-seed=$$seed || again; \
 	exit $$status
 
-ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bari beside scipy_dae, into docs/ivp-test-set.md
+ivp: $(PEERS)/.installed  ## measure problems of the test set of Bari beside scipy_dae and IDA, into docs/ivp-test-set.md
 	$(PEERS)/bin/python -m benchmarks.ivp
 
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow

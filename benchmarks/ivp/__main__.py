@@ -25,7 +25,6 @@ from benchmarks.ivp.problems import IvpProblem, at_the_end, digits, problems
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "ivp-test-set.md"
 TEMPLATE, ROWS = (Path(__file__).parent / name for name in ("page.md", "rows.json"))
 LONGEST, LONG = 20, 4  # s of CPU time that a run may take, and that it may take to be run twice
-LONGEST_OF_LONG = 60  # s, of the problems of long duration
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,12 @@ class Row:
     remark: str = ""
 
 
-def measured(route: str, setting: str, solve: Callable[[], dict[str, float]], longest: int = LONGEST) -> Row:
+def measured(route: str, setting: str, solve: Callable[[], dict[str, float]]) -> Row:
     """Run once to compile, and once more unless that took long."""
     seconds, found = 0.0, dict[str, float]()
     try:
         for _ in range(2):
-            signal.setitimer(signal.ITIMER_PROF, longest)
+            signal.setitimer(signal.ITIMER_PROF, LONGEST)
             begun = time.process_time()
             found = solve()
             seconds = time.process_time() - begun
@@ -84,7 +83,7 @@ def long_rows(problem: LongProblem) -> Iterator[Row]:
     """Run a problem of long duration by all routes and solvers."""
     runs = [*((*key, run) for key, run in problem.own.items()), *problem.peers()]
     for route, setting, run in runs:
-        yield measured(route, setting, run, LONGEST_OF_LONG)
+        yield measured(route, setting, run)
 
 
 def long_table(rows: list[Row]) -> str:
@@ -166,7 +165,7 @@ def _keep(title: str, rows: dict[str, list[Row]], new: list[Row]) -> None:
 
 
 def _too_long(*_: object) -> None:
-    raise TimeoutError("too much processor time")
+    raise TimeoutError(f"more than {LONGEST} s")
 
 
 if __name__ == "__main__":

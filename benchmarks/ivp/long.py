@@ -186,7 +186,7 @@ def railway_wheelset() -> LongProblem:
         return problem.found(marched(wheelset.wheelset(), sc.RadauIIA(3), wheelset.START, ((h, count),))[1])
 
     own: dict[tuple[str, str], Callable[[], Found]] = {
-        ("Dae, RadauIIA(3)", f"step = {h:g} s"): partial(collocated, h) for h in (2e-3, 1e-3, 5e-4)
+        ("Dae, RadauIIA(3)", f"step = {h:g} s"): partial(collocated, h) for h in (2e-3, 1e-3, 4e-4)
     }
     problem = LongProblem(
         "wheelset", "Wheelset", wheelset.wheelset(), wheelset.START, wheelset.DURATION,
