@@ -14,11 +14,13 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
-from servocore.checks.impulses import first_jump, has_kinks_or_jumps
+from servocore.checks.impulses import jumps
+from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns
@@ -53,11 +55,12 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    jump = first_jump(problem, survey(problem.reference), lambda t: exact_unknowns(problem, t)[0])
+    t = survey(problem.reference)
+    jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
     return f"{problem.system.name}: {jump}" if jump else ""
 
 

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.certify import certify
-from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.before_run import require_feasible
+from servocore.checks.motion_limits import limited_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 
 @dataclass(frozen=True)
@@ -219,9 +219,9 @@ def kept_limits(
 
 def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]:
     """Return the largest excess over a limit at instants, that limit, and the active constraints."""
-    limits, path = motion_limits(problem), problem.reference
+    limits, path = problem.motion_limits, problem.reference
     t = np.linspace(path.start_time, path.end_time, instants)
-    values = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
+    values = limited_values(prepared_motion(problem), t)
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):

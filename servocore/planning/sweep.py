@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
@@ -28,7 +28,7 @@ from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zar
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
@@ -168,11 +168,13 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()):
         try:
             with causes_explained(problem):
-                table = prepared_table(problem)
+                motion = prepared_motion(problem)
+            if motion.passages:
+                require_feasible(problem)
         except ServocoreError:
             require_feasible(problem)  # a limit says more than a singular matrix
             raise
-        if table is None:
+        if motion.direct:
             return work_of(problem, swept.limits, swept.inputs, native)
     rates = [limit.quantity for limit in swept.limits if limit.rate]
     if rates:
