@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Places
+from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places
 from servocore.checks.findings import Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -29,7 +29,7 @@ _DOUBTED = 0.05  # of the range of a derivative: an interval over which it chang
 _MOST = 64  # intervals that are halved at once
 _HALVINGS = 40
 _RESOLVED = 1e-12  # of the time: shorter intervals are not halved
-_ROUND_OFF = 1e-12  # of a quantity: a range that is smaller is none
+_ROUND_OFF = 1e-11  # of the nominal magnitude: a coordinate with a smaller range rests
 _ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
 _POLE = 1e5  # times the largest value at the instants: it grows without bound
@@ -43,11 +43,31 @@ Beside = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap."""
+    """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
+
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
+    """
 
     values: Places
     rates: Places
     wraps: npt.NDArray[np.bool_]
+    coordinates: Places
+    still: Array
+
+    @classmethod
+    def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
+        """Return the rows of derivatives (coordinate, order) of an array."""
+        place, system = {unknown: k for k, unknown in enumerate(array.unknowns)}, array.system.coordinates
+        at = [(place[j, k], place.get((j, k + 1), -1), place[j, 0]) for j, k in watched]
+        values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
+        wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
+        still = _ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
+        return cls(values, rates, wraps, coordinates, still)
+
+    def ranges(self, states: Array) -> Array:
+        """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
+        moves = np.ptp(states[self.coordinates], axis=1) > self.still if states.size else np.zeros(len(self.still), bool)
+        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf) if moves.any() else np.full(len(moves), np.inf)
 
     def missed(self, left: Moments, right: Moments) -> Array:
         """Return by how much more values change than their rates say, shape (rows, N)."""
@@ -96,13 +116,18 @@ class Looked:
     gaps: list[tuple[Moments, Moments]]
 
 
-def look(beside: Beside, at: Moments, rows: Rows, share: float) -> Looked:
-    """Halve the intervals over which values change by `share` of their ranges more than their rates say."""
+def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()) -> Looked:
+    """Halve the intervals over which values change by `share` of their ranges more than their rates say.
+
+    Those that hold one of the singularities `passages` are left out.
+    """
     at = at if np.isfinite(at.states).all() else at.of(_known(at))
-    values, inserted, gaps = at.states[rows.values], at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]]()
-    left, right = at.of(slice(-1)), at.of(slice(1, None))
-    ranges = np.ptp(values, axis=1) if len(at.t) else np.zeros(len(values))
-    least = np.where(ranges > _ROUND_OFF * np.abs(values).max(axis=1, initial=0.0), share * ranges, np.inf)[:, None]
+    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]](), rows.ranges(at.states)
+    regular = np.ones(max(len(at.t) - 1, 0), dtype=bool)
+    for each in passages:
+        regular &= (at.t[1:] <= each.before) | (at.t[:-1] >= each.after)
+    left, right = at.of(slice(-1)).of(regular), at.of(slice(1, None)).of(regular)
+    least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(_HALVINGS):
         worst = (rows.missed(left, right) / least).max(axis=0, initial=0.0)
         kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
@@ -140,12 +165,8 @@ def _between(beside: Beside, left: Moments, right: Moments) -> Moments:
 @made_once
 def _highest(array: DerivativeArray) -> Rows:
     """Return the highest derivatives but one of all coordinates."""
-    n, place = len(array.system.coordinates), {unknown: k for k, unknown in enumerate(array.unknowns)}
-    top = {j: order for j, order in array.unknowns if j < n}
-    rows = [(place[j, order - 1], place[j, order]) for j, order in top.items() if order]
-    values, rates = np.array(rows, dtype=np.intp).reshape(-1, 2).T
-    wraps = np.array([array.system.coordinates.quantities[j].wraps and top[j] == 1 for j in top if top[j]], dtype=bool)
-    return Rows(values, rates, wraps)
+    top = {j: order for j, order in array.unknowns if j < len(array.system.coordinates)}
+    return Rows.of(array, [(j, order - 1) for j, order in top.items() if order])
 
 
 def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[Finding]:
@@ -195,14 +216,11 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
-    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED).between
+    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED, motion.passages).between
     if len(between.t):  # less regular, values are all round-off
-        branch, regular = Branch.of(motion.problem, motion.states), np.ones(len(between.t), dtype=bool)
-        for each in motion.passages:
-            regular &= (between.t < each.before) | (between.t > each.after)
+        branch = Branch.of(motion.problem, motion.states)
         least = LOST * np.abs(branch.determinants(motion.t, motion.states)).max(axis=1, keepdims=True)
-        regular &= (np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0)
-        between = between.of(regular)
+        between = between.of((np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0))
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)

@@ -43,7 +43,7 @@ _APART = 0.1  # of the movement: predictions that miss each other by less belong
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
 _JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
 _CORNER = 1e-9  # the same where branches meet: with more room, short steps would turn into the other one
-_STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
+_STILL = 1e-3  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_TRIALS = 3000  # steps between two instants: they shrink without end near a singularity
 _MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
 _EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
@@ -143,10 +143,11 @@ class Branch:
             lengths[~self.wraps] += np.abs(way[~self.wraps])
         else:
             lengths += np.abs(way)
-        misses = way - h * v0, way - h * v1
+        misses, known = (way - h * v0, way - h * v1), self.accelerations >= 0
         for miss, side, sign in zip(misses, (first, last), (-0.5, 0.5), strict=True):
-            known = self.accelerations >= 0
             miss[known] += sign * h * h * side[self.accelerations[known]]
+            # Else of order h^2, which where a coordinate turns back is all that it moves: by the mean of the rates.
+            miss[~known] += sign * h * (v1 - v0)[~known]
             if self.wraps.any():
                 miss[self.wraps] = wrapped_angle(miss[self.wraps])
         # Not <=, so that NaN counts as apart.

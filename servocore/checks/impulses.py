@@ -50,16 +50,13 @@ def jumps(motion: Motion) -> Iterator[Finding]:
 @made_once
 def _motion_rows(array: DerivativeArray) -> Rows:
     """Return coordinates and velocities; accelerations that are not known count as zero."""
-    n, place = len(array.system.coordinates), {unknown: k for k, unknown in enumerate(array.unknowns)}
-    places = [[place.get((k, order), -1) for k in range(n)] for order in range(3)]
-    wraps = [quantity.wraps for quantity in array.system.coordinates.quantities] + [False] * n
-    return Rows(np.array([*places[0], *places[1]]), np.array([*places[1], *places[2]]), np.array(wraps))
+    return Rows.of(array, [(j, order) for order in range(2) for j in range(len(array.system.coordinates))])
 
 
 def _of_motion(motion: Motion, looked: Looked, rows: Rows) -> Iterator[tuple[float, Finding]]:
     """Yield the jumps of coordinates and velocities, and the gaps of a motion, with their times."""
     quantities, path = motion.problem.system.coordinates.quantities, motion.problem.reference
-    n, ranges = len(quantities), np.ptp(motion.states[rows.values], axis=1)
+    n, ranges = len(quantities), rows.ranges(motion.states)
     sides = [(looked.left.of(np.array([k])), looked.right.of(np.array([k])), False) for k in range(len(looked.left.t))]
     for left, right, gap in [*sides, *((*ends, True) for ends in looked.gaps)]:
         row = int((rows.missed(left, right)[:, 0] / np.maximum(ranges, 1e-300)).argmax()) % (n if gap else 2 * n)

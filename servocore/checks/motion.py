@@ -30,7 +30,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
 
-_FEWEST = 150  # intervals of a motion: longer ones hide what happens in between
+_FEWEST = 100  # intervals of a motion: longer ones hide what happens in between
 _SURVEYED = 400  # intervals of a path, to know its motion everywhere
 
 
