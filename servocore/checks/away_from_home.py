@@ -12,7 +12,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from servocore.checks.findings import Finding, told
+from servocore.checks.findings import ROUND_OFF, Finding, told
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel
 from servocore.model.limits import Limit
@@ -24,7 +24,6 @@ from servocore.references.base import survey
 
 _WHY = "it follows from the others where the model is at home, and was left out"
 _INSTANTS = 9  # at which masses are looked at
-_ROUND_OFF = 1e-9  # of the largest eigenvalue: a mass that is less negative is none
 
 
 def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
@@ -99,7 +98,7 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
     masses = at_instants(function, q, jets=jets, p=problem.p)[0].reshape(len(q), len(q), -1, order="F")
     eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
-    negative = np.flatnonzero(eigenvalues[:, 0] < -_ROUND_OFF * np.abs(eigenvalues).max(axis=1))
+    negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])
         what = f"the mass matrix has the negative eigenvalue {eigenvalues[k, 0]:.4g}"

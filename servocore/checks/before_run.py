@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 
+from servocore.checks.findings import ROUNDS, SECTIONS
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import InvalidReference, ServocoreWarning
 from servocore.formulations.base import Formulation
@@ -21,7 +22,6 @@ from servocore.stepping.path_function import PathFunction
 _CALLER = 6  # the line that called `solve`
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
-_SECTIONS, _ROUNDS = 21, 4  # between the neighbours of the lowest margin
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
@@ -117,12 +117,12 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
         k = int(margins[row].argmin())
         first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
-        for _ in range(_ROUNDS):
-            at = np.linspace(first, last, _SECTIONS)
+        for _ in range(ROUNDS):
+            at = np.linspace(first, last, SECTIONS)
             inside = _margins(problem, limits[row : row + 1], at, False)
             _require_kept(limits[row : row + 1], inside, at)
             k = int(inside[0].argmin())
-            first, last = at[max(k - 1, 0)], at[min(k + 1, _SECTIONS - 1)]
+            first, last = at[max(k - 1, 0)], at[min(k + 1, SECTIONS - 1)]
 
 
 def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:

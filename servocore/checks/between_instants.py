@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places
-from servocore.checks.findings import Finding
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
@@ -27,9 +27,7 @@ from servocore.structure.derivative_array import DerivativeArray
 
 _DOUBTED = 0.05  # of the range of a derivative: an interval over which it changes by more than its rates say
 _MOST = 64  # intervals that are halved at once
-_HALVINGS = 40
 _RESOLVED = 1e-12  # of the time: shorter intervals are not halved
-_ROUND_OFF = 1e-11  # of the nominal magnitude: a coordinate with a smaller range rests
 _ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
 _POLE = 1e5  # times the largest value at the instants: it grows without bound
@@ -61,13 +59,15 @@ class Rows:
         at = [(place[j, k], place.get((j, k + 1), -1), place[j, 0]) for j, k in watched]
         values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
         wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
-        still = _ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
+        still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
         return cls(values, rates, wraps, coordinates, still)
 
     def ranges(self, states: Array) -> Array:
         """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
-        moves = np.ptp(states[self.coordinates], axis=1) > self.still if states.size else np.zeros(len(self.still), bool)
-        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf) if moves.any() else np.full(len(moves), np.inf)
+        if not states.size:
+            return np.full(len(self.values), np.inf)
+        moves = np.ptp(states[self.coordinates], axis=1) > self.still
+        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf)
 
     def missed(self, left: Moments, right: Moments) -> Array:
         """Return by how much more values change than their rates say, shape (rows, N)."""
@@ -128,7 +128,7 @@ def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequen
         regular &= (at.t[1:] <= each.before) | (at.t[:-1] >= each.after)
     left, right = at.of(slice(-1)).of(regular), at.of(slice(1, None)).of(regular)
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
-    for _ in range(_HALVINGS):
+    for _ in range(BISECTIONS):
         worst = (rows.missed(left, right) / least).max(axis=0, initial=0.0)
         kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
         left, right = left.of(kept), right.of(kept)
@@ -244,7 +244,6 @@ def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]
 # Angles ---------------------------------------------------------------------------------------------------------------
 
 _QUARTER_TURN = np.pi / 2
-_MOST_BISECTIONS = 40
 
 
 def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
@@ -290,7 +289,7 @@ def _turn(motion: Motion, program: Program, channel: int, ends: Sequence[int], a
         first, middle = False, (left[0] + waiting[-1][0]) / 2.0
         time = np.array([middle])
         states = motion.beside(np.array([left[0]]), left[1][:, None], time)
-        if len(waiting) > _MOST_BISECTIONS or not np.isfinite(states).all():
+        if len(waiting) > BISECTIONS or not np.isfinite(states).all():
             raise IntegrationFailed(
                 f"{program.name}: {program.channels[channel].name} cannot be followed from t = {sides[0][0]:.6g} s to"
                 f" {sides[1][0]:.6g} s, near t = {middle:.9g} s it turns by more than a quarter turn within"

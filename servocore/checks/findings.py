@@ -8,6 +8,15 @@ from dataclasses import dataclass
 
 from servocore.errors import ServocoreError, ServocoreWarning
 
+ROUND_OFF = 1e-9
+"""Of a quantity: what is computed by some hundred operations from double precision is no better known."""
+
+BISECTIONS = 40
+"""Halvings after which an interval is as short as round-off of its ends."""
+
+SECTIONS, ROUNDS = 21, 6
+"""Evaluations within an interval, and how often it shrinks to a tenth, to find where a smooth quantity is least."""
+
 
 @dataclass(frozen=True)
 class Finding:

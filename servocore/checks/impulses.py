@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Looked, Moments, Rows, look
-from servocore.checks.findings import Finding
+from servocore.checks.findings import BISECTIONS, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
@@ -29,7 +29,6 @@ from servocore.structure.derivative_array import DerivativeArray
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _ASIDE = 1e-8  # of the duration: instants beside a jump
 _MOST_SWITCHES = 500  # switches that are looked for: of a model that rattles, not all
-_BISECTIONS = 40
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -119,7 +118,7 @@ def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moment
         return at, none
     places, before = np.arange(len(which)), known[which, interval]
     left, right = at.of(interval), at.of(interval + 1)
-    for _ in range(_BISECTIONS):
+    for _ in range(BISECTIONS):
         t = (left.t + right.t) / 2.0
         middle = Moments(t, beside(left.t, left.states, t))
         same = levels(middle)[which, places] == before

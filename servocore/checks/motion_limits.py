@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from servocore.checks.findings import ROUND_OFF, ROUNDS, SECTIONS
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
@@ -25,9 +26,6 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
 from servocore.structure.derivative_array import DerivativeArray
-
-_SECTIONS, _ROUNDS = 21, 6  # between the neighbours of the worst instant
-_ROUND_OFF = 1e-9  # of the bounds: beyond them by less is on them
 
 HIDDEN = "limit "
 """Prefix of the names of observables that only limits need."""
@@ -43,7 +41,7 @@ def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -
 
 def margin_within(limit: Limit, values: Array, size: float) -> Array:
     """Return how far values are within a limit, negative beyond it; a value on it up to round-off is within."""
-    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + _ROUND_OFF * size
+    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + ROUND_OFF * size
     if limit.rate:  # of the length of a vector, where that is zero
         margins = np.where(np.isnan(margins), np.inf, margins)
     return margins
@@ -69,14 +67,14 @@ def first_broken(
     when, value = float(t[worst]), float(values[worst])
     if evaluate is not None and np.isfinite(value):
         begin, end = t[max(worst - 1, 0)], t[min(worst + 1, len(t) - 1)]
-        for _ in range(_ROUNDS):
-            at = np.linspace(begin, end, _SECTIONS)
+        for _ in range(ROUNDS):
+            at = np.linspace(begin, end, SECTIONS)
             tried = evaluate(at)
             lowest = int(np.nan_to_num(margin_within(limit, tried, size), nan=np.inf).argmin())
-            begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, _SECTIONS - 1)]
+            begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, SECTIONS - 1)]
             when, value = float(at[lowest]), float(tried[lowest])
         good = float(t[k - 1]) if k else first
-        while good < (middle := (good + first) / 2.0) < first and first - good > _ROUND_OFF * float(np.ptp(t)):
+        while good < (middle := (good + first) / 2.0) < first and first - good > ROUND_OFF * float(np.ptp(t)):
             kept = margin_within(limit, evaluate(np.array([middle])), size)[0] >= 0.0
             good, first = (middle, first) if kept else (good, middle)
     why = f" {limit.reason}:" if limit.reason else ""
