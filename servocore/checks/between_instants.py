@@ -30,7 +30,6 @@ _MOST = 64  # intervals that are halved at once
 _RESOLVED = 1e-12  # of the time: shorter intervals are not halved
 _ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
-_POLE = 1e5  # times the largest value at the instants: it grows without bound
 _NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
 _NOTHING = 1e-6  # of the typical magnitude of a quantity: a peak that may be round-off
 
@@ -198,7 +197,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
         worst, lowest, size = int(np.abs(row).argmax()), int(row.argmin()), max(peak, _NOTHING * quantity.magnitude)
         if quantity.positive and not row[lowest] > 0.0:
             yield Finding(f"between two instants, {at[lowest]}, {quantity.wrong_sign}", error=IntegrationFailed)
-        if not abs(row[worst]) < _POLE * size or (passing[worst] and abs(row[worst]) > _TIMES * size):
+        if passing[worst] and abs(row[worst]) > _TIMES * size:
             most = f"no more than {peak:.4g} {quantity.unit} at all instants"
             what = f"{quantity.name} has a pole between two instants: {at[worst]}, and {most}"
             yield Finding(what, error=IntegrationFailed)
@@ -218,8 +217,9 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
     between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED, motion.passages).between
     if len(between.t):  # less regular, values are all round-off
-        branch = Branch.of(motion.problem, motion.states)
-        least = LOST * np.abs(branch.determinants(motion.t, motion.states)).max(axis=1, keepdims=True)
+        branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
+        sizes = np.abs(branch.determinants(motion.t, motion.states))
+        least = LOST * np.minimum(sizes[:, after - 1], sizes[:, np.minimum(after, len(motion.t) - 1)])
         between = between.of((np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0))
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:

@@ -215,7 +215,8 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
         yield from jumps(motion)
     if motion.values is not None:
         yield from passed(motion)
-        yield from hidden_values(motion, program_of(problem, Reduced(), BackwardEuler()), motion.values)
+        if not problem.follow_branch:  # through singularities, beside which values are round-off
+            yield from hidden_values(motion, program_of(problem, Reduced(), BackwardEuler()), motion.values)
 
 
 def _require_arguments(

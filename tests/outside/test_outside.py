@@ -88,7 +88,6 @@ def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name: str) -
 
 
 @every_case()
-@pytest.mark.filterwarnings("ignore:chain of cars, reduced. the path passes close to a pole")
 def test_its_solution_is_the_answer_by_other_means(name: str) -> None:
     found = errors(case(name))
     assert max(found.values()) <= case(name).tolerance, found
