@@ -27,7 +27,6 @@ from servocore.structure.derivative_array import DerivativeArray
 
 _DOUBTED = 0.05  # of the range of a derivative: an interval over which it changes by more than its rates say
 _MOST = 64  # intervals that are halved at once
-_RESOLVED = 1e-12  # of the time: shorter intervals are not halved
 _ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
 _NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
@@ -131,7 +130,7 @@ def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequen
         worst = (rows.missed(left, right) / least).max(axis=0, initial=0.0)
         kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
         left, right = left.of(kept), right.of(kept)
-        if not len(kept) or (right.t - left.t).max() <= _RESOLVED * max(np.ptp(at.t), float(np.abs(at.t).max())):
+        if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break
         middle = _between(beside, left, right)
         found = _known(middle)

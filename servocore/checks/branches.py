@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
@@ -40,19 +41,15 @@ FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _APART = 0.1  # of the movement: predictions that miss each other by less belong to one motion
-_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
+_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
 _JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
-_CORNER = 1e-9  # the same where branches meet: with more room, short steps would turn into the other one
-_STILL = 1e-3  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_TRIALS = 3000  # steps between two instants: they shrink without end near a singularity
 _MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
-_EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
 
 _LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
-_ENDED = 1e-8  # of a determinant along the path: with less at its ends it begins or ends where constraints lose rank
 
 Places = npt.NDArray[np.intp]
 MANY = 1000
@@ -208,7 +205,8 @@ class Branch:
         found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
         if not (np.isfinite(found).all() and np.isfinite(residual).all()):
             return None
-        if self.apart(state[:, None], found[:, None], h, _SLIGHT if own is None else _CORNER)[0]:
+        # With more room where branches meet, short steps would turn into the other one.
+        if self.apart(state[:, None], found[:, None], h, _SLIGHT if own is None else ROUND_OFF)[0]:
             return None
         if own is None:
             return found
@@ -229,7 +227,7 @@ def places_of(array: DerivativeArray) -> tuple[Places, Places, Places, npt.NDArr
     of_orders = (
         np.array([place.get((k, order), -1) for k in range(len(quantities))], dtype=np.intp) for order in range(3)
     )
-    still = _STILL * np.array(array.system.coordinates.nominal)
+    still = _SLIGHT * np.array(array.system.coordinates.nominal)
     return *of_orders, np.array([each.wraps for each in quantities], dtype=bool), still  # type: ignore[return-value]  # three
 
 
@@ -334,7 +332,7 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
     sizes = np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
-        lost = np.flatnonzero(sizes[:, k] < _ENDED * np.fmax.reduce(sizes, axis=1))
+        lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
         blocks = [diagonal_blocks(problem.array)[j] for j in lost]
         found = (Passage(time, time, time, tuple(names[row] for row in block.rows)) for block in blocks)
         passages += [each for each in found if each.of_constraints][:1]
@@ -360,7 +358,7 @@ def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
     """
     branch = Branch.of(problem, states)
     off = np.abs(guessed_unknowns(problem, t)[branch.q] - states[branch.q])
-    if not (off <= _EXACT * np.maximum(np.abs(states[branch.q]), branch.scale[:, None])).all():
+    if not (off <= ROUND_OFF * np.maximum(np.abs(states[branch.q]), branch.scale[:, None])).all():
         return False
     found = branch.determinants(t, states)
     return bool((found * np.sign(found[:, :1]) > 0.0).all())

@@ -17,11 +17,11 @@ from servocore.model.limits import Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import survey
 from servocore.references.timed_path import TimeScaled
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
-_INSTANTS = 201
 _SLACK, _LONG = 0.02, 50.0  # times the median before: tensions below, lengths above
 _LONGEST = 64.0  # times the duration
 
@@ -49,7 +49,7 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
         return watched.values(problem, t, exact_unknowns(problem, t)[0])
 
     path = problem.reference
-    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    t = survey(path)
     found = values(t)
     bad = np.flatnonzero(~(found > 0.0).all(axis=0))
     if not len(bad) or bad[0] == 0:
