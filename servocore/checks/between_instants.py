@@ -219,7 +219,8 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
         branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
         sizes = np.abs(branch.determinants(motion.t, motion.states))
         least = LOST * np.minimum(sizes[:, after - 1], sizes[:, np.minimum(after, len(motion.t) - 1)])
-        between = between.of((np.abs(branch.determinants(between.t, between.states)) > least).all(axis=0))
+        regular: npt.NDArray[np.bool_] = np.abs(branch.determinants(between.t, between.states)) > least
+        between = between.of(np.logical_and.reduce(regular, axis=0, dtype=bool))
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)
