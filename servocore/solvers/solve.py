@@ -36,7 +36,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values, observed_motion
 from servocore.solvers.fixed_step_loop import Progress
-from servocore.solvers.results import with_energies, without_energies
+from servocore.solvers.results import with_run_quantities, without_run_quantities
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.prescribed_initial_values import require_start
@@ -127,7 +127,11 @@ def solve(
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
     solution = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem, motion=None)
-    solution = with_energies(solution)
+    solution = with_run_quantities(solution)
+    if checked and problem.run_limits:
+        from servocore.checks.motion_limits import require_run_limits  # noqa: PLC0415 - few have limits
+
+        require_run_limits(problem, solution)
     if certify:
         from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
         from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
@@ -288,7 +292,7 @@ def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
-    return better_solver_of(problem, route).estimate(problem, without_energies(solution))
+    return better_solver_of(problem, route).estimate(problem, without_run_quantities(solution))
 
 
 def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:
