@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.branches import rank_losses
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.internal_stability import (
     ADVICE,
@@ -15,16 +16,16 @@ from servocore.checks.internal_stability import (
     SINGULAR,
     internal_dynamics,
 )
-from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.checks.motion import motion_of
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants, call_of
+from servocore.numerics.compiled_calls import at_instants
 from servocore.numerics.conditioning import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
+from servocore.structure.inversion import system_jacobian, system_jacobian_entries
 
 _SURVEY_POINTS = 201
 
@@ -176,47 +177,27 @@ def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: 
 
 def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     """Return the worst condition of the system Jacobian and, if there is one, why or where the path is singular."""
-    system, array, reference = problem.system, problem.array, problem.reference
+    array, reference = problem.array, problem.reference
     try:
         require_feasible(problem)
         times = np.linspace(reference.start_time, reference.end_time, instants)
         jets = reference.jet(times, array.reference_order)
     except InvalidReference as error:
         return np.inf, str(error), ""
-    unknowns = _unknowns_along(problem, times, jets)
+    unknowns, rank_loss = exact_unknowns(problem, times)[0], ""
+    if problem.flat:
+        with suppress(IntegrationFailed):
+            motion = motion_of(problem, times, unknowns)
+            unknowns = motion.states
+            rank_loss = "; ".join(str(each) for each in motion.passages if each.of_constraints)
     entries, parts = system_jacobian_entries(problem.array)
-    conditions = condition_numbers(parts, at_instants(entries, np.column_stack(unknowns), jets=jets, p=problem.p)[0])
+    conditions = condition_numbers(parts, at_instants(entries, unknowns, jets=jets, p=problem.p)[0])
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
-        matrix = np.asarray(system_jacobian(problem.array)(unknowns[k], jets[k].T, problem.p))
+        matrix = np.asarray(system_jacobian(problem.array)(unknowns[:, k], jets[k].T, problem.p))
         singularity = "" if np.isfinite(matrix).all() else singular(problem)
         reason = (
-            out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[k], matrix)
+            out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[:, k], matrix)
         )
         return float(conditions[k]), reason, ""
-    worst = float(conditions.max())
-    if not problem.flat:
-        return worst, "", ""  # the configurations are not those of the motion
-    places = array.places((k, 0) for k in range(len(system.coordinates)))
-    return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(unknowns)[:, places])))
-
-
-def _unknowns_along(problem: Problem, times: Array, jets: Array) -> list[Array]:
-    """Return the unknowns of the derivative array at instants, with the jets there; NaN where they are not found.
-
-    Instants that are not solved from the guess of the model are solved from a neighbour.
-    """
-    states, by_expression = exact_unknowns(problem, times)
-    unknowns = list(states.T)
-    if by_expression:
-        return unknowns
-    search, solved = call_of(inversion(problem.array).search), [bool(np.isfinite(values).all()) for values in unknowns]
-    count = len(unknowns)
-    for order in (range(1, count), range(count - 2, -1, -1)) if problem.flat else ():
-        for k in order:
-            beside = k - order.step
-            if not solved[k] and solved[beside]:
-                values, _, _ = search(jets[k].T, problem.p, unknowns[beside])
-                if np.isfinite(values).all():
-                    unknowns[k], solved[k] = values, True
-    return unknowns
+    return float(conditions.max()), "", rank_loss

@@ -25,6 +25,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, lock_arrays
 from servocore.numerics.components import filled
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import holds_any
 from servocore.references.base import FloatArray, Reference
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
@@ -77,6 +78,15 @@ class ResolvedSystem:
         return signs + margins
 
     @property
+    def mass_varies(self) -> bool:
+        """Whether the mass matrix depends on the configuration."""
+        return _mass_varies(self)
+
+    def holds(self, operations: set[int]) -> bool:
+        """Whether the equations hold one of some operations, such as `KINKS`, given by their numbers in CasADi."""
+        return _holds(self, frozenset(operations))
+
+    @property
     def array(self) -> DerivativeArray:
         """The derivative array; raises `InvalidModel` where the signature method does not apply."""
         if isinstance(self.outcome, InvalidModel):
@@ -93,6 +103,24 @@ class ResolvedSystem:
             return False
         signature = self.outcome.signature
         return not signature.equations.special and is_regular(signature, p)
+
+
+_FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "input_matrix"
+
+
+def equations_of(system: MechanicalSystem) -> list[ca.SX]:
+    """Return all expressions that make up the equations of a system."""
+    return [getattr(system, name) for name in _FIELDS]
+
+
+@made_once
+def _mass_varies(resolved: ResolvedSystem) -> bool:
+    return bool(ca.depends_on(resolved.system.mass, resolved.system.q))
+
+
+@made_once
+def _holds(resolved: ResolvedSystem, operations: frozenset[int]) -> bool:
+    return any(holds_any(each, set(operations)) for each in equations_of(resolved.system))
 
 
 @made_once
@@ -279,6 +307,11 @@ class Problem:
     def flat(self) -> bool:
         """Whether no internal dynamics remain: the inputs at an instant follow from the path at that instant."""
         return not self.array.states
+
+    @property
+    def motion_limits(self) -> tuple[Limit, ...]:
+        """The limits that do not follow from the path alone."""
+        return tuple(limit for limit in self.limits if not limit.of_path)
 
     def dae(self, formulation: Formulation) -> Dae:
         """Return the problem in a formulation, with the index of that form."""

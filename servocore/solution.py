@@ -164,6 +164,8 @@ class Solution:
         Margins of the limits of the scene (not of the path) by name, at the instants of the solution.
     origin : Problem or None
         The solved problem, for drawings and further computations; omitted when the solution is pickled.
+    motion : Motion or None
+        The exact motion that checks read, known between routes and checks only.
     """
 
     t: Array
@@ -177,6 +179,7 @@ class Solution:
     fit_estimator: Callable[[Solution], ErrorEstimate | None] | None = field(default=None, repr=False)
     margins: Mapping[str, Margin] = field(default_factory=dict)
     origin: Any = field(default=None, repr=False)  # a `Problem`, of a higher layer
+    motion: Any = field(default=None, repr=False)  # a `Motion`, of a higher layer
 
     def __post_init__(self) -> None:
         self._lock()
@@ -202,7 +205,7 @@ class Solution:
         return None if self.fit_estimator is None else self.fit_estimator(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "estimator": None, "fit_estimator": None, "origin": None}
+        return {**self.__dict__, "estimator": None, "fit_estimator": None, "origin": None, "motion": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

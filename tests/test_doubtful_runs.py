@@ -149,8 +149,11 @@ def test_direction_cosines_add_the_torque_of_two_sines() -> None:
 @pytest.mark.parametrize("distance", [0.1, 0.03, 0.01])
 def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance: float) -> None:
     crane = near_axis(distance)
-    with pytest.warns(sc.ServocoreWarning, match=r"M_b is off by .* the exact inversion gives .* phi turns by"):
+    with pytest.warns(sc.ServocoreWarning) as heard:
         found = projected(crane, 1000)
+    said = str(heard[-1].message)  # at 10 mm, that the exact torque has a peak between the instants comes first
+    assert re.search(r"M_b is off by .* the exact inversion gives .* phi turns by", said)
+    assert len(heard) == 1 + (distance < 0.03)
     assert largest_error(crane, found, "phi") < 1e-12
     assert largest_error(crane, found, "M_b") > 0.5
 
@@ -205,3 +208,15 @@ def test_the_elastic_bar_warns_of_methods_with_too_few_stages(form: sc.Formulati
         sc.solve(bar, form, sc.RadauIIA(3), step=bar.reference.duration / 100)
     said = f"the form has index {index}, on which the inputs of radau3 err like the step to the power {order} "
     assert said in str(heard[0].message)
+
+
+@pytest.mark.parametrize("model", list(sc.scenes.quadrotor_with_load().models))
+def test_a_moment_of_which_the_instants_show_a_tenth_is_warned_of(model: str) -> None:
+    """The thrust turns fast between two of 201 instants, where `certify` refutes that they show the moment."""
+    quadrotor = sc.scenes.quadrotor_with_load()
+    start, end = quadrotor.reference.jet(0.0, 0)[0], (5.91, 2.15)
+    quick = quadrotor.with_reference(sc.rest_to_rest(start, end, 1.71, sc.DEGREE13))
+    with pytest.warns(
+        sc.ServocoreWarning, match=r"close to a pole: at t = 0\.28\d* s front is -2\d{3} N, .* so do M, rear"
+    ):
+        sc.solve(quick, model=model)

@@ -31,7 +31,7 @@ from servocore.model.drives import largest_torque
 from servocore.model.limits import Bounds
 from servocore.problem import Problem
 from servocore.references.rest_to_rest import RestToRest
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 line = CommandLine(app, "servocore")
 SHEET = """
@@ -81,7 +81,7 @@ def test_the_power_of_the_motors_is_the_rate_of_energy_and_friction_to_round_off
     motors = sum(expression for each, expression in system.observables.items() if each.unit == "W")
     terms = ca.vertcat(motors, stored, -ca.dot(system.force, system.v))  # the forces are those of friction
     balance = ca.Function("balance", [system.q, system.v, v_dot, system.u, system.p], [terms])
-    for state in exact_states(problem, prepared_table(problem))(np.linspace(0.2, 2.8, 21)).T:
+    for state in prepared_motion(problem).at(np.linspace(0.2, 2.8, 21)).T:
         motion = [[state[array.position(f"q.{name}", k)] for name in system.coordinates.names] for k in range(3)]
         u = [state[array.position(f"u.{each.name}", 0)] for each in system.inputs]
         power, change, lost = np.asarray(balance(*motion, u, problem.p)).ravel()
@@ -135,7 +135,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
     assert report.limits.evidence == "proved to be kept at all times"
     problem = Problem.of(crane.with_reference(plan))
     t = np.linspace(plan.start_time, plan.end_time, 50_001)
-    reserves = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
+    reserves = limited_values(prepared_motion(problem), t)
     peaks = np.array([[max(torque for _, torque in drive.corners)] for drive in drives.values()])
     assert -1e-9 < (reserves / peaks).min() < 0.02  # one of them is used up
     with pytest.raises(sc.LimitBroken, match="torque_reserve goes beyond its lower limit of 0 N"):

@@ -17,7 +17,7 @@ from present import present
 from problems import Rest, as_scene, car_chain, changed, scene
 
 import servocore as sc
-from servocore.checks.better_solutions import warn_and_state_branch
+from servocore.checks.better_solutions import stated_branch
 from servocore.checks.wrong_inputs import LARGEST_UNWARNED
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
@@ -326,7 +326,7 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     turned, problem = replace(found, values=values), sc.Problem.of(aircraft.scene)
     better_solver, how = better_solver_of(problem, FixedStep(sc.Projected(), sc.BDF(2))), (sc.Projected(), sc.BDF(2))
     with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
-        said = warn_and_state_branch(problem, better_solver, turned, False, how)
+        said = stated_branch(problem, turned, how, better_solver.compared(problem, turned))
     assert said == (
         "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
         " another motion from t = 2.005 s"

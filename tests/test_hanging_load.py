@@ -51,7 +51,7 @@ def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: 
     gravity = 4.0 * PEAK / duration**2 / np.tan(np.radians(swing))
     scene = crane().with_reference(sc.rest_to_rest(*level, duration)).with_parameters(gravity=float(gravity))
     assert np.degrees(scene.exact(duration * T)["swing"].max()) == pytest.approx(swing, abs=0.01)
-    with passing_close(swing > 89.0):
+    with passing_close(swing > 89.0 and name == "rotary_crane"):  # its bridge turns within a hundredth of a step
         assert largest_error(scene, model) < 1e-12
 
 

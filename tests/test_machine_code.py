@@ -16,7 +16,6 @@ from click.testing import CliRunner
 from present import present
 
 import servocore as sc
-from servocore.checks.between_instants import suspected_poles
 from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics import vectorized as vectorized_module
@@ -26,9 +25,7 @@ from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.numerics.vector_code import NoCounterpart, vector_source
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
-from servocore.solvers import taylor as taylor_module
 from servocore.solvers.exact_inversion import input_evaluation
-from servocore.solvers.taylor import Taylor
 from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 
@@ -182,51 +179,14 @@ def test_a_solution_has_the_same_bits(name: str) -> None:
     assert compiled.statistics == interpreted.statistics
 
 
-@pytest.mark.usefixtures("compiler")
-def test_neighbours_that_are_apart_are_found_in_machine_code_too() -> None:
-    problem = Problem.of(sc.scenes.rotary_crane())
-    taylor, t = Taylor.of(problem.array), np.linspace(0.0, 20.0, 101)
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    function, size = inversion(problem.array).function, len(problem.array.unknowns)
-    states = np.hstack([np.asarray(function(jet.T, problem.p)[0]) for jet in jets])
-    states[:, 40] *= 1.01
-    states[3, 60] = np.nan
-    scale = np.ptp(states[taylor.q][:, :40], axis=1)
-    together = Vectorized(taylor.compile_together(size), (True, True, True, False), True, "taylor")
-    (found,) = together(states[:, :-1], states[:, 1:], np.diff(t)[None], scale)
-    apart = taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), scale)
-    assert set(np.flatnonzero(apart)) >= {39, 40, 59, 60}
-    np.testing.assert_array_equal(found[0] != 1.0, apart)
-
-
 def test_many_instants_are_looked_at_in_parts_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    t, values = np.linspace(0.0, 1.0, 1001), np.random.default_rng(3).standard_normal((3, 1001))
-    problem = Problem.of(sc.scenes.rotary_crane())
-    taylor = Taylor.of(problem.array)
-    states = np.random.default_rng(4).standard_normal((len(problem.array.unknowns), len(t)))
-    states[:, 100:900] = 0.0  # rests there
-    scale = np.ones(len(taylor.q))
+    values = np.random.default_rng(3).standard_normal((3, 1001))
     x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2)
     product = Vectorized(ca.Function("product", [x, y], [x * y[0], x + y[1]]), (True, False), False, "a test")
-    whole = taylor.jumps(t, states, scale), *product(values, np.array([2.0, 5.0]))
-    assert 0 < len(whole[0]) < len(t) - 1
-    for module in (taylor_module, vectorized_module):
-        monkeypatch.setattr(module, "_AT_ONCE", 37)
-    for one, other in zip(whole, (taylor.jumps(t, states, scale), *product(values, np.array([2.0, 5.0]))), strict=True):
+    whole = product(values, np.array([2.0, 5.0]))
+    monkeypatch.setattr(vectorized_module, "_AT_ONCE", 37)
+    for one, other in zip(whole, product(values, np.array([2.0, 5.0])), strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.usefixtures("compiler")
-def test_what_stands_out_between_instants_is_found_in_machine_code_too() -> None:
-    crane = sc.scenes.rotary_crane()
-    problem, found = Problem.of(crane), sc.solve(crane, step=0.02)
-    assert suspected_poles(problem, found, True) == suspected_poles(problem, found) == []
-    places = {name: found.names.index(name) for name in ("M_b", "s", "tension", "l")}
-    for name, k in (("M_b", 500), ("s", 333), ("tension", 1), ("l", 2), ("M_b", 4), ("s", 996), ("tension", 999)):
-        values = found.values.copy()
-        values[k, places[name]] *= 0.5
-        spoilt = replace(found, values=values)
-        assert suspected_poles(problem, spoilt, True) == suspected_poles(problem, spoilt) != [], (name, k)
 
 
 def test_machine_code_has_no_more_statements_than_the_expression_has_operations() -> None:

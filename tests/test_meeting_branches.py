@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -10,12 +11,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from present import present
 from scipy.optimize import brentq
 
 import servocore as sc
-from servocore.checks import branches
-from servocore.checks.branches import changes_branch, configurations, rank_losses, require_one_branch
 from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import RestToRest
 
@@ -78,10 +76,7 @@ def error(subject: sc.Scene, solution: sc.Solution) -> float:
 
 
 MEETING = brentq(lambda t: THROUGH.jet(t, 0)[0, 0] - np.pi, 1.0, 4.0)
-SENTENCE = (
-    rf"at t = {MEETING:.4f}\d* s the holonomic constraints lose rank \(condition .*, the limit is 1e\+05\)"
-    r" and two motions go on from there"
-)
+SENTENCE = rf"at t = {MEETING:.4f}\d* s the holonomic constraints lose rank and two motions go on from there"
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
@@ -135,12 +130,21 @@ def test_a_motion_that_ends_short_of_the_stretched_position_raises_no_alarm(shor
     assert sc.analyse(subject).rank_loss == ""
 
 
-@pytest.mark.parametrize("longer", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("longer", [1e-2, 1e-4])
 def test_a_motion_close_by_a_loss_of_rank_raises_no_alarm(longer: float) -> None:
     """A rocker that is longer keeps the assemblies apart by the square root of what it is longer."""
     subject = scene(longer=longer, follow_branch=True)
     sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.005)
     assert sc.analyse(subject).rank_loss == ""
+
+
+@pytest.mark.parametrize("steps", [100, 150, 200, 201, 250, 300, 400, 800])
+def test_branches_that_come_within_a_thousandth_are_told_apart_at_every_step(steps: int) -> None:
+    """The rocker turns back within a millisecond, and other steps than the instants' own are needed to see it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "linkage, reduced: the path passes close to a pole", sc.ServocoreWarning)
+        found = sc.solve(scene(longer=1e-6), step=4.0 / steps)
+    assert found["y2"][-1] == pytest.approx(0.11446253077, abs=5e-10)  # proved by `certify`
 
 
 def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_there() -> None:
@@ -152,34 +156,6 @@ def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_th
         sc.solve(ending, sc.Reduced(), sc.BackwardEuler(), step=0.02)
 
 
-def test_what_internal_dynamics_leave_free_is_judged_by_a_kink() -> None:
-    problem = sc.Problem.of(sc.Scene("linkage", {"": lambda: linkage(freewheel=True)}, THROUGH))
-    t = np.linspace(0.0, 4.0, 401)
-    y = THROUGH.jet(t, 0)[:, 0, 0]
-    twice = 2 * np.arctan2(-CRANK * np.sin(y), BASE - CRANK * np.cos(y))
-    for tilt, expected in ((y, False), (np.where(y > np.pi, twice - y, y), True)):
-        joints = [CRANK * np.cos(y), CRANK * np.sin(y), BASE + CRANK * np.cos(tilt), CRANK * np.sin(tilt)]
-        q = np.column_stack([*joints, y, 0.1 * np.sin(3 * t)])
-        (loss,) = rank_losses(problem, t, q)
-        assert loss.time == pytest.approx(MEETING, abs=1e-4)
-        assert loss.holonomic
-        assert changes_branch(problem, t, q, loss.time) is expected
-
-
-def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
-    solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
-    counts = []
-
-    def counting(problem: sc.Problem, t: Array, q: Array) -> list[branches.RankLoss]:
-        counts.append(len(t))
-        return rank_losses(problem, t, q)
-
-    monkeypatch.setattr(branches, "rank_losses", counting)
-    require_one_branch(sc.Problem.of(subject), solution)
-    assert counts == [201]
-
-
 @pytest.mark.parametrize("steps", [4, 6, 40, 400])
 def test_a_crane_in_bodies_that_turns_far_from_home_loses_no_rank(steps: int) -> None:
     """At home, along the girder, the path's 0.25 m turn directors by a square: no measure of where it goes."""
@@ -187,17 +163,3 @@ def test_a_crane_in_bodies_that_turns_far_from_home_loses_no_rank(steps: int) ->
     crane = sc.scenes.rotary_crane().with_reference(path)
     solution = sc.solve(crane, step=8.0 / steps, model="bodies")  # warnings are errors
     assert "lose rank" not in solution.statistics.branch
-
-
-def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    crane = sc.scenes.overhead_crane()
-    solution = sc.solve(crane, model="generalized")
-    monkeypatch.setattr(branches, "configurations", lambda *_: pytest.fail("looked at"))
-    require_one_branch(sc.Problem.of(crane, "generalized"), solution)
-
-
-def test_configurations_are_read_from_a_solution() -> None:
-    subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
-    solution = sc.solve(subject)
-    q = present(configurations(sc.Problem.of(linkage()), solution))
-    np.testing.assert_array_equal(q[:, 4], solution["theta"])

@@ -9,7 +9,7 @@ import pytest
 from problems import METHODS, scene
 
 import servocore as sc
-from servocore.checks.limits import require_feasible
+from servocore.checks.before_run import require_feasible
 
 CRANE = scene("rotary_crane")
 

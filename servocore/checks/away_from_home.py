@@ -5,60 +5,50 @@ Constraints that were left out as redundant, and masses that are positive.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
 import casadi as ca
 import numpy as np
 
-from servocore.checks.branches import configurations
+from servocore.checks.findings import ROUND_OFF, Finding, told
+from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel
 from servocore.model.limits import Limit
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, Call, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
 from servocore.references.base import survey
-from servocore.solution import Solution
 
 _WHY = "it follows from the others where the model is at home, and was left out"
+_INSTANTS = 9  # at which masses are looked at
 
 
-def require_redundant_constraints(problem: Problem, t: Array, q: Array | None) -> None:
-    """Raise `InvalidModel` if a holonomic constraint that was left out does not hold along a motion.
+def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
+    """Find the first holonomic constraint that was left out and does not hold along a motion q, shape (n, N).
 
     Around home it follows from the others. A stop that is not touched there does as well, and so do two supports that
     begin to move apart.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem that was solved.
-    t : ndarray, shape (N,)
-        Instants.
-    q : ndarray, shape (N, n), or None
-        Configurations there; None where they are not known.
     """
-    if q is None or not problem.resolved.redundant:
+    if not problem.resolved.redundant:
         return
-    function = _compiled_left_out(problem.resolved)
     jets = problem.reference.jet(t, 0)
-    values, shares = at_instants(function, q.T, jets=jets, p=problem.p)
+    values, shares = at_instants(_compiled_left_out(problem.resolved), q, jets=jets, p=problem.p)
     broken = np.abs(shares) > LEFT_OUT_HOLDS
     if broken.any():
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
-        raise InvalidModel(
-            f"{problem.system.name}: at t = {t[k]:.6g} s the holonomic constraint {_names(problem)[row]} does not hold,"
-            f" by {abs(values[row, k]):.3g}: {_WHY}"
-        )
+        what = f"the holonomic constraint {_names(problem)[row]} does not hold, by {abs(values[row, k]):.3g}"
+        yield Finding(what, float(t[k]), _WHY, error=InvalidModel)
 
 
-def require_redundant_constraints_along_path(problem: Problem, states: Callable[[Array], Array]) -> None:
-    """Raise the same along the path, for a motion that is known at all times."""
+def require_redundant_constraints(problem: Problem, motion: Motion) -> None:
+    """Raise `InvalidModel` if a constraint that was left out does not hold along the path of a problem."""
     if problem.resolved.redundant:
-        t, n = survey(problem.reference), len(problem.system.coordinates)
-        require_redundant_constraints(problem, t, states(t)[problem.array.places((k, 0) for k in range(n))].T)
+        t = survey(problem.reference)
+        places = problem.array.places((k, 0) for k in range(len(problem.system.coordinates)))
+        told(problem.system.name, "", left_out(problem, t, motion.at(t)[places]))
 
 
 def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
@@ -96,32 +86,29 @@ def _compiled_left_out(resolved: ResolvedSystem) -> ca.Function:
     return ca.Function("sc_left_out", [system.q, system.gamma[:, 0], system.p], results)
 
 
-_INSTANTS = 9
-_ROUND_OFF = 1e-9  # of the largest eigenvalue
-
-
-def require_positive_mass(problem: Problem, solution: Solution) -> None:
-    """Raise `InvalidModel` if a mass matrix that depends on the configuration has a negative eigenvalue on the way.
+def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
+    """Find the first instant at which a mass matrix that depends on the configuration has a negative eigenvalue.
 
     A constant one is checked when the system is made.
     """
-    evaluate = _compiled_mass(problem.resolved)
-    q = configurations(problem, solution) if evaluate is not None else None
-    if evaluate is None or q is None:
+    function = _compiled_mass(problem.resolved)
+    if function is None:
         return
-    n = q.shape[1]
-    for k in np.unique(np.linspace(0, len(q) - 1, _INSTANTS).round().astype(int)):
-        eigenvalues = np.linalg.eigvalsh(evaluate(q[k], problem.p)[0].reshape(n, n))
-        if eigenvalues[0] < -_ROUND_OFF * np.abs(eigenvalues).max():
-            raise InvalidModel(
-                f"{problem.system.name}: at t = {solution.t[k]:.6g} s the mass matrix has the negative eigenvalue"
-                f" {eigenvalues[0]:.4g}; no mechanism has negative mass"
-            )
+    few = np.unique(np.linspace(0, len(t) - 1, _INSTANTS).round().astype(int))
+    t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
+    masses = at_instants(function, q, jets=jets, p=problem.p)[0].reshape(len(q), len(q), -1, order="F")
+    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
+    negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
+    if len(negative):
+        k = int(negative[0])
+        what = f"the mass matrix has the negative eigenvalue {eigenvalues[k, 0]:.4g}"
+        yield Finding(what, float(t[k]), advice="no mechanism has negative mass", error=InvalidModel)
 
 
 @made_once
-def _compiled_mass(resolved: ResolvedSystem) -> Call | None:
+def _compiled_mass(resolved: ResolvedSystem) -> ca.Function | None:
+    """Compile (q, nothing of the path, p) -> mass matrix; None if it is constant."""
     system = resolved.system
     if not ca.depends_on(system.mass, system.q):
         return None
-    return Call(ca.Function("sc_mass", [system.q, system.p], [ca.densify(system.mass)]))
+    return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])

@@ -1,4 +1,4 @@
-"""Warnings before a run: that it cannot succeed, or is less accurate than expected."""
+"""Before a run: whether the path keeps the limits of its scene, and warnings that the run cannot succeed as it is."""
 
 from __future__ import annotations
 
@@ -6,13 +6,22 @@ import warnings
 
 import numpy as np
 
+from servocore.checks.findings import ROUNDS, SECTIONS
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import InvalidReference, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.problem import Problem
+from servocore.model.limits import Limit
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import survey
+from servocore.stepping.observation import compile_margins, limits_order
+from servocore.stepping.path_function import PathFunction
 
 _CALLER = 6  # the line that called `solve`
+_CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
+_FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
@@ -78,3 +87,62 @@ def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
             f" the step to the power {order} and no step is small enough; use the form Reduced()"
         )
+
+
+# Limits of the path --------------------------------------------------------------------------------------------------
+
+
+def require_feasible(problem: Problem, t: Array | None = None, native: bool | None = False) -> None:
+    """Raise `InvalidReference` if the path breaks a limit, or at the instants `t` one that counts there only.
+
+    `native` says whether machine code may evaluate the limits; see `Vectorized`.
+
+    Such limits are functions of the path alone: they are evaluated on a grid that follows the stretches of the path,
+    and between its instants where a margin is so low that it may fall to zero there.
+    """
+    of_path = tuple(limit for limit in problem.limits if limit.of_path)
+    at_instants = tuple(each for each in of_path if each.at_instants_only)
+    if at_instants and t is not None:
+        _require_kept(at_instants, _margins(problem, at_instants, t, native), t)
+    limits = tuple(each for each in of_path if not each.at_instants_only)
+    if not limits:
+        return
+    every = survey(problem.reference)
+    for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
+        margins = _margins(problem, limits, grid, native)
+        _require_kept(limits, margins, grid)
+        bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+        if (margins.min(axis=1) > bends).all():
+            return
+    for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
+        k = int(margins[row].argmin())
+        first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
+        for _ in range(ROUNDS):
+            at = np.linspace(first, last, SECTIONS)
+            inside = _margins(problem, limits[row : row + 1], at, False)
+            _require_kept(limits[row : row + 1], inside, at)
+            k = int(inside[0].argmin())
+            first, last = at[max(k - 1, 0)], at[min(k + 1, SECTIONS - 1)]
+
+
+def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:
+    """Raise `InvalidReference` for a margin that is not positive, or no number."""
+    for limit, margin in zip(limits, margins, strict=True):
+        broken = ~(margin > 0.0)
+        if broken.any():
+            k = int(broken.argmax())
+            raise InvalidReference(
+                f"at t = {t[k]:.6g} s {limit.reason}: {limit.quantity} is {margin[k] + limit.bound:.4g} {limit.unit},"
+                f" it must stay above {limit.bound:g} {limit.unit}"
+            )
+
+
+def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool | None) -> Array:
+    """Return how far each limit is at the instants, shape (limits, N)."""
+    return _compiled_margins(problem.resolved, limits, native)(problem, t)[0]
+
+
+@made_once
+def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], native: bool | None) -> PathFunction:
+    order = limits_order(resolved.system, limits)
+    return PathFunction(compile_margins(resolved.system, limits, order), native, resolved.system.name)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.wrong_inputs import (
     LARGEST_UNWARNED,
@@ -24,10 +23,10 @@ from servocore.errors import ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
+from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
-from servocore.stepping.exact_evaluation import ExactEvaluation
 
 STEPWISE = "one: no step of the motion stands out from its neighbours"
 
@@ -40,14 +39,8 @@ LOOSE_TOLERANCE = 0.01
 _MOST_HALVINGS = 3
 _SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
 _FLOOR = 1e-11  # of the peak: round-off of the better values
-_COARSER = 8  # times the step, of the run that decides whether a closer check is worth its cost
-_SHORT, _LONG = 128, 512  # steps: fewer are checked closely, more against a step twice as large
-_SAFE = 0.02  # of the peak: by how much an input may be off, judged by two steps, without a closer look
-_COARSE_ENOUGH = 0.3  # of the peak: by how much it may change with the step
-_EVERY = 8  # instants, where the exact inversion costs as much as a step
-_SUSPICIOUS = 0.04  # of the peak: an input that is off by more, at one of these, is checked everywhere
 _SMOOTH = 0.02  # of the range: of third differences, those of a wave at 20 instants a period
-_FEW, _MANY = 40, 400  # instants at which a run with internal dynamics is checked, at first and then
+_COMPARED = 40, 400  # instants at which a run with internal dynamics is compared, at first and where it is doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +55,11 @@ class BetterSolver:
         Whether its results do not depend on its steps.
     basis : str
         Its name in messages; the reason where there is none.
-    beside : callable or None
-        Gives the same as `run` for less, from a solution; None where it fails.
     """
 
     run: Run | None
     exact: bool
     basis: str
-    beside: Callable[[Problem, Solution], Solution | None] | None = None
 
     def compared(self, problem: Problem, solution: Solution) -> Comparison:
         """Compare a solution with better values at its instants.
@@ -83,10 +73,7 @@ class BetterSolver:
             raise ServocoreError(self.basis)
         t, inputs = solution.t, problem.system.inputs
         if self.exact:
-            found_beside = self.beside(problem, solution) if self.beside else None
-            better = _on_the_grid(found_beside or self.run(problem, t), solution)
-            known = np.ones(better.shape[1], dtype=bool)
-            return Comparison(inputs, t, solution.values, better, known, self.basis)
+            return compared_with(inputs, solution, _on_the_grid(self.run(problem, t), solution), self.basis)
         last: Array | None = None
         comparison, failed = None, ServocoreError("no step was small enough")
         for halvings in range(_MOST_HALVINGS + 1):
@@ -128,53 +115,53 @@ def _on_the_grid(better: Solution, solution: Solution) -> Array:
     return np.where(inside[:, None], better.values[np.clip(rows, 0, len(better.t) - 1)], solution.values)
 
 
-def warn_and_state_branch(
-    problem: Problem,
-    better: BetterSolver,
-    solution: Solution,
-    doubtful: bool,
-    how: tuple[Formulation, Method | None],
+def compared_with(inputs: tuple[Quantity, ...], solution: Solution, better: Array, basis: str) -> Comparison:
+    """Compare a solution with exact values (N, channels) at its instants."""
+    return Comparison(inputs, solution.t, solution.values, better, np.ones(better.shape[1], dtype=bool), basis)
+
+
+def stated_branch(
+    problem: Problem, solution: Solution, how: tuple[Formulation, Method | None], comparison: Comparison | None
 ) -> str:
     """Warn if inputs are far from better ones, and return on which branch the motion of a solution is.
 
     Parameters
     ----------
-    problem, better, solution : Problem, BetterSolver, Solution
-        The problem, the more accurate solver, and the result.
-    doubtful : bool
-        Whether a closer check is needed in any case.
+    problem, solution : Problem, Solution
+        The problem, and the result.
     how : tuple of Formulation and Method or None
         Form and method, on which the advice depends.
+    comparison : Comparison or None
+        With better values; None where none are known.
     """
     places = {name: k for k, name in enumerate(solution.names)}
     columns = [places[name] for name in problem.system.coordinates.names]
+    if comparison is not None:
+        warn_of_wrong_inputs(problem, *how, solution, comparison)
+        far = comparison.far_from_better(columns)
+        if far is None:
+            return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
-    if not doubtful and not len(odd):
-        return STEPWISE
-    try:
-        comparison = _compared_closely(problem, better, solution)
-    except ServocoreError:
-        return f"not known: {_standing_out(solution, odd)}" if len(odd) else STEPWISE
-    warn_of_wrong_inputs(problem, *how, solution, comparison)
-    far = comparison.far_from_better(columns)
-    if far is None:
-        return f"one: every instant is near {better.basis}, on the branch of the first"
     if not len(odd):
         return STEPWISE
-    return f"not known: {_standing_out(solution, odd)}, and {better.basis} gives another motion from t = {far:.6g} s"
+    t, k = solution.t, int(odd[0])
+    said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
+    return f"{said}, and {comparison.basis} gives another motion from t = {far:.6g} s" if comparison else said
 
 
-def _compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison:
-    """Compare a solution with better values, at few instants only if that decides and each of them is costly."""
-    if better.exact:
-        return better.compared(problem, solution)
-    comparison = better.compared(problem, _thinned(solution, _FEW))
-    largest = comparison.estimate.largest
-    return (
-        comparison
-        if largest is not None and largest < _SUSPICIOUS
-        else better.compared(problem, _thinned(solution, _MANY))
-    )
+def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
+    """Compare a solution with better values, at few instants only if that decides; None if there are none."""
+    try:
+        if better.exact:
+            return better.compared(problem, solution)
+        for count in _COMPARED:
+            comparison = better.compared(problem, _thinned(solution, count))
+            largest = comparison.estimate.largest
+            if largest is not None and largest < LARGEST_UNWARNED:
+                break
+    except ServocoreError:
+        return None
+    return comparison
 
 
 def _thinned(solution: Solution, count: int) -> Solution:
@@ -184,64 +171,12 @@ def _thinned(solution: Solution, count: int) -> Solution:
     return replace(solution, t=solution.t[kept], values=solution.values[kept])
 
 
-def _standing_out(solution: Solution, steps: npt.NDArray[np.intp]) -> str:
-    k = int(steps[0])
-    return f"the step from t = {solution.t[k]:.6g} s to {solution.t[k + 1]:.6g} s is much larger than its neighbours"
+def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:
+    """Whether a stable result of collocation on a form of index one is smooth from instant to instant, and so right.
 
-
-def inputs_may_be_far(problem: Problem, solution: Solution, exact: ExactEvaluation) -> bool:
-    """Whether inputs may be far from the exact ones, which can be computed at every instant.
-
-    Parameters
-    ----------
-    problem, solution : Problem, Solution
-        Without internal dynamics, and its solution.
-    exact : ExactEvaluation
-        Of the inputs and more. Where it is an expression every instant is checked, else some, with a tighter limit.
+    Third differences of all values are small.
     """
-    everywhere = exact.is_expression
-    inputs = solution.values[:, : len(problem.system.inputs)]
-    at = np.arange(len(inputs)) if everywhere else _samples(inputs)
-    known = exact.by_expression(problem, solution.t[at])[0][: inputs.shape[1]].T
-    allowed = LARGEST_UNWARNED if everywhere else _SUSPICIOUS
-    # Not <=, so that NaN counts as far.
-    return not bool((np.abs(inputs[at] - known).max(axis=0) <= allowed * np.abs(known).max(axis=0)).all())
-
-
-def _samples(inputs: Array) -> npt.NDArray[np.intp]:
-    """Return some instants: the first, where inputs are largest and change most, and every so often."""
-    last = len(inputs) - 1
-    largest, steepest = np.abs(inputs).argmax(axis=0), np.abs(np.diff(inputs, axis=0)).argmax(axis=0)
-    return np.unique([*range(min(3, last)), *range(0, last, _EVERY), last, *largest, *steepest, *(steepest + 1)])
-
-
-def changes_with_the_step(
-    problem: Problem, formulation: Formulation, method: Method, run: Run, solution: Solution
-) -> bool:
-    """Whether a run at a much larger step says that inputs may be far from right.
-
-    Collocation on a form of index one needs no such run where its stable result is smooth from instant to instant.
-    """
-    index, t = problem.dae(formulation).index, solution.t
-    orders, steps = method.orders(index), len(t) - 1
-    order = orders.forces
-    factor = _COARSER if steps < _LONG else 2 * _COARSER
-    if index <= 1 and isinstance(method, RadauIIA) and order > 1 and _is_smooth(solution.values):
-        return False
-    if steps < _SHORT or order < 1 or (index > 1 and not orders.damped):
-        return True
-    inputs = slice(len(problem.system.inputs))
-    try:
-        coarse = run(problem, t[: steps // factor * factor + 1 : factor]).values[:, inputs]
-    except ServocoreError:
-        return True
-    change = np.abs(coarse - solution.values[::factor, inputs][: len(coarse)]).max(axis=0)
-    allowed = min(_COARSE_ENOUGH, _SAFE * (factor**order - 1))
-    return not bool((change <= allowed * np.abs(solution.values[:, inputs]).max(axis=0)).all())
-
-
-def _is_smooth(values: Array) -> bool:
-    """Whether the third differences of all values are small."""
-    if len(values) < _FEW // 2:
+    index, values = problem.dae(formulation).index, solution.values
+    if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < _COMPARED[0]:
         return False
     return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= _SMOOTH * np.ptp(values, axis=0)).all())

@@ -1,215 +1,300 @@
-"""Checks between the instants of a run: poles of inputs and tensions, peaks, and values of a wrong sign.
+"""A look between the instants of a motion, where its derivatives there disagree: peaks, poles and values of wrong sign.
 
-An input that grows towards a pole and comes back from it is small again at the next instant. Its second differences
-stand out from those around: there, and only there, exact inversions are computed in between.
+The highest derivatives but one change over an interval by the mean of the highest at its ends, or something happens in
+between that neither shows. Such intervals are halved. It is a look and no proof: `certify` proves.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, ServocoreWarning
+from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
+from servocore.checks.motion import Motion
+from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.angle_wrapping import wrapped_angle
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
-from servocore.numerics.vectorized import Vectorized
-from servocore.problem import Problem, ResolvedSystem
-from servocore.solution import Solution
+from servocore.problem import Problem
+from servocore.stepping.program import Program
+from servocore.structure.derivative_array import DerivativeArray
 
-_STANDS_OUT = 4.0  # of the second differences beside it
-_BESIDE = 3, 5  # from so many instants away to so many, on either side
-_ROUND_OFF = 1e-7  # of the peak: a second difference that says nothing
-_TIMES = 10.0  # the largest value at the instants: a peak that a run hides
-_HUGE = 1e9  # times its typical magnitude: a peak that needs a word though an instant shows it
-_POLE = 1e6  # times the largest value at the instants: it grows without bound
-_FEW_TURNS, _OFTEN = 6, 0.05  # instants at which coordinates turn back, and their share
-_SECTIONS, _ROUNDS = 17, 11
-_NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; nearer a singularity round-off may be all
+_DOUBTED = 0.05  # of the range of a derivative: an interval over which it changes by more than its rates say
+_MOST = 64  # intervals that are halved at once
+_ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
+_TIMES = 2.0  # the largest value at the instants: a peak that they do not show
+_NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
+_NOTHING = 1e-6  # of the typical magnitude of a quantity: a peak that may be round-off
 
 
-def suspected_poles(problem: Problem, solution: Solution, native: bool | None = False) -> list[tuple[int, int]]:
-    """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports.
+Beside = Callable[[Array, Array, Array], Array]
+"""(times (N,), unknowns there (size, N), other times (N,)) -> the unknowns at these."""
 
-    `native` says whether machine code may look first whether there is any; see `Vectorized`.
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
+
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
     """
-    t = solution.t
-    if len(t) < 4 * _BESIDE[1] or len(solution.channels) < len(problem.system.inputs):
-        return []
-    columns, positive, coordinates = _watched(problem.resolved, solution.channels)
-    if native is not False:
-        alarm = _compiled_alarm(problem.resolved, solution.channels, native)
-        if alarm.ready(len(t)) and not _alarming(alarm, solution.values, [*columns, *coordinates], positive):
-            return []
-    values = solution.values.T[[*columns, *coordinates]]
-    standing_out = _marked(values, positive)
-    own = set(problem.system.inputs)
-    inputs = [row for row, k in enumerate(columns) if solution.channels[k] in own]
-    turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
-    if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # a spinning body stands out everywhere
-        standing_out[inputs] |= turning_back
-    return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
+
+    values: Places
+    rates: Places
+    wraps: npt.NDArray[np.bool_]
+    coordinates: Places
+    still: Array
+
+    @classmethod
+    def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
+        """Return the rows of derivatives (coordinate, order) of an array."""
+        place, system = {unknown: k for k, unknown in enumerate(array.unknowns)}, array.system.coordinates
+        at = [(place[j, k], place.get((j, k + 1), -1), place[j, 0]) for j, k in watched]
+        values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
+        wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
+        still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
+        return cls(values, rates, wraps, coordinates, still)
+
+    def ranges(self, states: Array) -> Array:
+        """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
+        if not states.size:
+            return np.full(len(self.values), np.inf)
+        moves = np.ptp(states[self.coordinates], axis=1) > self.still
+        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf)
+
+    def missed(self, left: Moments, right: Moments) -> Array:
+        """Return by how much more values change than their rates say, shape (rows, N)."""
+        mean = (left.states[self.rates] + right.states[self.rates]) / 2.0
+        mean[self.rates < 0] = 0.0
+        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) * mean
+        if self.wraps.any():
+            way[self.wraps] = wrapped_angle(way[self.wraps])
+        missed: Array = np.abs(way)
+        return missed
 
 
-def _marked(values: Array, positive: list[int], peaks: Array | None = None) -> npt.NDArray[np.bool_]:
-    """Return where values (rows, N) stand out, or may lose a sign that they must have; shape (rows, N - 2)."""
-    bend = values[:, :-2] - values[:, 1:-1]
-    bend -= values[:, 1:-1]
-    bend += values[:, 2:]
-    np.abs(bend, out=bend)
-    marks = _standing_out(bend, _ROUND_OFF * (_peaks(values) if peaks is None else peaks))
-    marks[positive] |= values[positive, 1:-1] <= bend[positive]
-    return marks
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Times (N,) and the unknowns of a motion (size, N) at these times."""
+
+    t: Array
+    states: Array
+
+    def of(self, chosen: Places | npt.NDArray[np.bool_] | slice) -> Moments:
+        """Return some of them."""
+        return Moments(self.t[chosen], self.states[:, chosen])
+
+    def and_then(self, other: Moments) -> Moments:
+        """Return both, one after the other."""
+        return Moments(np.concatenate([self.t, other.t]), np.hstack([self.states, other.states]))
 
 
-def _peaks(values: Array) -> Array:
-    peaks: Array = np.maximum(values.max(axis=1), -values.min(axis=1))
-    return peaks
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """The result of a look: moments between the instants, and the intervals left.
 
-
-def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[int]) -> bool:
-    """Whether something of values (N, channels) stands out: the first test of `_marked`, without storage.
-
-    At both ends, where neighbours are missing, it looks itself.
+    Attributes
+    ----------
+    between : Moments
+        What was found by halving.
+    left, right : Moments
+        Ends of intervals that are too short to be halved, and over which values change all the same.
+    gaps : list of (Moments, Moments)
+        Ends of intervals in which no motion was found.
     """
-    known, ends = np.ascontiguousarray(values.T), 4 * _BESIDE[1]
-    peaks, width = _peaks(known), 2 * _BESIDE[0] + 3
-    inner = known.shape[1] - width + 1
-    (alarms,) = alarm(*(known[:, k : k + inner] for k in range(width)), _ROUND_OFF * peaks)
-    return bool(alarms.any()) or any(
-        _marked(known[rows, part], positive, peaks[rows]).any() for part in (slice(ends), slice(-ends, None))
-    )
+
+    between: Moments
+    left: Moments
+    right: Moments
+    gaps: list[tuple[Moments, Moments]]
+
+
+def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()) -> Looked:
+    """Halve the intervals over which values change by `share` of their ranges more than their rates say.
+
+    Those that hold one of the singularities `passages` are left out.
+    """
+    at = at if np.isfinite(at.states).all() else at.of(_known(at))
+    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]](), rows.ranges(at.states)
+    regular = np.ones(max(len(at.t) - 1, 0), dtype=bool)
+    for each in passages:
+        regular &= (at.t[1:] <= each.before) | (at.t[:-1] >= each.after)
+    left, right = at.of(slice(-1)).of(regular), at.of(slice(1, None)).of(regular)
+    least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
+    for _ in range(BISECTIONS):
+        worst = (rows.missed(left, right) / least).max(axis=0, initial=0.0)
+        kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
+        left, right = left.of(kept), right.of(kept)
+        if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
+            break
+        middle = _between(beside, left, right)
+        found = _known(middle)
+        gaps += [(left.of(k), right.of(k)) for k in np.flatnonzero(~found)[:, None]]
+        left, middle, right = left.of(found), middle.of(found), right.of(found)
+        inserted = inserted.and_then(middle)
+        left, right = left.and_then(middle), middle.and_then(right)
+    return Looked(inserted, left, right, gaps)
+
+
+def _known(at: Moments) -> npt.NDArray[np.bool_]:
+    known: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(at.states), axis=0)
+    return known
+
+
+def _between(beside: Beside, left: Moments, right: Moments) -> Moments:
+    """Return a moment of every interval, about in its middle where a motion is known there."""
+    t = left.t + LESS_THAN_HALF * (right.t - left.t)
+    states = beside(left.t, left.states, t)
+    for share in _ELSEWHERE:
+        unknown = np.flatnonzero(~_known(Moments(t, states)))
+        if not len(unknown):
+            break
+        nearer = left if share < LESS_THAN_HALF else right
+        t[unknown] = (left.t + share * (right.t - left.t))[unknown]
+        states[:, unknown] = beside(nearer.t[unknown], nearer.states[:, unknown], t[unknown])
+    return Moments(t, states)
 
 
 @made_once
-def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], native: bool | None) -> Vectorized:
-    """Compile (values at instants in a row, least) -> whether one stands out in the middle."""
-    (columns, positive, coordinates), near = _watched(resolved, channels), _BESIDE[0]
-    instants = [ca.SX.sym(f"at{k}", len(channels)) for k in range(2 * near + 3)]
-    least, any_alarm = ca.SX.sym("least", len(channels)), ca.SX(0)
-    for row, k in enumerate([*columns, *coordinates]):
-        before, here, after = (
-            ca.fabs(((instants[at - 1][k] - instants[at][k]) - instants[at][k]) + instants[at + 1][k])
-            for at in (1, 1 + near, 1 + 2 * near)
-        )
-        beside = _STANDS_OUT * ca.fmax(before, after)
-        any_alarm = ca.logic_or(any_alarm, ca.logic_and(here > least[k], here > beside))
-        if row in positive:
-            any_alarm = ca.logic_or(any_alarm, instants[1 + near][k] <= here)
-    function = ca.Function("sc_alarm", [*instants, least], [ca.densify(any_alarm)])
-    return Vectorized(function, [True] * len(instants) + [False], native, resolved.system.name)
+def _highest(array: DerivativeArray) -> Rows:
+    """Return the highest derivatives but one of all coordinates."""
+    top = {j: order for j, order in array.unknowns if j < len(array.system.coordinates)}
+    return Rows.of(array, [(j, order - 1) for j, order in top.items() if order])
 
 
-def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
-    """Whether second differences (rows, N) are larger than those some instants beside, and than a negligible change.
-
-    Few stand out of their own row: comparing neighbours is enough for most runs.
-    """
-    near, far = _BESIDE
-    stands_out = bend > least[:, None]
-    times = _STANDS_OUT * bend
-    stands_out[:, near:] &= bend[:, near:] > times[:, :-near]
-    stands_out[:, :-near] &= bend[:, :-near] > times[:, near:]
-    if stands_out.any():
-        rows, places = np.nonzero(stands_out)
-        padded = np.pad(bend, ((0, 0), (far, far)))
-        offsets = [far + sign * k for k in range(near, far + 1) for sign in (-1, 1)]
-        beside = padded[rows[:, None], places[:, None] + offsets].max(axis=1)
-        stands_out[rows, places] = bend[rows, places] > np.maximum(_STANDS_OUT * beside, least[rows])
-    return stands_out
-
-
-@made_once
-def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:
-    """Return which channels are inputs or observables but angles, which of these must be positive, and coordinates."""
-    system = resolved.system
-    known = {*system.inputs, *system.observables}
-    columns = [k for k, channel in enumerate(channels) if channel in known and channel.unit != "rad"]
-    coordinates = [
-        k for k, channel in enumerate(channels) if channel in system.coordinates.quantities and k not in columns
-    ]
-    return columns, [row for row, k in enumerate(columns) if channels[k].positive], coordinates
-
-
-def refuse_or_warn_of_poles(
-    solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]
-) -> bool:
-    """Refuse or warn of poles and peaks that exact inversions find beside some instants; return whether it warned.
+def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[Finding]:
+    """Find inputs and observables that go far beyond their values (channels, N) at the instants, or change their sign.
 
     Parameters
     ----------
-    solution : Solution
-        Of a problem without internal dynamics.
-    suspected : list of (int, int)
-        Channels and instants.
-    values : callable
-        (channel, times (N,)) -> its exact values, shape (N,).
+    motion : Motion
+        Of a flat problem.
+    program : Program
+        Observes the quantities.
+    values : ndarray, shape (channels, N)
+        At the instants of the motion.
+    """
+    between, passing = _looked_at(motion)
+    if not len(between.t):
+        return
+    inside = observed_at(motion.problem, program, between)
+    system, hidden = motion.problem.system, list[tuple[float, Quantity, str]]()
+    times, watched = between.t, {*system.inputs, *system.observables}
+    for k, quantity in enumerate(program.channels):
+        if quantity not in watched or quantity.unit == "rad":
+            continue
+        row, peak = np.nan_to_num(inside[k], nan=np.inf), float(np.abs(values[k]).max())
+        at = [
+            f"at t = {t:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
+            for t, value in zip(times, row, strict=True)
+        ]
+        worst, lowest, size = int(np.abs(row).argmax()), int(row.argmin()), max(peak, _NOTHING * quantity.magnitude)
+        if quantity.positive and not row[lowest] > 0.0:
+            yield Finding(f"between two instants, {at[lowest]}, {quantity.wrong_sign}", error=IntegrationFailed)
+        if passing[worst] and abs(row[worst]) > _TIMES * size:
+            most = f"no more than {peak:.4g} {quantity.unit} at all instants"
+            what = f"{quantity.name} has a pole between two instants: {at[worst]}, and {most}"
+            yield Finding(what, error=IntegrationFailed)
+        if abs(row[worst]) > _TIMES * size:
+            said = f"{at[worst]}, at the instants at most {peak:.4g} {quantity.unit}"
+            hidden.append((abs(row[worst]) / size, quantity, said))
+    if hidden:
+        _, worst_quantity, said = max(hidden, key=lambda each: each[0])
+        others = ", ".join(quantity.name for _, quantity, _ in hidden if quantity is not worst_quantity)
+        so_do = f"; so do {others} grow" if others else ""
+        advice = "limits by name refuse such a path"
+        yield Finding(f"the path passes close to a pole: {said}{so_do}", advice=advice, warns=True)
+
+
+def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
+    """Return moments between the instants, and which of them are beside singularities that are passed."""
+    some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
+    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED, motion.passages).between
+    if len(between.t):  # less regular, values are all round-off
+        branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
+        sizes = np.abs(branch.determinants(motion.t, motion.states))
+        least = LOST * np.minimum(sizes[:, after - 1], sizes[:, np.minimum(after, len(motion.t) - 1)])
+        regular: npt.NDArray[np.bool_] = np.abs(branch.determinants(between.t, between.states)) > least
+        between = between.of(np.logical_and.reduce(regular, axis=0, dtype=bool))
+    inside = [each for each in motion.passages if each.before < each.after]
+    if not inside:
+        return between, np.zeros(len(between.t), dtype=bool)
+    t = np.array([each.time + side * (each.after - each.before) for each in inside for side in (-_NEAR, _NEAR)])
+    near = np.searchsorted(motion.t, [each.before for each in inside]).repeat(2)
+    beside = Moments(t, motion.beside(motion.t[near], motion.states[:, near], t))
+    return between.and_then(beside), np.arange(len(between.t) + len(t)) >= len(between.t)
+
+
+def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
+    """Return all observed quantities at moments, shape (channels, N)."""
+    return read_at(problem, program.observe, at)[0]
+
+
+def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]:
+    """Return the results of a function of (unknowns, gamma, p) at moments, shape (rows, N) each."""
+    jets = problem.reference.jet(at.t, function.size2_in(1) - 1)
+    return list(at_instants(function, at.states, jets=jets, p=problem.p))
+
+
+# Angles ---------------------------------------------------------------------------------------------------------------
+
+_QUARTER_TURN = np.pi / 2
+
+
+def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
+    """Make the angles among observed values (channels, N) continuous, in place, however far they turn between instants.
+
+    An inversion determines angles up to full turns, at each instant independently. Where an angle turns by more than a
+    quarter turn from one to the next, or would at its rate there, instants in between are solved.
 
     Raises
     ------
     IntegrationFailed
-        If something has a pole, or a sign that it must not have.
-
-    Warns
-    -----
-    ServocoreWarning
-        If something is much larger between two instants than at all of them, or than its typical magnitude.
+        If the angle cannot be followed: the path comes too close to a configuration at which it is undefined.
     """
-    hidden: dict[str, tuple[float, str]] = {}
-    for channel, k in suspected:
-        quantity, t = solution.channels[channel], solution.t
-        sizes = np.abs(solution.values[:, channel])
-        peak = float(sizes.max())
-        begin, end = float(t[max(k - 1, 0)]), float(t[min(k + 1, len(t) - 1)])
-        for time, value, nearby in _extremes(partial(values, channel), begin, end, quantity.positive):
-            at = f"at t = {time:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
-            if quantity.positive and not value > 0.0:
-                raise IntegrationFailed(f"{solution.route}: between two instants, {at}, {quantity.wrong_sign}")
-            if not nearby > peak and not quantity.positive:
-                continue  # round-off, where the equations are singular and this value is not
-            if not abs(value) < _POLE * peak:
-                raise IntegrationFailed(
-                    f"{solution.route}: {quantity.name} has a pole between two instants: {at}, and no more than"
-                    f" {peak:.4g} {quantity.unit} at all instants"
-                )
-            usual = float(np.median(sizes))
-            huge = abs(value) > _HUGE * quantity.magnitude and abs(value) > _TIMES * usual
-            if huge or abs(value) > _TIMES * peak:
-                said = f"{at}, at the instants at most {peak:.4g} and mostly {usual:.4g} {quantity.unit}"
-                hidden[quantity.name] = max(hidden.get(quantity.name, (0.0, "")), (abs(value) / peak, said))
-    if hidden:
-        worst = max(hidden, key=lambda name: hidden[name][0])
-        others = ", ".join(name for name in hidden if name != worst)
-        warnings.warn(
-            f"{solution.route}: the path passes close to a pole: {hidden[worst][1]}"
-            f"{f'; so do {others} grow' if others else ''}; limits by name refuse such a path",
-            ServocoreWarning,
-            stacklevel=4,
-        )
-    return bool(hidden)
+    array, names = motion.problem.array, motion.problem.system.coordinates.names
+    for k, channel in enumerate(program.channels):
+        if not channel.wraps:
+            continue
+        if motion.problem.follow_branch:  # through places where angles are not defined
+            values[k] = np.unwrap(values[k])
+            continue
+        steps = np.diff(np.unwrap(values[k]))
+        unclear = ~(np.abs(steps) < _QUARTER_TURN) | motion.far
+        if channel.name in names:
+            rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
+            unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
+        elif not unclear.any() and (np.abs(np.diff(values[k])) < np.pi).all():
+            continue
+        for i in np.flatnonzero(unclear):
+            steps[i] = _turn(motion, program, k, [int(i), int(i) + 1], values[k])
+        followed = values[k, 0] + np.concatenate([[0.0], np.cumsum(steps)])
+        values[k] += 2 * np.pi * np.round((followed - values[k]) / (2 * np.pi))
 
 
-def _extremes(
-    evaluate: Callable[[Array], Array], begin: float, end: float, downwards: bool
-) -> Iterator[tuple[float, float, float]]:
-    """Yield where a function is largest in magnitude between two times, and where it is smallest if requested.
-
-    With the time and the value comes the largest magnitude that is seen before the last rounds, some millionths of the
-    interval away.
-    """
-    for measure in (np.abs, np.negative) if downwards else (np.abs,):
-        first, last, nearby = begin, end, 0.0
-        for round_ in range(_ROUNDS):
-            t = np.linspace(first, last, _SECTIONS)
-            values = evaluate(t)
-            known = np.nan_to_num(measure(values), nan=np.inf, posinf=np.inf)
-            k = int(known.argmax())
-            if round_ == _NEARBY:
-                nearby = float(np.abs(np.nan_to_num(values, nan=np.inf)).min())
-            first, last = t[max(k - 1, 0)], t[min(k + 1, _SECTIONS - 1)]
-        yield float(t[k]), float(values[k]), nearby
+def _turn(motion: Motion, program: Program, channel: int, ends: Sequence[int], angle: Array) -> float:
+    """Return by how much an angle turns between two instants, from exact inversions in between."""
+    sides = [(float(motion.t[k]), motion.states[:, k], float(angle[k])) for k in ends]
+    done, left, waiting, first = 0.0, sides[0], [sides[1]], True
+    while waiting:
+        turn = float(wrapped_angle(np.array(waiting[-1][2] - left[2])))
+        if abs(turn) < _QUARTER_TURN and not first:
+            done, left = done + turn, waiting.pop()
+            continue
+        first, middle = False, (left[0] + waiting[-1][0]) / 2.0
+        time = np.array([middle])
+        states = motion.beside(np.array([left[0]]), left[1][:, None], time)
+        if len(waiting) > BISECTIONS or not np.isfinite(states).all():
+            raise IntegrationFailed(
+                f"{program.name}: {program.channels[channel].name} cannot be followed from t = {sides[0][0]:.6g} s to"
+                f" {sides[1][0]:.6g} s, near t = {middle:.9g} s it turns by more than a quarter turn within"
+                f" {waiting[-1][0] - left[0]:.2g} s"
+            )
+        found = observed_at(motion.problem, program, Moments(time, states))[channel, 0]
+        waiting.append((middle, states[:, 0], float(found)))
+    return done

@@ -1,345 +1,364 @@
-"""Where along a motion the constraints lose rank: two motions meet there, and either may go on.
+"""One branch along a path: where the equations have several solutions, an instant is to continue its neighbour.
 
-A parallelogram stretched out can go on as a parallelogram or cross over; a crank in its dead centre can let its
-rocker go either way. At such an instant the Jacobian S = [G; C] of holonomic and servo constraints loses rank, and its
-Gram determinant det(S S^T), smooth and never negative, touches zero. It is watched at the instants of a motion; where a
-parabola through three of them comes down to zero, the instant is looked for by the smallest singular value.
+Newton's method from a guess converges to whichever solution is near. Whether the answers at two instants belong to one
+motion is seen by their velocities and accelerations, and by the signs of the determinants of the system Jacobian's
+diagonal blocks: a branch keeps them as long as it is regular. Where neighbours disagree, the branch is followed by
+Taylor prediction and Newton's method, in steps that are halved until the answers agree or the interval has shrunk to
+nothing.
 """
 
 from __future__ import annotations
 
-import warnings
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, ServocoreWarning
-from servocore.numerics.compiled_calls import Array, Call, at_instants
-from servocore.numerics.components import LARGE, Part, parts_of
-from servocore.numerics.conditioning import gram_determinants
-from servocore.numerics.constraint_ranks import Rows, assembled
-from servocore.numerics.interpolation import lagrange
+from servocore.checks.findings import ROUND_OFF
+from servocore.errors import IntegrationFailed
+from servocore.numerics.angle_wrapping import wrapped_angle
+from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
+from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solution import Solution
-from servocore.stepping.observation import observed
+from servocore.stepping.exact_evaluation import guessed_unknowns
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import (
+    block_determinants,
+    determinants,
+    diagonal_blocks,
+    inversion,
+    system_jacobian,
+)
 
-CONDITION_LIMIT = 1e5
-"""Of the scaled Jacobian of all constraints: beyond it they count as dependent."""
+CONTINUOUS = (
+    "one: every instant, solved from the guess of the model, continues its neighbours; `certify` proves the rest"
+)
+FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
+CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
-_WATCHED = 201  # most instants of a motion that are checked
-_TOUCHES = 0.1  # of the determinants beside it: a parabola's minimum below this is examined
-_SUBSTEPS = 12  # before the instant, to go through it as the motion would go on
-_ASTRAY = 0.1  # of how far the motion moves meanwhile: further from where it would have gone on is another branch
-_JUMP = 10.0  # of the third differences beside it: one across the instant that is larger is a change of branch
-_BESIDE = 4  # third differences on either side
+_APART = 0.1  # of the movement: predictions that miss each other by less belong to one motion
+_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
+_JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
+_MOST_TRIALS = 3000  # steps between two instants: they shrink without end near a singularity
+_MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
+_ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
+LOST = 1e-6
+"""Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
+
+_LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
+
+Places = npt.NDArray[np.intp]
+MANY = 1000
+"""Intervals that are compared; of more some are left out, though of no instant the determinants."""
+
+LESS_THAN_HALF = 0.4531
+"""Of an interval: in the middle of symmetric paths singular instants are to be expected."""
 
 
 @dataclass(frozen=True)
-class RankLoss:
-    """An instant at which constraints lose rank.
+class Passage:
+    """A singularity between two instants that a motion passes.
 
     Attributes
     ----------
-    time : float
-        In s.
-    condition : float
-        Condition number found there, beyond `CONDITION_LIMIT`.
-    holonomic : bool
-        Whether the holonomic constraints alone lose rank, and not only together with the servo constraints.
+    before, after, time : float
+        The instants, and the time itself, in s.
+    equations : tuple of str
+        Equations of the diagonal block whose determinant changes its sign.
+    at_once : bool
+        Whether all constraints taken together lose rank there, not only those of the block for its variables.
     """
 
+    before: float
+    after: float
     time: float
-    condition: float
-    holonomic: bool
+    equations: tuple[str, ...]
+    at_once: bool = True
+
+    @cached_property
+    def of_constraints(self) -> bool:
+        """Whether holonomic constraints lose rank, by themselves or together with the servo constraints."""
+        holonomic = self.at_once and any(name.startswith("holonomic") for name in self.equations)
+        return holonomic and all(name.startswith(("holonomic", "servo")) for name in self.equations)
 
     def __str__(self) -> str:
-        which = "the holonomic constraints" if self.holonomic else "the holonomic and servo constraints together"
-        return (
-            f"at t = {self.time:.6g} s {which} lose rank (condition {self.condition:.2g}, the limit is"
-            f" {CONDITION_LIMIT:.0e}) and two motions go on from there"
-        )
+        if self.of_constraints:
+            servo = any(name.startswith("servo") for name in self.equations)
+            which = "the holonomic and servo constraints together" if servo else "the holonomic constraints"
+            return f"at t = {self.time:.6g} s {which} lose rank and two motions go on from there"
+        return f"between t = {self.before:.6g} s and {self.after:.6g} s the equations are singular"
 
 
-def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
-    """Find where along a motion the constraints lose rank.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem that was solved.
-    t : ndarray, shape (N,)
-        Instants of the motion, in rising order.
-    q : ndarray, shape (N, n)
-        Configurations there.
-    """
-    if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
-        return []
-    entries, magnitudes = _entries(problem, t, q), _magnitudes(problem, q)
-    losses = []
-    for part in constraint_entries(problem.resolved).parts:
-        if len(part.rows) and len(part.columns):
-            losses += _losses(problem, t, q, part, part.dense(entries) * magnitudes[part.columns])
-    return sorted(losses, key=lambda loss: loss.time)
+@made_once
+def _powers(array: DerivativeArray) -> list[tuple[Places, Places]]:
+    """Return for every power of time the places of unknowns, and those of the derivatives that are coefficients."""
+    place, powers = {unknown: k for k, unknown in enumerate(array.unknowns)}, []
+    for power in range(max(order for _, order in array.unknowns) + 1):
+        known = [(k, place[j, i + power]) for (j, i), k in place.items() if (j, i + power) in place]
+        powers.append((np.array([to for to, _ in known], dtype=np.intp), np.array([of for _, of in known], np.intp)))
+    return powers
 
 
-def _magnitudes(problem: Problem, q: Array) -> Array:
-    """Return how large coordinates count: their nominal values, or how far they go if that is more, up to one unit.
-
-    A nominal value that follows from how far the path goes does so where the model is at home, which may be a special
-    place: there a direction that turns changes by the square of the angle.
-    """
-    nominal = np.array(problem.system.coordinates.nominal)
-    larger: Array = np.maximum(nominal, np.minimum(1.0, np.ptp(q, axis=0)))
-    return larger
-
-
-def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) -> list[RankLoss]:
-    """Find where constraints lose rank that have coordinates of their own; `jacobians` is S at all instants, scaled."""
-    scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
-    jacobians = jacobians / scale
-    if jacobians.shape[1] < LARGE:
-        signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
-    else:
-        signs, logarithms = gram_determinants(jacobians)
-    largest = float(np.max(logarithms))
-    if not np.isfinite(largest):
-        return []
-    determinant = np.where(signs > 0.0, np.exp(logarithms - largest), 0.0)
-    touching = np.flatnonzero(_touching(t, determinant))
-    if not len(touching):
-        return []
-    motion = _Motion.of(problem, t, q, part, scale.ravel())
-    closest = [_closest(motion, int(k)) for k in touching]
-    return [each for each in closest if each is not None and each.condition > CONDITION_LIMIT]
-
-
-def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
-    """Mark local minima at which a parabola through them and their neighbours comes down to zero, about."""
-    left, here, right = determinant[:-2], determinant[1:-1], determinant[2:]
-    before, after = t[1:-1] - t[:-2], t[2:] - t[1:-1]
-    rise, fall = (right - here) / after, (here - left) / before
-    curvature = (rise - fall) / (before + after)
-    slope = (rise * before + fall * after) / (before + after)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        minimum = here - slope**2 / (4.0 * curvature)
-    touches = np.zeros(len(t), dtype=bool)
-    # Of two equal neighbours one is enough.
-    touches[1:-1] = (here < left) & (here <= right) & (minimum <= _TOUCHES * np.maximum(left, right))
-    touches[[0, -1]] = determinant[[0, -1]] < CONDITION_LIMIT**-2
-    return touches
+def ahead(array: DerivativeArray, states: Array, h: Array) -> Array:
+    """Return unknowns (size, N) by their Taylor polynomials `h` later."""
+    total = np.zeros_like(states)
+    for power, (to, of) in enumerate(_powers(array)):
+        total[to] += states[of] * (h**power / math.factorial(power))
+    return total
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
-    """A motion between its instants: configurations that satisfy constraints, from interpolated ones.
-
-    Of constraints with separate coordinates only these are examined; q is divided by its magnitudes.
-    """
+class Branch:
+    """Continuation of one branch of a problem along its path; `scale` (n,) are the ranges of the coordinates."""
 
     problem: Problem
-    t: Array
-    q: Array
-    magnitudes: Array
-    row_scale: Array
-    evaluate: Call
-    holonomic: int  # so many of the constraints are
+    scale: Array
+    q: Places
+    rates: Places
+    accelerations: Places
+    wraps: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, problem: Problem, t: Array, q: Array, part: Part | None, row_scale: Array) -> _Motion:
-        """Compile the rank of a part of the constraints, or of all of them."""
-        magnitudes, holonomic = _magnitudes(problem, q), problem.system.lam.numel()
-        if part is None:
-            evaluate = constraint_rows(problem.resolved)
+    def of(cls, problem: Problem, states: Array) -> Branch:
+        """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
+        q, rates, accelerations, wraps, still = places_of(problem.array)
+        known = states[q]
+        if not np.isfinite(known).all():
+            known = known[:, np.isfinite(known).all(axis=0)]
+        return cls(problem, np.maximum(np.ptp(known, axis=1), still) if known.size else still, q, rates,
+                   accelerations, wraps)  # fmt: skip
+
+    def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
+        """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
+        q0, q1, v0, v1 = first[self.q], last[self.q], first[self.rates], last[self.rates]
+        way, lengths = q1 - q0, np.abs(h) * (np.abs(v0) + np.abs(v1))
+        if self.wraps.any():
+            lengths[~self.wraps] += np.abs(way[~self.wraps])
         else:
-            rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
-            evaluate, holonomic = constraint_rows(problem.resolved, rows, columns), int(sum(part.rows < holonomic))
-            q, magnitudes = q[:, part.columns], magnitudes[part.columns]
-        return cls(problem, t, q / magnitudes, magnitudes, row_scale, evaluate, holonomic)
+            lengths += np.abs(way)
+        misses, known = (way - h * v0, way - h * v1), self.accelerations >= 0
+        for miss, side, sign in zip(misses, (first, last), (-0.5, 0.5), strict=True):
+            miss[known] += sign * h * h * side[self.accelerations[known]]
+            # Else of order h^2, which where a coordinate turns back is all that it moves: by the mean of the rates.
+            miss[~known] += sign * h * (v1 - v0)[~known]
+            if self.wraps.any():
+                miss[self.wraps] = wrapped_angle(miss[self.wraps])
+        # Not <=, so that NaN counts as apart.
+        worst = np.maximum(*np.abs(misses))
+        are_apart: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * lengths, slight * self.scale[:, None])).all(0)
+        return are_apart
 
-    def configuration(self, time: float, start: Array) -> Array | None:
-        """Return q near `start` where the constraints hold at a time; None if there is none."""
-        return assembled(self._rows(time), start)
+    def jolts(self, states: Array, h: Array) -> npt.NDArray[np.bool_]:
+        """Whether velocities of neighbours (size, N), `h` apart, change by more than their accelerations say."""
+        known = self.accelerations >= 0
+        v, a = states[self.rates[known]], states[self.accelerations[known]]
+        change: Array = np.abs(np.diff(v, axis=1) - h / 2.0 * (a[:, 1:] + a[:, :-1]))
+        jolted: npt.NDArray[np.bool_] = (change > _JOLT * np.ptp(v, axis=1, keepdims=True)).any(axis=0)
+        return jolted
 
-    def jacobian(self, time: float) -> Array | None:
-        """Return the scaled Jacobian at a time; None if no configuration is found."""
-        place = self.configuration(time, self.interpolated(time))
-        return None if place is None else self._rows(time)(place)[1]
+    def determinants(self, t: Array, states: Array) -> Array:
+        """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
+        jets = self.problem.reference.jet(t, self.problem.array.reference_order)
+        found = at_instants(determinants(self.problem.array), states, jets=jets, p=self.problem.p)
+        return block_determinants(self.problem.array, *found)
 
-    def interpolated(self, time: float) -> Array:
-        """Return q between the instants."""
-        return np.array([np.interp(time, self.t, column) for column in self.q.T])
+    def follow(self, state: Array, begin: float, end: float, across: bool = False) -> tuple[Array, float]:
+        """Follow the branch of an answer at `begin`; return the last answer and its time, `end` if it goes so far.
 
-    def _rows(self, time: float) -> Rows:
-        jet = self.problem.reference.jet(time, 0).T
+        With `across` it may pass a singularity on which it is smooth.
+        """
+        own = None if across else self.determinants(np.array([begin]), state[:, None])
+        waiting, trials = [end], 0
+        while waiting and trials < _MOST_TRIALS:
+            trials += 1
+            reached = self._continued(state, begin, waiting[-1], own)
+            if reached is not None:
+                state, begin = reached, waiting.pop()
+                continue
+            middle = begin + LESS_THAN_HALF * (waiting[-1] - begin)
+            if not min(begin, waiting[-1]) < middle < max(begin, waiting[-1]):
+                break
+            waiting.append(middle)
+        return state, begin
 
-        def rows(x: Array) -> tuple[Array, Array]:
-            residual, jacobian = self.evaluate(x * self.magnitudes, jet, self.problem.p)
-            jacobian = jacobian.reshape(len(self.row_scale), -1)
-            return residual.ravel() / self.row_scale, jacobian * self.magnitudes / self.row_scale[:, None]
+    def follow_to(self, state: Array, begin: float, end: float) -> Array:
+        """Return the answer at `end`, across singularities; raise `IntegrationFailed` if the branch ends before."""
+        reached, time = self.follow(state, begin, end)
+        if time != end:
+            reached, time = self.follow(state, begin, end, across=True)
+        if time != end:
+            raise IntegrationFailed(
+                f"{self.problem.system.name}: the branch cannot be followed beyond t = {time:.9g} s: it ends there, or"
+                " meets another"
+            )
+        return reached
 
-        return rows
+    def _continued(self, state: Array, begin: float, end: float, own: Array | None) -> Array | None:
+        """Return the answer at `end`, None if it is not seen to be on the branch, with determinants like `own`."""
+        problem, h, t = self.problem, np.array([end - begin]), np.array([end])
+        guess = ahead(problem.array, state[:, None], h)[:, 0]
+        jet = side_by_side(problem.reference.jet(t, problem.array.reference_order))
+        found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
+        if not (np.isfinite(found).all() and np.isfinite(residual).all()):
+            return None
+        # With more room where branches meet, short steps would turn into the other one.
+        if self.apart(state[:, None], found[:, None], h, _SLIGHT if own is None else ROUND_OFF)[0]:
+            return None
+        if own is None:
+            return found
+        now = self.determinants(t, found[:, None])
+        return found if (now * np.sign(own) > LOST * np.abs(own)).all() else None
+
+    def same(self, one: Array, other: Array) -> bool:
+        """Whether two answers at one instant are the same."""
+        off = one[self.q] - other[self.q]
+        off[self.wraps] = wrapped_angle(off[self.wraps])
+        return bool((np.abs(off) <= _SLIGHT * self.scale).all())
 
 
-def _closest(motion: _Motion, k: int) -> RankLoss | None:
-    """Look for the loss of rank between the instants beside instant `k`."""
-    import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    def badness(time: float) -> float:
-        jacobian = motion.jacobian(time)
-        return 1.0 if jacobian is None else _condition(jacobian) ** -2
-
-    first, last = motion.t[max(0, k - 1)], motion.t[min(len(motion.t) - 1, k + 1)]
-    search = scipy.optimize.minimize_scalar(
-        badness, bounds=(first, last), method="bounded", options={"xatol": 1e-9 * (last - first)}
+@made_once
+def places_of(array: DerivativeArray) -> tuple[Places, Places, Places, npt.NDArray[np.bool_], Array]:
+    """Return places of coordinates, velocities and accelerations (-1 if unknown), what wraps, and negligible ranges."""
+    quantities, place = array.system.coordinates.quantities, {each: k for k, each in enumerate(array.unknowns)}
+    of_orders = (
+        np.array([place.get((k, order), -1) for k in range(len(quantities))], dtype=np.intp) for order in range(3)
     )
-    times = [float(search.x), float(motion.t[k])]
-    time = min(times, key=badness)
-    jacobian = motion.jacobian(time)
-    if jacobian is None:
-        return None
-    holonomic = _condition(jacobian[: motion.holonomic]) > CONDITION_LIMIT
-    return RankLoss(time, _condition(jacobian), holonomic)
+    still = _SLIGHT * np.array(array.system.coordinates.nominal)
+    return *of_orders, np.array([each.wraps for each in quantities], dtype=bool), still  # type: ignore[return-value]  # three
 
 
-def _condition(jacobian: Array) -> float:
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return float(values[0] / max(values[-1], 1e-300))
+def on_one_branch(
+    problem: Problem, t: Array, states: Array, known: Array | None = None
+) -> tuple[Array, str, tuple[Passage, ...], npt.NDArray[np.bool_]]:
+    """Return answers on the branch of the first, how that is known, the singularities passed, and what is `far`.
 
-
-def _entries(problem: Problem, t: Array, q: Array) -> Array:
-    """Return the entries of S at every configuration, shape (nnz, N)."""
-    compiled = constraint_entries(problem.resolved)
-    jets = problem.reference.jet(t, 0) if compiled.on_path else np.zeros((len(t), 1, problem.reference.dimension))
-    return at_instants(compiled.function, q.T, jets=jets, p=problem.p)[0]
-
-
-class _Entries(NamedTuple):
-    """(q, gamma, p) -> the entries of S = [G; C], column by column; its parts; and whether it holds the path at all.
-
-    gamma is the path at an instant, shape (m,), with the time if the system holds it.
+    `known` are the determinants of the answers that are given, where they are known.
     """
+    solved = np.flatnonzero(np.isfinite(states).all(axis=0))
+    if not len(solved):
+        name = problem.system.name
+        raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
+    branch, kept = Branch.of(problem, states), states.copy() if len(solved) < len(t) else states
+    for k in range(int(solved[0]), 0, -1):
+        kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
+        if time != t[k - 1]:
+            name = problem.system.name
+            raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
+    far = _far(branch, t, kept)
+    suspects = np.flatnonzero(far)
+    known = branch.determinants(t, kept) if known is None or kept is not states else known
+    changes, passages = _sign_changes(branch, t, kept, known)
+    waiting, replaced, tried = sorted({*suspects.tolist(), *changes}, reverse=True), False, 0
+    while waiting:
+        k, tried = waiting.pop(), tried + 1
+        begin, end = float(t[k]), float(t[k + 1])
+        closed = tried == _MOST_FOLLOWED + 1 and not replaced and is_closed_form(problem, t, states)
+        reached, time = (kept[:, k], begin) if closed else branch.follow(kept[:, k], begin, end)
+        if time != end and not closed:
+            singular = time
+            reached, time = branch.follow(kept[:, k], begin, end, across=True)
+            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, singular))
+        if closed or (time != end and not replaced and is_closed_form(problem, t, states)):
+            return states, CLOSED_FORM, (), far
+        if time != end:
+            branch.follow_to(kept[:, k], begin, end)  # raises
+        if branch.same(reached, kept[:, k + 1]):
+            continue
+        kept = kept if replaced else kept.copy()
+        kept[:, k + 1], replaced = reached, True
+        if k + 2 < len(t) and (not waiting or waiting[-1] != k + 1):
+            waiting.append(k + 1)
+    replaced = replaced or len(solved) < len(t)
+    return kept, FOLLOWED if replaced else CONTINUOUS, tuple(passages), far
 
-    function: ca.Function
-    parts: tuple[Part, ...]
-    on_path: bool
+
+def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
+    """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
+    every = -(-(len(t) - 1) // MANY)
+    looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
+    some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
+    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps) | branch.jolts(some, steps)
+    return np.repeat(far, np.diff(looked)) if every > 1 else far
+
+
+def _passage(
+    branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
+) -> Passage:
+    ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
+    blocks, names = diagonal_blocks(problem.array), problem.signature.equations.equations
+    changed = [
+        tuple(names[row] for row in blocks[k].rows)
+        for k in np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
+    ]
+    moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
+    least = [_least_singular_value(problem, t, states[branch.q]) for t, states in moments]
+    at_once = least[1] < _LESS * max(least[0], least[2])
+    passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
+    # The forces of constraints are in a block of their own, which is singular with them.
+    return next(
+        (each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ()), at_once)
+    )
 
 
 @made_once
-def constraint_entries(resolved: ResolvedSystem) -> _Entries:
-    """Compile the entries of all constraints' Jacobian, and find its independent parts."""
-    system = resolved.system
-    S, path = ca.vertcat(system.G, system.C), system.gamma[:, 0]
-    function = ca.Function("sc_S", [system.q, path, system.p], [S.nz[:]])
-    return _Entries(function, parts_of(S.sparsity()), bool(ca.depends_on(S, path)))
-
-
-@made_once
-def constraint_rows(
-    resolved: ResolvedSystem, rows: tuple[int, ...] | None = None, columns: tuple[int, ...] | None = None
-) -> Call:
-    """Compile (q, gamma, p) -> residual of the constraints, S = [G; C]; of some rows, which hold some columns only."""
+def constraint_rows(resolved: ResolvedSystem) -> Call:
+    """Compile (q, gamma, p) -> residual and Jacobian S = [G; C] of the holonomic and servo constraints."""
     system = resolved.system
     residual, S = ca.vertcat(system.constraints, system.output - system.path[:, 0]), ca.vertcat(system.G, system.C)
-    taken = [
-        list(range(size)) if some is None else list(some) for some, size in zip((rows, columns), S.shape, strict=True)
-    ]
-    results = [ca.densify(residual[taken[0]]), ca.densify(S[taken[0], taken[1]])]
-    return Call(ca.Function("sc_S_rows", [system.q[taken[1]], system.gamma[:, 0], system.p], results))
+    results = [ca.densify(residual), ca.densify(S)]
+    return Call(ca.Function("sc_S_rows", [system.q, system.gamma[:, 0], system.p], results))
 
 
-def require_one_branch(problem: Problem, solution: Solution) -> str:
-    """Warn where the constraints of a solution lose rank, and refuse a solution that changes branch there.
+def _least_singular_value(problem: Problem, t: float, q: Array) -> float:
+    """Return the least singular value of the Jacobian of all constraints, with rows of unit length."""
+    residual, S = constraint_rows(problem.resolved)(q, problem.reference.jet(t, 0)[0], problem.p)
+    rows = S.reshape(len(residual), -1) * np.array(problem.system.coordinates.nominal)
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return float(np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
 
-    Returns the warning, to be added to the statement on the branch.
+
+def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
+    """Return intervals over which a determinant changes its sign, and ends of a motion at which it is that of none.
 
     Raises
     ------
     IntegrationFailed
-        If the configurations do not go on as they came.
+        For an instant that is singular itself.
     """
-    places = _columns(problem.resolved, solution.names) if problem.system.lam.numel() else None
-    if places is None:
-        return ""
-    passed, count = "", len(solution.t)
-    every = -(-count // _WATCHED)
-    watched = np.append(np.arange(0, count - 1, every), count - 1)
-    for loss in rank_losses(problem, solution.t[watched], solution.values[watched[:, None], places]):
-        if changes_branch(problem, solution.t, solution.values[:, places], loss.time):
-            raise IntegrationFailed(
-                f"{solution.route}: {loss}; this one changes over from one to the other: a scene with follow_branch and"
-                " a smaller step goes on smoothly in the form Reduced()"
-            )
-        ends = min(loss.time - solution.t[0], solution.t[-1] - loss.time) < 1e-6 * np.ptp(solution.t)
-        how = "this one begins or ends there" if ends else "this one goes on smoothly"
-        passed += f"; {loss}; {how}"
-        warnings.warn(f"{solution.route}: {loss}; {how}", ServocoreWarning, stacklevel=3)
-    return passed
+    problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
+    sizes = np.abs(known)
+    for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
+        lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
+        blocks = [diagonal_blocks(problem.array)[j] for j in lost]
+        found = (Passage(time, time, time, tuple(names[row] for row in block.rows)) for block in blocks)
+        passages += [each for each in found if each.of_constraints][:1]
+    small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
+    if small.any():
+        k = int(small.any(axis=0).argmax()) + 1
+        jet = problem.reference.jet(float(t[k]), problem.array.reference_order)
+        matrix = call_of(system_jacobian(problem.array))(states[:, k], jet.T, problem.p)[0]
+        raise IntegrationFailed(
+            f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
+            f" {condition_number(matrix):.2g}"
+        )
+    signs = np.sign(known)
+    return np.flatnonzero((~(signs[:, :-1] * signs[:, 1:] > 0.0)).any(axis=0)).tolist(), passages
 
 
-def configurations(problem: Problem, solution: Solution) -> Array | None:
-    """Return the coordinates of a solution, shape (N, n); None where it does not report them by their names."""
-    places = _columns(problem.resolved, solution.names)
-    return None if places is None else solution.values[:, places]
+def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
+    """Whether answers (size, N) are the guess of the model itself, all of one sign and none of them singular.
 
-
-@made_once
-def _columns(resolved: ResolvedSystem, names: tuple[str, ...]) -> list[int] | None:
-    """Places of the coordinates among reported names; None if one is missing or its name is that of something else."""
-    reported = {quantity.name: expression for quantity, expression in observed(resolved.system)}
-    coordinates = resolved.system.coordinates
-    if not set(coordinates.names) <= set(names):
-        return None
-    if not all(ca.is_equal(reported[name], coordinates[name]) for name in coordinates.names):
-        return None
-    return [names.index(name) for name in coordinates.names]
-
-
-def changes_branch(problem: Problem, t: Array, q: Array, time: float) -> bool:
-    """Whether a motion q, shape (N, n), at the instants `t` does not go on smoothly at a time when rank is lost.
-
-    Where the constraints determine the configuration, the smooth motion is followed through that time in small steps
-    and compared. Elsewhere a third difference across it must not stand out, which needs small steps.
+    A drum that unwinds kilometres of rope turns thousands of times between two instants: nothing follows that, and
+    nothing has to where the model gives its motion in closed form. The signs of the determinants are the alarm for a
+    guess that changes over to another branch.
     """
-    apart = np.abs(t - time) > 0.25 * np.diff(t).max()
-    before, after = np.flatnonzero(apart & (t < time)), np.flatnonzero(apart & (t > time))
-    if not len(before) or not len(after):
-        return False  # it starts or ends there
-    system = problem.system
-    if len(system.coordinates) == system.lam.numel() + len(system.outputs):
-        motion = _Motion.of(problem, t, q, None, np.ones(len(system.coordinates)))
-        first, last = (motion.q[k] for k in (before[-1], after[0]))
-        smooth = _followed(motion, float(t[before[-1]]), time, float(t[after[0]]), first)
-        if smooth is not None:
-            return bool(np.abs(last - smooth).max() > _ASTRAY * np.abs(smooth - first).max())
-    return _has_kink(t, q / _magnitudes(problem, q), time)
-
-
-def _followed(motion: _Motion, begin: float, through: float, end: float, first: Array) -> Array | None:
-    """Follow a motion from `begin` to `end` in small steps, of which one has the time `through` in its middle."""
-    step = (through - begin) / (_SUBSTEPS + 0.5)
-    times = [begin, *np.arange(begin + step, end - 0.25 * step, step), end]
-    places = [first]
-    for k in range(1, len(times)):
-        known = slice(max(0, k - 3), k)
-        ahead = np.column_stack(places[known]) @ np.asarray(lagrange(times[known], [times[k]])).ravel()
-        x = motion.configuration(times[k], ahead)
-        if x is None:
-            return None
-        places.append(x)
-    return places[-1]
-
-
-def _has_kink(t: Array, x: Array, time: float) -> bool:
-    steps = np.diff(t)
-    if len(t) < 2 * _BESIDE or np.ptp(steps) > 1e-6 * steps.max():
+    branch = Branch.of(problem, states)
+    off = np.abs(guessed_unknowns(problem, t)[branch.q] - states[branch.q])
+    if not (off <= ROUND_OFF * np.maximum(np.abs(states[branch.q]), branch.scale[:, None])).all():
         return False
-    third = np.abs(np.diff(x, 3, axis=0)).max(axis=1)
-    after = int(np.searchsorted(t, time))
-    first = max(0, after - 3)  # differences over t[k] to t[k + 3] from here on hold the time inside
-    beside = [*third[max(0, first - _BESIDE) : first], *third[after : after + _BESIDE]]
-    across = third[first:after]
-    return bool(len(across) and beside and across.max() > _JUMP * max(*beside, 1e-9))
+    found = branch.determinants(t, states)
+    return bool((found * np.sign(found[:, :1]) > 0.0).all())

@@ -14,16 +14,19 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
-from servocore.checks.impulses import first_jump, has_kinks_or_jumps
+from servocore.checks.findings import ROUND_OFF
+from servocore.checks.impulses import jumps
+from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
 
 SINGULAR_CONDITION = 1e12
@@ -33,10 +36,8 @@ _INSTANTS = 41  # of the path that are examined
 _STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
-_SOLVED = 1e-8  # residual of the derivative array
 _HALVINGS = 16
 _CONFIRMED = 3  # misses from all around; later ones are taken from those before
-_RESTING = 1e-9  # of the largest entry: derivatives of a path below count as zero
 
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
@@ -53,11 +54,12 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    jump = first_jump(problem, survey(problem.reference), lambda t: exact_unknowns(problem, t)[0])
+    t = survey(problem.reference)
+    jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
     return f"{problem.system.name}: {jump}" if jump else ""
 
 
@@ -255,7 +257,7 @@ def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
     x, _ = _least_squares(rows, start[free])
     values = start.copy()
     values[free] = x
-    return values if np.linalg.norm(rows(x)[0]) < _SOLVED else None
+    return values if np.linalg.norm(rows(x)[0]) < LARGEST_RESIDUAL else None
 
 
 @made_once
@@ -299,7 +301,7 @@ def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
     Velocities and higher derivatives that are numbers without symmetry show whether the configuration is the cause.
     """
     array, p = problem.array, problem.p
-    if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):
+    if np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0):
         return ""
     sentence = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
     jacobian = call_of(system_jacobian(problem.array))

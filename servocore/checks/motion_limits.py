@@ -1,18 +1,21 @@
 """Limits of a motion: coordinates, velocities, multipliers, inputs, and the rates of all these.
 
-Where a problem is flat, its exact inversion gives every quantity at every instant, so that the limits are kept between
-the instants of a grid as well. Elsewhere a run is judged by its reported values.
+They are compared at the instants of a run: where a problem is flat with its exact inversion, elsewhere with the values
+that are reported. `certify` proves them in between.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from servocore.checks.limits import LimitSurvey, broken_limit, margin_within, size_of_bounds
+from servocore.checks.findings import ROUND_OFF, ROUNDS, SECTIONS
+from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
@@ -21,20 +24,11 @@ from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
-from servocore.references.base import survey
-from servocore.solution import Solution
+from servocore.solution import Margin, Solution
 from servocore.structure.derivative_array import DerivativeArray
-
-States = Callable[[Array], Array]
-"""Times (N,) -> unknowns of the derivative array, shape (size, N)."""
 
 HIDDEN = "limit "
 """Prefix of the names of observables that only limits need."""
-
-
-def motion_limits(problem: Problem) -> tuple[Limit, ...]:
-    """Return the limits of a problem that do not follow from the path alone."""
-    return tuple(limit for limit in problem.limits if not limit.of_path)
 
 
 def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
@@ -42,42 +36,112 @@ def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -
     return isinstance(expression, Named) and not rate and reported_quantities(system)[expression.name].wraps
 
 
-# Flat problems: at all instants --------------------------------------------------------------------------------------
+# A limit that is broken -----------------------------------------------------------------------------------------------
 
 
-def require_limits(problem: Problem, states: States) -> None:
-    """Raise `LimitBroken` if a path leads a flat problem beyond a limit at any time, with the first.
+def margin_within(limit: Limit, values: Array, size: float) -> Array:
+    """Return how far values are within a limit, negative beyond it; a value on it up to round-off is within."""
+    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + ROUND_OFF * size
+    if limit.rate:  # of the length of a vector, where that is zero
+        margins = np.where(np.isnan(margins), np.inf, margins)
+    return margins
 
-    Parameters
-    ----------
-    problem : Problem
-        Without internal dynamics.
-    states : callable
-        Its exact inversion at any instants of the path.
+
+def first_broken(
+    name: str, limit: Limit, t: Array, values: Array, evaluate: Callable[[Array], Array] | None = None
+) -> tuple[float, str] | None:
+    """Return when a limit is broken first at instants, and the sentence on it; None if it is kept.
+
+    With `evaluate`, the quantity as a function of times, the time is the first between the instants, and the value the
+    worst between those beside the worst instant.
     """
-    limits = motion_limits(problem)
-    if not limits:
-        return
-    watched = watched_limits(problem)
-    _require_derivatives(problem, limits, watched)
+    bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
+    size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    margins = margin_within(limit, values, size)
+    bad = np.flatnonzero(~(margins >= 0.0))
+    if not len(bad):
+        return None
+    k, first = int(bad[0]), float(t[bad[0]])
+    spell = bad[: 1 + int(np.argmax(np.diff([*bad, len(t) + 1]) > 1))]
+    worst = int(spell[np.nan_to_num(margins[spell], nan=-np.inf).argmin()])
+    when, value = float(t[worst]), float(values[worst])
+    if evaluate is not None and np.isfinite(value):
+        begin, end = t[max(worst - 1, 0)], t[min(worst + 1, len(t) - 1)]
+        for _ in range(ROUNDS):
+            at = np.linspace(begin, end, SECTIONS)
+            tried = evaluate(at)
+            lowest = int(np.nan_to_num(margin_within(limit, tried, size), nan=np.inf).argmin())
+            begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, SECTIONS - 1)]
+            when, value = float(at[lowest]), float(tried[lowest])
+        good = float(t[k - 1]) if k else first
+        while good < (middle := (good + first) / 2.0) < first and first - good > ROUND_OFF * float(np.ptp(t)):
+            kept = margin_within(limit, evaluate(np.array([middle])), size)[0] >= 0.0
+            good, first = (middle, first) if kept else (good, middle)
+    why = f" {limit.reason}:" if limit.reason else ""
+    if not np.isfinite(value):
+        return first, f"{name}: at t = {first:.6g} s{why} {limit.quantity} is not finite, and has a limit"
+    below = value - limit.bound < limit.upper - value
+    which, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
+    return first, (
+        f"{name}: at t = {first:.6g} s{why} {limit.quantity} goes beyond its {which} limit of {limit.with_unit(bound)};"
+        f" it reaches {limit.with_unit(value)} at t = {when:.6g} s"
+    )
 
-    def evaluate(t: Array) -> Array:
-        return watched.values(problem, t, states(t))
 
-    LimitSurvey(problem.name, limits, watched.wraps, evaluate).require(survey(problem.reference))
+# Flat problems: by exact inversion ------------------------------------------------------------------------------------
 
 
-def limited_values(problem: Problem, states: States, t: Array) -> Array:
+def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """Return the quantities of the `motion_limits` of a flat problem, (limits, N), at instants (N,); angles continuous.
 
-    `states` is its exact inversion at any instants of the path.
+    The instants are those of the motion when not given.
     """
-    if not motion_limits(problem):
-        return np.zeros((0, len(t)))
-    watched = watched_limits(problem)
-    values = watched.values(problem, t, states(t))
+    if not motion.problem.motion_limits:
+        return np.zeros((0, len(motion.t if t is None else t)))
+    watched = watched_limits(motion.problem)
+    if t is None:
+        values = watched.values(motion.problem, motion.t, motion.states)
+    else:
+        values = watched.values(motion.problem, t, motion.at(t))
     angles = np.array(watched.wraps, dtype=bool)
-    return np.where(angles[:, None], np.unwrap(values, axis=1), values)
+    return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
+
+
+def require_limits(motion: Motion) -> Array:
+    """Return the limited quantities at the instants of a motion; raise `LimitBroken` if one goes beyond its limit."""
+    problem, limits = motion.problem, motion.problem.motion_limits
+    if not limits:
+        return np.empty((0, len(motion.t)))
+    _require_derivatives(problem, limits, watched_limits(problem))
+    values = limited_values(motion)
+
+    def near(row: int, t: Array) -> Array:
+        """Return one of the quantities between the instants, an angle in the turn that it is in beside."""
+        found: Array = limited_values(motion, t)[row]
+        if watched_limits(problem).wraps[row]:
+            found = found + 2.0 * np.pi * np.round((np.interp(t, motion.t, values[row]) - found) / (2.0 * np.pi))
+        return found
+
+    _require_kept(problem.name, limits, [(motion.t, row, partial(near, k)) for k, row in enumerate(values)])
+    return values
+
+
+def _require_kept(name: str, limits: Sequence[Limit], values: Sequence[tuple[Any, ...]]) -> None:
+    """Raise `LimitBroken` for the limit that is broken first; see `first_broken` for what comes with it."""
+    broken = [first_broken(name, limit, *each) for limit, each in zip(limits, values, strict=True)]
+    if found := [each for each in broken if each is not None]:
+        raise LimitBroken(min(found)[1])
+
+
+def margins_of(limits: Sequence[Limit], values: Sequence[Array], t: Array) -> dict[str, Margin]:
+    """Return the margins of limits by name, of quantities known at instants `t`."""
+    margins = {}
+    for limit, each in zip(limits, values, strict=True):
+        left = np.minimum(each - limit.bound, limit.upper - each)
+        least = int(np.nanargmin(left))
+        bound = limit.bound if each[least] - limit.bound < limit.upper - each[least] else limit.upper
+        margins[limit.quantity] = Margin(float(left[least]), float(t[least]), float(each[least]), bound, limit.unit)
+    return margins
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +173,7 @@ class Watched:
 
 def watched_limits(problem: Problem) -> Watched:
     """Return the function of the quantities of the `motion_limits` of a flat problem."""
-    wanted = tuple((limit.expression, limit.rate) for limit in motion_limits(problem))
+    wanted = tuple((limit.expression, limit.rate) for limit in problem.motion_limits)
     return compile_watched(problem.resolved, wanted)
 
 
@@ -227,7 +291,7 @@ def _require_derivatives(problem: Problem, limits: Sequence[Limit], watched: Wat
 
 def with_watched(problem: Problem) -> Problem:
     """Return the problem with the quantities of its limits among the observables, for runs that report them."""
-    limits = motion_limits(problem)
+    limits = problem.motion_limits
     if not limits:
         return problem
     resolved = _observing(problem.resolved, tuple((limit.expression, limit.rate) for limit in limits))
@@ -250,25 +314,24 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
 
 
 def with_limits_required(problem: Problem, solution: Solution) -> Solution:
-    """Return a solution of a problem `with_watched` without what was added; raise `LimitBroken` if it breaks limits.
+    """Return a solution of a problem `with_watched`, less what was added; raise `LimitBroken` if it breaks limits.
 
     Rates of forces and inputs are those of their differences from instant to instant.
     """
     hidden = [k for k, channel in enumerate(solution.channels) if channel.name.startswith(HIDDEN)]
     if not hidden:
         return solution
-    limits, t = motion_limits(problem), solution.t
-    broken = []
-    for limit, k in zip(limits, hidden, strict=True):
-        values, at = solution.values[:, k], t
-        if solution.channels[k].name.endswith("differenced"):
-            values, at = np.diff(values) / np.diff(t), t[1:]
-        broken += _first_at(limit, at, values)
-    if broken:
-        first, value, limit = min(broken, key=lambda each: each[0])
-        raise LimitBroken(broken_limit(problem.name, limit, first, first, value))
+    limits, t, values = problem.motion_limits, solution.t, list[tuple[Array, ...]]()
+    for k in hidden:
+        column = solution.values[:, k]
+        differenced = solution.channels[k].name.endswith("differenced")
+        values.append((t[1:], np.diff(column) / np.diff(t)) if differenced else (t, column))
+    _require_kept(problem.name, limits, values)
     shown = [k for k in range(len(solution.channels)) if k not in hidden]
-    return replace(solution, channels=tuple(solution.channels[k] for k in shown), values=solution.values[:, shown])
+    channels = tuple(solution.channels[k] for k in shown)
+    solution = replace(solution, channels=channels, values=solution.values[:, shown])
+    reported = [limit for limit in limits if limit.quantity in solution]
+    return replace(solution, margins=margins_of(reported, [solution[each.quantity] for each in reported], t))
 
 
 def require_reported(problem: Problem, solution: Solution) -> None:
@@ -276,22 +339,23 @@ def require_reported(problem: Problem, solution: Solution) -> None:
 
     The exact motion keeps it by then; a step that errs may not.
     """
-    for limit in motion_limits(problem):
+    for limit in problem.motion_limits:
         name = limit.expression.name if isinstance(limit.expression, Named) else ""
         if not limit.rate and name in solution:
-            for first, value, _ in _first_at(limit, solution.t, solution[name]):
-                raise LimitBroken(
-                    f"{broken_limit(solution.route, limit, first, first, value)}; the exact motion keeps that limit"
-                )
+            broken = first_broken(solution.route, limit, solution.t, solution[name])
+            if broken is not None:
+                raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
 
 
 # Runs as a whole -----------------------------------------------------------------------------------------------------
 
 
-def run_values(problem: Problem, states: States, t: Array) -> Array:
+def run_values(motion: Motion, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
-    values, found = limited_values(replace(problem, limits=problem.run_limits), states, t), []
-    for limit, each in zip(problem.run_limits, values, strict=True):
+    limits = motion.problem.run_limits
+    values = limited_values(replace(motion, problem=replace(motion.problem, limits=limits)), t)
+    found = []
+    for limit, each in zip(limits, values, strict=True):
         assert limit.over_run is not None
         total = np.trapezoid(limit.over_run.integrand(each), t)
         found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
@@ -301,12 +365,6 @@ def run_values(problem: Problem, states: States, t: Array) -> Array:
 def require_run_limits(problem: Problem, solution: Solution) -> None:
     """Raise `LimitBroken` if what a run adds up is beyond a limit at its end."""
     for limit in problem.run_limits:
-        value = float(solution[limit.quantity][-1])
-        if not margin_within(limit, np.array([value]), size_of_bounds(limit, np.array([value])))[0] >= 0.0:
-            end = float(solution.t[-1])
-            raise LimitBroken(f"{broken_limit(problem.name, limit, end, end, value)}, over the whole run")
-
-
-def _first_at(limit: Limit, t: Array, values: Array) -> list[tuple[float, float, Limit]]:
-    bad = np.flatnonzero(~(margin_within(limit, values, size_of_bounds(limit, values)) >= 0.0))
-    return [(float(t[bad[0]]), float(values[bad[0]]), limit)] if len(bad) else []
+        broken = first_broken(problem.name, limit, solution.t[-1:], solution[limit.quantity][-1:])
+        if broken is not None:
+            raise LimitBroken(f"{broken[1]}, over the whole run")

@@ -10,19 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from servocore.checks.findings import BISECTIONS
 from servocore.checks.motion_limits import compile_watched
 from servocore.errors import ServocoreError
 from servocore.model.limits import Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import survey
 from servocore.references.timed_path import TimeScaled
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
-_INSTANTS = 201
 _SLACK, _LONG = 0.02, 50.0  # times the median before: tensions below, lengths above
-_HALVINGS = 30
 _LONGEST = 64.0  # times the duration
 
 
@@ -49,13 +49,13 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
         return watched.values(problem, t, exact_unknowns(problem, t)[0])
 
     path = problem.reference
-    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    t = survey(path)
     found = values(t)
     bad = np.flatnonzero(~(found > 0.0).all(axis=0))
     if not len(bad) or bad[0] == 0:
         return ""
     good, beyond, usual = t[bad[0] - 1], t[bad[0]], np.median(found[:, : bad[0]], axis=1)
-    for _ in range(_HALVINGS):
+    for _ in range(BISECTIONS):
         middle = (good + beyond) / 2.0
         good, beyond = (middle, beyond) if (values(np.array([middle])) > 0.0).all() else (good, middle)
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
@@ -86,7 +86,7 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
         if longest > _LONGEST:
             return 0.0
     shortest = longest / 2.0
-    for _ in range(_HALVINGS // 2):
+    for _ in range(BISECTIONS // 2):
         middle = (shortest + longest) / 2.0
         shortest, longest = (shortest, middle) if kept(middle) else (middle, longest)
     digits = 3 - int(np.floor(np.log10(longest * path.duration)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.findings import ROUND_OFF
 from servocore.errors import ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.formulations.original import Original
@@ -32,7 +33,6 @@ _SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
 _NOTICED = 0.02  # of the range of a coordinate
 _ELSEWHERE = 0.1  # of the range of a coordinate: further from the better motion may be another branch
-_TINY = 1e-9  # of the largest coordinate: one that rests is not far away for round-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,8 @@ class Comparison:
     def far_from_better(self, columns: list[int]) -> float | None:
         """Return the first time at which some columns are far from the better ones; None if there is none."""
         run, better = self.values[:, columns], self.better[:, columns]
-        far = (np.abs(run - better) > _ELSEWHERE * np.ptp(better, axis=0) + _TINY * np.abs(better).max()).any(axis=1)
+        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
+        far = (np.abs(run - better) > allowed).any(axis=1)
         return float(self.t[far.argmax()]) if far.any() else None
 
 

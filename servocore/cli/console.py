@@ -51,7 +51,6 @@ ON_THE_COMMAND_LINE = {
     r"solve without a form and a method": "without --formulation and --method",
     r"leave its horizon to StableInversion, with": "StableInversion in Python has",
     r"(the method |solve with )?StableInversion": "feedforward without --formulation and --method",
-    r"in the form Reduced\(\)": "with --formulation reduced",
     r"Reduced(\(\))? with a method": "--formulation reduced with a --method",
     r"(the form )?Reduced\(\)|Reduced(?=:)": "--formulation reduced",
     r"sc\.solve": "feedforward",

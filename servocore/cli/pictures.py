@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.motion_limits import limited_values
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import PlanReport
@@ -20,7 +20,7 @@ from servocore.presentation import Curve, figure_of
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.timed_path import TimedPath
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 _INSTANTS = 1001
 _PLAN = {"color": "#0072b2", "label": "near time-optimal"}
@@ -35,7 +35,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
     The scene has the limits; path and report are the results of `fastest`.
     """
     problem = Problem.of(scene.with_reference(path))
-    limits, laws = motion_limits(problem), [(problem, dict[str, object](_PLAN))]
+    limits, laws = problem.motion_limits, [(problem, dict[str, object](_PLAN))]
     if isinstance(path, TimedPath) and np.isfinite(report.degree9):
         slower = polynomial_path(path.curve, report.degree9, (report.degree - 1) // 2)
         laws.insert(0, (replace(problem, reference=slower), {"label": f"degree {report.degree}"} | _OTHER))
@@ -58,8 +58,8 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
 def _limited(problem: Problem, t: Array) -> Array:
     """Return the limited quantities at instants, NaN after the end of the path, shape (limits, N)."""
     within = t <= problem.reference.end_time
-    values = np.full((len(motion_limits(problem)), len(t)), np.nan)
-    values[:, within] = limited_values(problem, exact_states(problem, prepared_table(problem)), t[within])
+    values = np.full((len(problem.motion_limits), len(t)), np.nan)
+    values[:, within] = limited_values(prepared_motion(problem), t[within])
     return values
 
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.limits import require_feasible
+from servocore.checks.before_run import require_feasible
 from servocore.effects.closed_loop import COARSEST, Driven, linear_answers, run_loop
 from servocore.effects.model_inversion import Inverted, at_rest, inverted
 from servocore.effects.position_loops import Gains, PositionLoops, gains_of

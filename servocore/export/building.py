@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.away_from_home import (
-    require_redundant_constraints_along_path,
+    require_redundant_constraints,
     with_redundant_constraints_as_limits,
 )
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
-from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
@@ -41,7 +41,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 from servocore.stepping.observation import compile_margins, limits_order
 from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import inversion
@@ -147,9 +147,9 @@ def followed(problem: Problem) -> Problem:
         )
     require_feasible(problem)  # first: a limit says more than a singular matrix
     with causes_explained(problem):
-        table = prepared_table(problem)
-    require_redundant_constraints_along_path(problem, exact_states(problem, table))
-    return replace(problem, follow_branch=isinstance(table, BranchTable))
+        motion = prepared_motion(problem)
+    require_redundant_constraints(problem, motion)
+    return replace(problem, follow_branch=not motion.direct)
 
 
 def _variables(

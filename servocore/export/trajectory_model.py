@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from servocore.checks.limits import require_feasible
+from servocore.checks.before_run import require_feasible
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
 from servocore.export.identifiers import identifier_of, require_different

@@ -8,7 +8,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.motion import Motion
+from servocore.checks.motion_limits import limited_values
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
 from servocore.identification.information import information
@@ -115,7 +116,7 @@ def excitation(
     problem = Problem.of(extended)
     if not problem.flat:
         raise InvalidModel(f"{scene.name} has internal dynamics: an excitation needs a flat output")
-    if not motion_limits(problem):
+    if not problem.motion_limits:
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
     search = _Search.of(problem, names, spreads_of(names, believed), float(duration))
@@ -192,9 +193,8 @@ class _Search:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
         problem = replace(self.problem, reference=self.path(x))
         t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
-        values = limited_values(problem, lambda at: exact_unknowns(problem, at)[0], t)
-        pairs = zip(motion_limits(problem), values, strict=True)
-        over = [each for limit, row in pairs for _, each in sides(limit, row)]
+        values = limited_values(Motion(problem, t, exact_unknowns(problem, t)[0]))
+        over = [each for limit, row in zip(problem.motion_limits, values, strict=True) for _, each in sides(limit, row)]
         return max(0.0, float(np.nan_to_num(np.array(over), nan=10.0).max()) + _MARGIN)
 
     def tried(self, x: Array) -> tuple[float, Array]:

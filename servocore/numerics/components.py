@@ -132,17 +132,6 @@ def has_full_rank(matrix: Array) -> bool:
     return bool(np.linalg.matrix_rank(scaled) == height)
 
 
-def balanced(matrices: Array) -> Array:
-    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
-
-    Scaled at each instant separately, an equation whose terms all vanish at an instant would be hidden.
-    """
-    for axes in ((0, 2), (0, 1)):
-        largest = np.abs(matrices).max(axis=axes, keepdims=True)
-        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
-    return matrices
-
-
 _SMALL = 3  # unknowns: parts up to this size are solved by a formula, cheaper than a function call
 
 

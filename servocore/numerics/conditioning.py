@@ -97,19 +97,6 @@ def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
     return None
 
 
-def gram_determinants(matrices: Array) -> tuple[Array, Array]:
-    """Return sign and logarithm of det(J J^T) for sparse matrices J (N, rows, columns)."""
-    from scipy.sparse import csr_array  # noqa: PLC0415
-    from scipy.sparse.linalg import splu  # noqa: PLC0415
-
-    logarithms = np.full(len(matrices), -np.inf)
-    for k, matrix in enumerate(matrices):
-        rows = csr_array(matrix)
-        with suppress(RuntimeError):  # of a matrix that is exactly singular
-            logarithms[k] = np.log(np.abs(splu((rows @ rows.T).tocsc()).U.diagonal())).sum()
-    return np.isfinite(logarithms).astype(np.float64), logarithms
-
-
 def _equilibrated_entries(part: Part, entries: Array) -> Array:
     """Scale the entries of a sparse part at N instants as `equilibrated` does, shape (its entries, N)."""
     scaled = np.array(entries[part.entries])

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.certify import certify
-from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import limited_values, motion_limits, run_values
+from servocore.checks.before_run import require_feasible
+from servocore.checks.motion_limits import limited_values, run_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 
 @dataclass(frozen=True)
@@ -219,13 +219,13 @@ def kept_limits(
 
 def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]:
     """Return the largest excess over a limit at instants, that limit, and the active constraints."""
-    limits, path = motion_limits(problem), problem.reference
+    limits, path = problem.motion_limits, problem.reference
     t = np.linspace(path.start_time, path.end_time, instants)
-    states = exact_states(problem, prepared_table(problem))
-    values = limited_values(problem, states, t)
+    motion = prepared_motion(problem)
+    values = limited_values(motion, t)
     if problem.run_limits:
         limits += problem.run_limits
-        values = np.vstack([values, np.repeat(run_values(problem, states, t)[:, None], len(t), axis=1)])
+        values = np.vstack([values, np.repeat(run_values(motion, t)[:, None], len(t), axis=1)])
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):

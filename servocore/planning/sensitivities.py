@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.away_from_home import require_redundant_constraints_along_path
+from servocore.checks.away_from_home import require_redundant_constraints
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity
@@ -20,7 +20,7 @@ from servocore.numerics.memoization import made_once
 from servocore.planning.flat_system import free_motion, motion_places
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import time_grid
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 
 _STEPS = 2000
 """Least number of steps in which the linearized plant is integrated, by the classical method of order four."""
@@ -155,9 +155,9 @@ def sensitivities(
 def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tuple[Array, Array, Array]:
     """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
     with causes_explained(problem):
-        motion = exact_states(problem, prepared_table(problem))
-        states = motion(t)
-    require_redundant_constraints_along_path(problem, motion)
+        motion = prepared_motion(problem)
+        states = motion.at(t)
+    require_redundant_constraints(problem, motion)
     jets = problem.reference.jet(t, problem.array.reference_order)
     (slopes,) = at_instants(_implicit(problem.resolved), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]

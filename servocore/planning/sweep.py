@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import limited_values
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
@@ -31,7 +31,7 @@ from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import exact_states, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
@@ -172,11 +172,13 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()):
         try:
             with causes_explained(problem):
-                table = prepared_table(problem)
+                motion = prepared_motion(problem)
+            if motion.passages:
+                require_feasible(problem)
         except ServocoreError:
             require_feasible(problem)  # a limit says more than a singular matrix
             raise
-        if table is None:
+        if motion.direct:
             return work_of(problem, swept.limits, swept.inputs, native)
     rates = [limit.quantity for limit in swept.limits if limit.rate]
     if rates and not problem.flat:
@@ -286,7 +288,7 @@ def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
     if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
         assert isinstance(solution.origin, Problem)
         problem = replace(solution.origin, limits=tuple(limit for limit in swept.limits if not limit.over_run))
-        exact = limited_values(problem, exact_states(problem, prepared_table(problem)), solution.t)
+        exact = limited_values(prepared_motion(problem), solution.t)
         values |= {limit.quantity: row for limit, row in zip(problem.limits, exact, strict=True)}
     limits = [limit for limit in swept.limits if limit.quantity in values]
     margins = {

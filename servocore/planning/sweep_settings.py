@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.motion_limits import motion_limits
 from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene, require_scene, within_limits
@@ -219,16 +218,8 @@ def checked_settings(
     for path in paths:
         bounded.with_reference(path)  # refuses a path that does not fit the scene
     paths = paths or (bounded.reference,)  # that of the problem has the time beside it where equations hold it
-    return SweepSettings(
-        bounded,
-        model,
-        problem,
-        (*motion_limits(problem), *problem.run_limits),
-        grid,
-        paths,
-        int(instants),
-        bool(inputs),
-    )
+    limits_watched = (*problem.motion_limits, *problem.run_limits)
+    return SweepSettings(bounded, model, problem, limits_watched, grid, paths, int(instants), bool(inputs))
 
 
 def settings_of(swept: SweepSettings) -> dict[str, Any]:

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.away_from_home import require_redundant_constraints_along_path
-from servocore.checks.failure_causes import explained
-from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import require_limits
+from servocore.checks.before_run import require_feasible
+from servocore.checks.between_instants import Moments, continuous_angles, observed_at, read_at
+from servocore.checks.branches import FOLLOWED
+from servocore.checks.findings import told
+from servocore.checks.motion import Motion, enough, motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -21,23 +23,17 @@ from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
-from servocore.problem import Problem
+from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import KINKS
+from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import (
-    FOLLOWED,
-    BranchTable,
-    exact_states,
-    on_one_branch,
-    prepared_table,
-    require_followed,
-)
-from servocore.solvers.fixed_step_loop import Progress, require_derivatives, run_steps, step_failure, step_of
-from servocore.solvers.results import Run, Segment, solution_of
+from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
+from servocore.solvers.results import Run, Segment, require_derivatives, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
+from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities, unknowns_from
 from servocore.stepping.program import Program, program_of
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import block_determinants, determinants, inversion
 
 if TYPE_CHECKING:
     from servocore.checks.better_solutions import BetterSolver
@@ -70,58 +66,124 @@ class Pointwise(JudgedRoute):
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        evaluation = self._evaluation(problem)
+        evaluation, kept = self._evaluation(problem), slice(None)
         program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
         if problem.follow_branch:
-            done = run_steps(problem, program, times, progress)
-            require_followed(problem, times, done.states)
-            return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
-        done, observed = _at_every_instant(problem, program, times, evaluation, progress)
+            done, looked = run_steps(problem, program, times, progress), list[Array]()
+        else:
+            times, parts = enough(times)
+            kept = slice(None, None, parts)
+            done, looked = _at_every_instant(problem, program, times, evaluation, progress, kept)
+        read = _looking(problem.resolved, program)
+        looked = looked or read_at(problem, read, Moments(times, done.states))
         try:
-            states, how = on_one_branch(problem, times, done.states, self.native)
+            motion = motion_of(problem, times, done.states, block_determinants(problem.array, *looked[2:]))
         except IntegrationFailed as error:
             solved = np.isfinite(done.states).all(axis=0)
             if solved.all():
                 solution_of(problem, [Segment(program, times, done)])  # a sign that is wrong is a better reason
             if solved.any():
                 raise
-            k = 0
-            raise step_failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
-        if states is not done.states:
-            done, observed = replace(done, states=states), None
-        return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)
+            raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
+        if motion.states is not done.states:
+            done = replace(done, states=motion.states)
+            looked = read_at(problem, read, Moments(times, done.states))
+        continuous_angles(motion, program, looked[0])
+        branch = FOLLOWED if problem.follow_branch else motion.branch
+        solution = solution_of(problem, [Segment(program, times, done, (looked[0], looked[1]))], branch=branch)
+        motion = replace(motion, values=looked[0])
+        return replace(solution, t=solution.t[kept], values=solution.values[kept], motion=motion)
 
     def better(self, _: Problem) -> BetterSolver:
         """Return the exact inversion again, from guesses beside the answers."""
         from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-        from servocore.solvers.warm_start import perturbed_inversion  # noqa: PLC0415 - which solves by this route
 
-        return BetterSolver(perturbed_inversion, True, "the exact inversion, solved again,")
+        return BetterSolver(_perturbed, True, "the exact inversion, solved again,")
 
     def _evaluation(self, problem: Problem) -> ExactEvaluation | None:
         """Return the inversion with the observed quantities; None if the form has none, or a branch is followed."""
         exact = self.formulation == Reduced() and not problem.follow_branch
         if not exact or inversion(problem.array).expression is None:
             return None
-        observe = program_of(problem, self.formulation, self.method).observe
-        evaluation = exact_evaluation(problem.resolved, observe, self.native, True)
+        read = _looking(problem.resolved, program_of(problem, self.formulation, self.method))
+        evaluation = exact_evaluation(problem.resolved, read, self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         return evaluation
 
 
+@made_once
+def _looking(resolved: ResolvedSystem, program: Program) -> ca.Function:
+    """Compile (unknowns, gamma, p) -> observed values, violations, and what `determinants` returns."""
+    array, observe = resolved.array, program.observe
+    arguments = [ca.SX.sym(name, *observe.size_in(k)) for k, name in enumerate(("x", "gamma", "p"))]
+    regular = determinants(array).call([arguments[0], arguments[1][:, : array.reference_order + 1], arguments[2]])
+    return ca.Function("sc_look", arguments, [*observe.call(arguments), *regular], {"cse": True})
+
+
+_ASIDE = 1e-7  # relative
+
+
+def _perturbed(problem: Problem, times: Array) -> Solution:
+    """Return the inputs again, from guesses beside the exact answers: the change is what Newton's method left."""
+    states, array = exact_motion(problem, times).states, problem.array
+    aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
+    inputs = problem.system.inputs
+    places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
+    return Solution(times, inputs, unknowns_from(problem, times, aside)[places].T, "the exact inversion, solved again")
+
+
+def exact_motion(problem: Problem, t: Array) -> Motion:
+    """Return the exact motion of a flat problem at instants; raises `IntegrationFailed` as `motion_of`."""
+    if not problem.follow_branch:
+        return motion_of(problem, t)
+    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t).states)
+
+
+def observed_motion(problem: Problem, t: Array) -> Motion:
+    """Return the exact motion of a flat problem at instants, with all observed quantities."""
+    motion, program = exact_motion(problem, t), program_of(problem, Reduced(), BackwardEuler())
+    values = observed_at(problem, program, Moments(t, motion.states))
+    continuous_angles(motion, program, values)
+    return replace(motion, values=values)
+
+
+def prepared_motion(problem: Problem) -> Motion:
+    """Return the exact motion along the path of a flat problem, to be asked for any instants.
+
+    Raises
+    ------
+    IntegrationFailed
+        If its branch cannot be followed, or it jumps.
+    """
+    motion = motion_of(problem)
+    if problem.resolved.holds(KINKS):
+        from servocore.checks.impulses import jumps  # noqa: PLC0415 - few models have kinks
+
+        told(problem.system.name, "", jumps(motion))
+    return motion
+
+
 def _at_every_instant(
-    problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
-) -> tuple[Run, tuple[Array, Array] | None]:
-    """Solve every instant from the guess of the model, NaN where that fails; with observed values if known."""
+    problem: Problem,
+    program: Program,
+    times: Array,
+    evaluation: ExactEvaluation | None,
+    progress: Progress | None,
+    kept: slice,
+) -> tuple[Run, list[Array]]:
+    """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking` if known.
+
+    The counts are those of the instants that are kept.
+    """
     require_derivatives(problem, program)
     results = _all_results(problem, program, times, evaluation, progress)
-    states, counts, residuals, *observed = results
+    states, counts, residuals, *looked = results
     good = np.isfinite(residuals[0])
     if not good.all():
         states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
-    iterations, factorizations = counts.sum(axis=1).round()
+    iterations, factorizations = counts[:, kept].sum(axis=1).round()
     worst = float(np.max(residuals[0, good], initial=0.0))
-    return Run(states, int(iterations), int(factorizations), worst), (observed[0], observed[1]) if observed else None
+    return Run(states, int(iterations), int(factorizations), worst), looked
 
 
 def _all_results(
@@ -200,6 +262,10 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
+        from servocore.checks.away_from_home import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
+        from servocore.checks.failure_causes import explained  # noqa: PLC0415
+        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415
+
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
         array = problem.array
@@ -215,17 +281,16 @@ class ExactInversion:
         self._problem = problem
         self._evaluation = input_evaluation(problem, native)
         self._evaluation.by_expression.prepare(scene.reference)
-        self._table: BranchTable | IntegrationFailed | None
+        self._motion: Motion | IntegrationFailed
         try:
-            self._table = prepared_table(problem)
-            motion = exact_states(problem, self._table)
-            require_limits(problem, motion)
-            require_redundant_constraints_along_path(problem, motion)
+            self._motion = motion = prepared_motion(problem)
+            require_limits(motion)
+            require_redundant_constraints(problem, motion)
         except IntegrationFailed as error:
             cause = explained(problem, error)
             if cause is not error:
                 raise cause from None
-            self._table = error  # raised by a call, which may give a better reason
+            self._motion = error  # raised by a call, which may give a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(channel.name for channel in problem.system.inputs)
 
@@ -251,7 +316,8 @@ class ExactInversion:
         instants = times.reshape(-1)
         if not len(instants):
             return np.empty((*times.shape, len(self.inputs)))
-        followed = self._table if isinstance(self._table, BranchTable) else None
+        motion = self._motion
+        followed = motion if isinstance(motion, Motion) and not motion.direct else None
         by_expression = self._evaluation.by_expression
         results = self._from_branch(followed, instants) if followed else by_expression(self._problem, instants)
         finite = bool(np.isfinite(results[0]).all())
@@ -261,15 +327,15 @@ class ExactInversion:
         name, inputs = self._problem.system.name, results[0].T
         if finite:
             require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
-        if isinstance(self._table, IntegrationFailed):
-            raise self._table  # a wrong sign is a better reason
+        if isinstance(motion, IntegrationFailed):
+            raise motion  # a wrong sign is a better reason
         if not finite:
             require_solved(name, instants, inputs)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _from_branch(self, table: BranchTable, t: Array) -> list[Array]:
-        """Return inputs and positive observables, shape (columns, N), read from the branch that the table follows."""
-        return self._evaluation.of_unknowns(self._problem, t, table.states_at(t))
+    def _from_branch(self, motion: Motion, t: Array) -> list[Array]:
+        """Return inputs and positive observables, shape (columns, N), read from the branch of a motion."""
+        return self._evaluation.of_unknowns(self._problem, t, motion.at(t))
 
 
 def require_solved(name: str, t: Array, values: Array) -> None:
@@ -297,10 +363,8 @@ def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:
     return exact_quantities(problem.resolved, names, native)
 
 
-def exact_values(problem: Problem) -> BetterSolver:
+def exact_values(_: Problem) -> BetterSolver:
     """Return the exact inversion as the reference for other solutions of a problem without internal dynamics."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-    from servocore.solvers.warm_start import inversion_near  # noqa: PLC0415 - which solves by this route
 
-    beside = None if problem.follow_branch else inversion_near
-    return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", beside)
+    return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion")

@@ -13,9 +13,10 @@ import numpy as np
 
 from servocore.checks.better_solutions import (
     BetterSolver,
-    changes_with_the_step,
-    inputs_may_be_far,
-    warn_and_state_branch,
+    compared_closely,
+    compared_with,
+    is_smooth,
+    stated_branch,
 )
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import InconsistentStart
@@ -23,11 +24,10 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import system_jacobians
-from servocore.solvers.exact_inversion import NATIVE_FROM, exact_values, input_evaluation
+from servocore.solvers.exact_inversion import exact_values
 from servocore.solvers.fixed_step_loop import (
     Progress,
     advance_chunk,
@@ -42,7 +42,7 @@ from servocore.solvers.route import JudgedRoute
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import inversion, system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
 _POOR = 0.1  # of the smallest singular value that all candidates together have
@@ -77,18 +77,22 @@ class Stepped(JudgedRoute):
         return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
-        """Compare a solution with a better one, which takes as long as a solve, where it is doubtful."""
+        """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
+        comparison = None
         if problem.flat:
-            native = self.native if len(solution.t) > NATIVE_FROM else False
-            doubtful = inputs_may_be_far(problem, solution, input_evaluation(problem, native))
-        else:  # of unstable dynamics its user was warned before the run
-            doubtful = internal_dynamics(problem).kind != NON_MINIMUM_PHASE and self.is_doubtful(problem, solution)
-        how = self.formulation, self.method
-        return warn_and_state_branch(problem, self.better(problem), solution, doubtful, how)
+            motion = solution.motion
+            if motion is not None and motion.values is not None:
+                parts = (len(motion.t) - 1) // (len(solution.t) - 1)
+                exact = motion.values[:, ::parts].T
+                comparison = compared_with(problem.system.inputs, solution, exact, "the exact inversion")
+        # Of unstable dynamics its user was warned before the run.
+        elif internal_dynamics(problem).kind != NON_MINIMUM_PHASE and self.is_doubtful(problem, solution):
+            comparison = compared_closely(problem, self.better(problem), solution)
+        return stated_branch(problem, solution, (self.formulation, self.method), comparison)
 
     def is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow."""
-        return changes_with_the_step(problem, self.formulation, self.method, self.run, solution)
+        return not is_smooth(problem, self.formulation, self.method, solution)
 
 
 class FixedStep(Stepped):
@@ -165,7 +169,7 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
-    J = system_jacobians(problem, t, values)
+    J = _system_jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
         # A change at the first instant of a chunk would gain no step.
@@ -175,7 +179,15 @@ def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) ->
 
 
 def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
-    return choose_states(array.signature, system_jacobians(problem, np.array([time]), values[:, None])[0])
+    return choose_states(array.signature, _system_jacobians(problem, np.array([time]), values[:, None])[0])
+
+
+def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
+    """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite."""
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    (rows,) = at_instants(system_jacobian(problem.array), states, jets=jets, p=problem.p)
+    matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
+    return matrices
 
 
 def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from servocore.checks.impulses import has_jumps
-from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
+from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
+from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
-from servocore.solvers.results import Run, joined_runs
+from servocore.solvers.results import Run, joined_runs, require_derivatives
 from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
 
@@ -46,15 +46,6 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
             f"{program.name}: no consistent initial values at t = {time:.6g} s were found from the guess of the model"
         )
     return state, report.residual
-
-
-def require_derivatives(problem: Problem, program: Program) -> None:
-    """Raise `InvalidReference` if the path lacks derivatives that a program needs."""
-    most = problem.reference.max_order
-    if most < program.start_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {most}, {program.name} needs order {program.start_order}"
-        )
 
 
 def run_steps(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
@@ -147,7 +138,7 @@ def step_failure(problem: Problem, program: Program, state: Array, time: float, 
     return IntegrationFailed(
         f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
         f" the worst equation is the {worst}. Likely causes: {_likely_causes(program)}"
-        + (_STICKS if has_jumps(problem.resolved) else "")
+        + (_STICKS if problem.resolved.holds(JUMPS) else "")
     )
 
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
-from servocore.errors import IntegrationFailed
+from servocore.errors import IntegrationFailed, InvalidReference
 from servocore.model.quantity import run_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
@@ -19,6 +18,15 @@ from servocore.stepping.program import Program
 
 _DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
 _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
+
+
+def require_derivatives(problem: Problem, program: Program) -> None:
+    """Raise `InvalidReference` if the path lacks derivatives that a program needs."""
+    most = problem.reference.max_order
+    if most < program.start_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {most}, {program.name} needs order {program.start_order}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +63,13 @@ def joined_runs(parts: list[Run]) -> Run:
 class Segment:
     """Part of a run by one program: the instants, its states there and the totals.
 
-    `observed` holds values (channels, N) and violations (4, N) where they are known already; `native` says whether
-    checks may use machine code, see `Vectorized`.
+    `observed` holds values (channels, N) and violations (4, N) where they are known already.
     """
 
     program: Program
     t: Array
     run: Run
     observed: tuple[Array, Array] | None = None
-    native: bool | None = False
 
 
 def solution_of(
@@ -120,15 +126,16 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
         observed, violations = segment.observed
     table = observed.T
     _require_numbers(problem, program, t, table)
-    for k in ambiguous_angles(problem, program) if refuse_turns else ():
-        require_less_than_half_a_turn(program, k, t, table[:, k])
+    if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
+        from servocore.checks.angles import require_less_than_half_a_turn  # noqa: PLC0415 - few forms need it
+
+        require_less_than_half_a_turn(problem, program, t, table)
     for k, channel in enumerate(program.channels):
         if channel.wraps and (np.abs(np.diff(table[:, k])) >= np.pi).any():
             table[:, k] = np.unwrap(table[:, k])
         if channel.positive and not (table[:, k] > 0.0).all():
             first = int((~(table[:, k] > 0.0)).argmax())
             program.require_branch(table[first], float(t[first]))
-    follow_angles(problem, program, t, states, table, segment.native)
     return table, violations
 
 

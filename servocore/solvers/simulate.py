@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.away_from_home import require_redundant_constraints
+from servocore.checks.away_from_home import left_out
 from servocore.checks.before_run import require_smooth
-from servocore.checks.impulses import require_no_jumps, stepped_quantities
+from servocore.checks.between_instants import Moments
+from servocore.checks.findings import told
+from servocore.checks.impulses import steps_passed, with_switches
 from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
@@ -208,7 +211,7 @@ class _Motion:
 def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
     """Raise `IntegrationFailed` if a motion (2 n, N) passes a step of the potential or of the mass: it is no motion."""
     outcome = problem.resolved.outcome
-    if not isinstance(outcome, DerivativeArray) or len(t) < 2 or stepped_quantities(problem.resolved) is None:
+    if not isinstance(outcome, DerivativeArray) or len(t) < 2 or not problem.resolved.holds(JUMPS):
         return
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - kept out of the run time of an FMU
 
@@ -221,12 +224,14 @@ def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
         values[places[0]], values[places[1]] = motion(times), motion(times, 1)
         return values
 
-    require_no_jumps(problem, t, unknowns)
+    _, switches = with_switches(problem, lambda _, __, times: unknowns(times), Moments(t, unknowns(t)))
+    told(problem.system.name, "", steps_passed(problem, *switches))
 
 
 def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
     known, function = _observation(problem.resolved)
-    require_redundant_constraints(problem, motion.t, motion.states[: len(problem.system.coordinates)].T)
+    q = motion.states[: len(problem.system.coordinates)]
+    told(problem.system.name, "", left_out(problem, motion.t, q))
     jets = problem.reference.jet(motion.t, 1)
     values, violations, deviations = at_instants(
         function, motion.states, motion.multipliers.T, motion.inputs.T, jets=jets, p=problem.p

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.checks.away_from_home import require_positive_mass, require_redundant_constraints
-from servocore.checks.before_run import warn_before_run
-from servocore.checks.branches import configurations, require_one_branch
-from servocore.checks.failure_causes import causes_explained
+from servocore.checks.before_run import require_feasible, warn_before_run
+from servocore.checks.between_instants import hidden_values
+from servocore.checks.findings import Finding, told
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
-from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import require_run_limits
+from servocore.checks.motion import Motion, enough, passed, poles_passed, unknowns_near
 from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
     InvalidSetting,
     ServocoreError,
     require_callable,
@@ -28,29 +28,22 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
-from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
-from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
+from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values, observed_motion
 from servocore.solvers.fixed_step_loop import Progress
 from servocore.solvers.results import with_run_quantities, without_run_quantities
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
-from servocore.solvers.warm_start import unknowns_near
-from servocore.solvers.within_limits import (
-    check_between_instants,
-    require_no_impulses,
-    run_within_limits,
-)
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.prescribed_initial_values import require_start
+from servocore.stepping.program import program_of
 
 if TYPE_CHECKING:
     from servocore.checks.better_solutions import BetterSolver
-
-_SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
-_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide peaks in between
 
 
 def solve(
@@ -123,18 +116,21 @@ def solve(
     if checked:
         require_feasible(problem, None if is_route else times, _native_checks(route, times))
 
-    def run(posed: Problem) -> Solution:
-        return route.run(posed, times, progress)
+    try:
+        solution = _run(problem, route, times, progress, checked)
+    except (InconsistentStart, IntegrationFailed) as error:
+        from servocore.checks.failure_causes import explained  # noqa: PLC0415 - looked for where something failed
 
-    with causes_explained(problem):
-        solution = run_within_limits(problem, run) if checked else run(problem)
+        raise explained(problem, error) from None
     if checked:
         solution = _checked(problem, route, solution)
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
-    found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
-    solution = with_run_quantities(found)
-    if checked:
+    solution = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem, motion=None)
+    solution = with_run_quantities(solution)
+    if checked and problem.run_limits:
+        from servocore.checks.motion_limits import require_run_limits  # noqa: PLC0415 - few have limits
+
         require_run_limits(problem, solution)
     if certify:
         from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
@@ -149,27 +145,82 @@ def _native_checks(route: Route, t: Array) -> bool | None:
     return route.native if isinstance(route, JudgedRoute) and len(t) > NATIVE_FROM else False
 
 
+def _run(problem: Problem, route: Route, times: Array, progress: Progress | None, checked: bool) -> Solution:
+    """Run a route, and bring the exact motion that checks read; raise `LimitBroken` for a limit that is not kept.
+
+    Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
+    """
+    if not checked:
+        return route.run(problem, times, progress)
+    if not problem.flat and problem.motion_limits:
+        from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
+
+        watched = with_watched(problem)
+        return with_limits_required(watched, route.run(watched, times, progress))
+    solution, limits = route.run(problem, times, progress), problem.motion_limits
+    if not problem.flat:
+        return solution
+    motion: Motion | None = solution.motion
+    if motion is None and len(solution.t) > 1:
+        try:
+            motion = observed_motion(problem, enough(solution.t)[0])
+        except ServocoreError:
+            if limits:
+                raise
+            if problem.resolved.holds(KINKS):  # the guess of the model may still do
+                motion = Motion(problem, solution.t, exact_unknowns(problem, solution.t)[0], by_guess=True)
+    if not limits or motion is None:
+        return replace(solution, motion=motion)
+    from servocore.checks.motion_limits import margins_of, require_limits, require_reported  # noqa: PLC0415
+
+    values = require_limits(motion)
+    require_reported(problem, solution)
+    parts = (len(motion.t) - 1) // (len(solution.t) - 1)
+    return replace(solution, motion=motion, margins=margins_of(limits, [*values[:, ::parts]], solution.t))
+
+
 def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
-    """Refuse or warn of jumps, poles, negative masses and wrong inputs; return the solution with its branch stated."""
-    passed = require_one_branch(problem, solution)
-    require_positive_mass(problem, solution)
-    require_redundant_constraints(problem, solution.t, configurations(problem, solution))
-    require_no_impulses(problem, solution, unknowns_near)
-    native = _native_checks(route, solution.t)
-    warned = check_between_instants(problem, solution, unknowns_near, native)
-    if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
-        check_between_instants(problem, _on_survey_grid(problem), unknowns_near)
+    """Refuse or warn of what checks find; return the solution with its branch stated."""
+    statements = told(problem.system.name, solution.route, [*_findings(problem, solution)])
     stated = solution.statistics.branch  # a user's route states its branch itself
     if isinstance(route, JudgedRoute):
         stated = route.branch_statement(problem, solution)
-    return replace(solution, statistics=replace(solution.statistics, branch=stated + passed))
+    return replace(solution, statistics=replace(solution.statistics, branch=stated + statements))
 
 
-def _on_survey_grid(problem: Problem) -> Solution:
-    """Return the exact inversion on a grid that hides nothing, for a run with few instants."""
-    finer = np.linspace(problem.reference.start_time, problem.reference.end_time, _SURVEY_INSTANTS)
-    with causes_explained(problem):
-        return Pointwise(Reduced(), BackwardEuler()).run(problem, finer)
+def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
+    """Yield what the checks find, refusals first."""
+    motion, t = solution.motion, solution.t
+    if motion is not None:
+        t, q = motion.t, motion.q
+    elif set(problem.system.coordinates.names) <= set(solution.names):
+        q = np.stack([solution[name] for name in problem.system.coordinates.names])
+    else:
+        return  # a user's route reports what it will
+    if problem.resolved.redundant or problem.resolved.mass_varies:
+        from servocore.checks.away_from_home import left_out, negative_masses  # noqa: PLC0415 - many need neither
+
+        yield from negative_masses(problem, t, q)
+        yield from left_out(problem, t, q)
+    kinked = problem.resolved.holds(KINKS)
+    if not problem.flat:
+        from servocore.checks.wrong_inputs import steps_that_stand_out  # noqa: PLC0415 - of runs by steps
+
+        inputs = solution.values[:, : len(problem.system.inputs)]
+        odd = steps_that_stand_out(inputs)
+        if kinked or len(odd):
+            motion = Motion(problem, t, unknowns_near(problem, solution), by_guess=False)
+            yield from poles_passed(motion, odd, inputs.T, problem.system.inputs)
+    if motion is None:
+        return
+    if kinked:
+        from servocore.checks.impulses import jumps  # noqa: PLC0415 - few models have kinks
+
+        yield from jumps(motion)
+    if motion.values is not None:
+        yield from passed(motion)
+        if not problem.follow_branch:  # through singularities, beside which values are round-off
+            yield from hidden_values(motion, program_of(problem, Reduced(), BackwardEuler()), motion.values)
 
 
 def _require_arguments(
@@ -272,10 +323,14 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
 
 def recommended(problem: Problem) -> tuple[Method | Route, str]:
     """Return the method that the analysis recommends for the reduced form, and its advice."""
-    kind, method = internal_dynamics(problem).kind, RadauIIA(3)
+    kind = internal_dynamics(problem).kind
     advice = f"{kind}: {ADVICE[kind]}"
+    if problem.flat:
+        return BackwardEuler(), advice  # without differential states all methods are one
     if kind != NON_MINIMUM_PHASE:
-        return method, advice
+        from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
+
+        return RadauIIA(3), advice
     from servocore.solvers.stable_inversion import StableInversion  # noqa: PLC0415 - few scenes need it
 
     return StableInversion(), advice

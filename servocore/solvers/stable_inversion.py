@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.better_solutions import LOOSE_TOLERANCE, BetterSolver, warn_and_state_branch
+from servocore.checks.better_solutions import LOOSE_TOLERANCE, BetterSolver, compared_closely, stated_branch
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
@@ -104,7 +104,8 @@ class StableInversion(JudgedRoute):
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Judge a solution whose tolerance is loose, or whose horizon was given; see `JudgedRoute`."""
         doubtful = self.tolerance > LOOSE_TOLERANCE or self.pre is not None or self.post is not None
-        return warn_and_state_branch(problem, self.better(problem), solution, doubtful, (Reduced(), None))
+        comparison = compared_closely(problem, self.better(problem), solution) if doubtful else None
+        return stated_branch(problem, solution, (Reduced(), None), comparison)
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.

@@ -7,18 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from servocore.dae import Dae
 from servocore.methods.base import Discretization
-from servocore.methods.collocation import RadauIIA
 from servocore.numerics.square_systems import compile_bare_solver, compile_solver
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, inversion
 
-_BACKWARDS = RadauIIA(4)
-"""Method that integrates internal dynamics backwards from the initial time, of order seven."""
+if TYPE_CHECKING:
+    from servocore.methods.collocation import RadauIIA
+
+
+def _backwards_method() -> RadauIIA:
+    """Return the method that integrates internal dynamics backwards from the initial time, of order seven."""
+    from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene has no history
+
+    return RadauIIA(4)
 
 
 def compile_step(step: Discretization) -> ca.Function:
@@ -81,7 +88,7 @@ def start_instants(array: DerivativeArray, step: Discretization) -> tuple[float,
     if not array.states:
         return step.start.instants
     past = len(step.start.instants) - 1
-    return (0.0, *(-(k + float(c)) for k in range(past) for c in _BACKWARDS.tableau.c))
+    return (0.0, *(-(k + float(c)) for k in range(past) for c in _backwards_method().tableau.c))
 
 
 def compile_start(
@@ -135,7 +142,8 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     """Integrate the reduced form from the initial time backwards, one step of the method at a time."""
     if not jets:
         return []
-    step = _BACKWARDS.discretize(dae)
+    method = _backwards_method()
+    step = method.discretize(dae)
     solve = compile_solver("sc_backwards", step.equations, [step.next_state])
     entries = (*array.states, *array.determined)
     to_dae = [array.unknowns.index(entry) for entry in entries]
@@ -143,7 +151,7 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     begin = ca.Function("sc_begin", [step.start.values, step.start.rates], [step.first_state])
     state: ca.MX = begin(first[to_dae], ca.MX(dae.x.numel(), 1))
     history = []
-    stages = _BACKWARDS.stages
+    stages = method.stages
     for k in range(0, len(jets), stages):
         gamma = [jet[:, : dae.reference_order + 1] for jet in jets[k : k + stages]]
         state = solve(ca.vertcat(state, ca.vec(ca.horzcat(*gamma)), -h, p))[0]

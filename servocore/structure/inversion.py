@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import Part, equilibrated, parts_of
-from servocore.numerics.conditioning import condition_numbers
+from servocore.numerics.components import Part, parts_of
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
@@ -22,6 +20,8 @@ LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
 _MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
+_MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
 _MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
@@ -129,32 +129,53 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
     return ca.Function("sc_J_entries", arguments, [J.nz[:]]), parts_of(J.sparsity())
 
 
-def determinant_signs(parts: Sequence[Part], entries: Array) -> Array:
-    """Return the signs of the determinants of a matrix' parts, shape (N, parts), from its entries (nnz, N).
+@made_once
+def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
+    """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is."""
+    pattern = _system_jacobian(array)[1].sparsity()
+    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    _, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
+    blocks = []
+    for (a, b), (c, d) in zip(pairwise(row_ends), pairwise(column_ends), strict=True):
+        own_rows, own_columns = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
+        entries = np.flatnonzero(np.isin(rows, own_rows) & np.isin(columns, own_columns))
+        row_places, column_places = (
+            np.argsort(own)[np.searchsorted(np.sort(own), at[entries])]
+            for own, at in ((own_rows, rows), (own_columns, columns))
+        )
+        blocks.append(Part(own_rows, own_columns, entries, (row_places, column_places)))
+    return tuple(blocks)
 
-    Sign changes of two parts at the same instant cancel in the sign of the whole determinant.
+
+def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
+    """Return the determinants of the diagonal blocks at N instants, shape (blocks, N).
+
+    `found` and `entries` are the results of `determinants` at the instants. The determinant of the whole would hide a
+    singular block of which there are two, as there are of constraints: one holds the motion, the other the forces.
     """
-    signs = np.zeros((entries.shape[1], len(parts)))
-    for k, part in enumerate(parts):
-        if len(part.rows) == len(part.columns):  # else the matrix is singular, and the sign 0
-            signs[:, k] = np.linalg.slogdet(part.dense(entries))[0]
-    return signs
+    for k, block in enumerate(diagonal_blocks(array) if entries is not None else ()):
+        if not _by_formula(block):
+            with np.errstate(invalid="ignore"):  # where there is no answer
+                signs, logarithms = np.linalg.slogdet(block.dense(np.asarray(entries)))
+            found[k] = signs * np.exp(np.clip(logarithms, -_MOST_LOGARITHM, _MOST_LOGARITHM))
+    return found
 
 
-def is_regular_throughout(parts: Sequence[Part], entries: Array, most: float) -> bool:
-    """Whether the condition number of a matrix, from its entries (nnz, N), lies below a limit at all instants.
+def _by_formula(block: Part) -> bool:
+    return len(block.rows) != len(block.columns) or len(block.rows) <= _MOST_BY_FORMULA
 
-    Inverses take a fifth of the time of singular values, and Frobenius norms bound the condition number from above.
-    """
-    norms, inverses = np.zeros(entries.shape[1]), np.zeros(entries.shape[1])
-    with suppress(np.linalg.LinAlgError):  # of a part that is exactly singular, or not square
-        for part in parts:
-            matrices = equilibrated(part.dense(entries))
-            norms = np.maximum(norms, np.linalg.norm(matrices, axis=(1, 2)))
-            inverses = np.maximum(inverses, np.linalg.norm(np.linalg.inv(matrices), axis=(1, 2)))
-        if (norms * inverses < most).all():
-            return True
-    return bool((condition_numbers(parts, entries) < most).all())
+
+@made_once
+def determinants(array: DerivativeArray) -> ca.Function:
+    """Compile (unknowns of the array, gamma, p) -> determinants of small blocks, and all entries if some are large."""
+    (arguments, J), blocks = _system_jacobian(array), diagonal_blocks(array)
+    small = [
+        ca.det(J[block.rows.tolist(), block.columns.tolist()])
+        if _by_formula(block) and len(block.rows) == len(block.columns) else ca.SX(0)
+        for block in blocks
+    ]  # fmt: skip
+    others = [] if all(map(_by_formula, blocks)) else [ca.vertcat(J.nz[:])]
+    return ca.Function("sc_blocks", arguments, [ca.densify(ca.vertcat(*small)), *others], {"cse": True})
 
 
 def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:

@@ -16,7 +16,7 @@ from servocore.methods.base import Discretization, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import BranchTable, prepared_table
+from servocore.solvers.exact_inversion import prepared_motion
 from servocore.stepping.observation import compile_observation, limits_order, observed
 from servocore.structure.inversion import inversion
 from servocore.view.javascript import written
@@ -93,7 +93,7 @@ def _expression(problem: Problem) -> ca.Function:
         raise InvalidModel(
             "its inputs depend on internal dynamics, on the past or the future of the path as well as on the instant"
         )
-    if problem.follow_branch or isinstance(prepared_table(problem), BranchTable):
+    if problem.follow_branch or not prepared_motion(problem).direct:
         raise InvalidModel("its motion is followed from instant to instant")
     expression = inversion(problem.array).expression
     if expression is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -62,7 +63,7 @@ def test_how_far_the_reach_is_missed_is_told_at_every_size(scale: float) -> None
 def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused() -> None:
     """TimeScaled at t = 1 s exactly, the elbow goes through: the torques have a limit there, and no value."""
     found = sc.solve(out_and_back(REACH), step=2.0 / 37)
-    assert "between t = 0.972973 s and 1.02703 s the equations are singular" in found.statistics.branch
+    assert re.search(r"between t = 0\.99\d+ s and 1\.00\d+ s the equations are singular", found.statistics.branch)
     assert np.abs(found["T1"]).max() < 100.0
     with pytest.raises(sc.IntegrationFailed, match="singular at t = 1 s"):
         sc.solve(out_and_back(REACH), step=0.01)

@@ -13,8 +13,6 @@ import pytest
 from outside.writing import coordinates, g, lagrange, square
 
 import servocore as sc
-from servocore.checks.impulses import has_kinks_or_jumps
-from servocore.problem import Problem
 
 STIFFNESS, MASS = 100.0, 1.0
 ALONG = sc.rest_to_rest((0.0,), (1.0,), 2.0)
@@ -131,14 +129,6 @@ def test_inputs_that_jump_with_friction_of_the_driven_body_are_right() -> None:
     jet = path.jet(found.t, 2)[:, :, 0]
     away = np.abs(jet[:, 1]) > 1e-9
     assert found["F"][away] == pytest.approx(2 * jet[away, 2] + 5 * np.sign(jet[away, 1]), abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("make", "has"), [(lambda: bead_on_a_rail(False), False), (lambda: bead_on_a_rail(True), True)]
-)
-def test_a_smooth_model_is_not_looked_at(make: Callable[[], sc.Scene], has: bool) -> None:
-    """Kinks are looked for where the model holds what makes them: others pay nothing."""
-    assert has_kinks_or_jumps(Problem.of(make()).resolved) is has
 
 
 @pytest.mark.parametrize("how", HOW, ids=str)

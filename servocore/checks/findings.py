@@ -1,0 +1,81 @@
+"""Findings of the checks, and the one place that turns them into refusals, warnings and statements."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from servocore.errors import ServocoreError, ServocoreWarning
+
+ROUND_OFF = 1e-9
+"""Of a quantity: what is computed by some hundred operations from double precision is no better known."""
+
+BISECTIONS = 40
+"""Halvings after which an interval is as short as round-off of its ends."""
+
+SECTIONS, ROUNDS = 21, 6
+"""Evaluations within an interval, and how often it shrinks to a tenth, to find where a smooth quantity is least."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found about a motion.
+
+    Attributes
+    ----------
+    what : str
+        What is the case, with the amount.
+    time : float or None
+        When, in s; None if `what` says it.
+    cause, advice : str
+        Why that is so, and what to do; may be empty.
+    error : type of ServocoreError, optional
+        Of a finding that refuses the motion.
+    warns : bool
+        Whether it is warned of, besides being stated.
+    """
+
+    what: str
+    time: float | None = None
+    cause: str = ""
+    advice: str = ""
+    error: type[ServocoreError] | None = None
+    warns: bool = False
+
+    def __str__(self) -> str:
+        when = "" if self.time is None else f"at t = {self.time:.6g} s "
+        return (
+            when + self.what + (f": {self.cause}" if self.cause else "") + (f"; {self.advice}" if self.advice else "")
+        )
+
+
+def told(name: str, route: str, findings: Iterable[Finding]) -> str:
+    """Raise the error of the first finding that refuses a motion, warn of others, and return the statements.
+
+    Parameters
+    ----------
+    name, route : str
+        Of the system, for refusals, and of the run, for warnings.
+    findings : iterable of Finding
+        In the order of their weight.
+
+    Raises
+    ------
+    ServocoreError
+        Of the kind that the finding names.
+
+    Warns
+    -----
+    ServocoreWarning
+        For the findings that warn.
+    """
+    statements = ""
+    for finding in findings:
+        if finding.error is not None:
+            raise finding.error(f"{name}: {finding}")
+        if finding.warns:
+            warnings.warn(f"{route}: {finding}", ServocoreWarning, stacklevel=4)
+        else:
+            statements += f"; {finding}"
+    return statements
