@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,14 +17,15 @@ _NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def cause_of(proof: Proof, unproved: Sequence[Interval]) -> tuple[Verdict, float, str]:
+def cause_of(proof: Proof) -> tuple[Verdict, float, str]:
     """Return whether a motion that is not proved everywhere is refuted, when, and why in a sentence.
 
     Without a cause on the first interval an interval without a solution explains more: where not even the beginning is
     proved, the magnitudes of the unknowns are those of a singularity later on.
     """
-    first, found = unproved[0], switchings(proof)
-    for time, sentence in found:
+    unproved = proof.unproved
+    first = unproved[0]
+    for time, sentence in switchings(proof):
         if sentence:
             return "refuted", time, sentence
     unsolved = [each for each in unproved if not _is_solved(each)]
@@ -110,7 +110,7 @@ def _slack(proof: Proof, each: Interval) -> str:
     ]
     if not bounded or not near:
         return ""
-    walk = proof.equations.walk([expression for *_, expression in bounded])
+    walk = proof.equations.walk([(expression, False) for *_, expression in bounded])
     given = proof.given(near)
     x = np.stack([other.c for other in near if other.c is not None], axis=2)
     c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))

@@ -70,13 +70,15 @@ class Equations:
         first = len(self.array.names) - len(self.array.system.inputs)
         return self.array.places((j, 0) for j in range(first, len(self.array.names)))
 
-    def walk(self, expressions: Iterable[ca.SX], rates: bool = False) -> Walk:
-        """Return expressions of q, v, lam, u, gamma and p, or their rates, as a walk of the same arguments."""
+    def walk(self, quantities: Iterable[tuple[ca.SX, bool]]) -> Walk:
+        """Return expressions of q, v, lam, u, gamma and p, of some the rates, as a walk of the same arguments."""
         system, y = self.array.system, self.array.y
         n = len(system.coordinates)
         old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-        (values,) = ca.substitute([ca.vertcat(ca.SX(0, 1), *expressions)], [old], [new])
-        return walk_of(time_derivative(values, y, system.gamma) if rates else values, self.symbols)
+        expressions, rates = zip(*quantities, strict=True)
+        values = ca.substitute(list(expressions), [old], [new])
+        wanted = (time_derivative(e, y, system.gamma) if rate else e for e, rate in zip(values, rates, strict=True))
+        return walk_of(ca.vertcat(*wanted), self.symbols)
 
 
 @made_once

@@ -12,13 +12,14 @@ from servocore.certificate.equations import parameter_models, path_models
 from servocore.certificate.krawczyk import joined
 from servocore.certificate.programs import UP
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import Statement, Verdict, limit_statements
+from servocore.certificate.statements import Claim, Statement, Verdict
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import time_grid
 from servocore.solution import Solution
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
+_UNSHOWN = "the instants do not show it"
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
 
 
@@ -49,14 +50,14 @@ class ErrorBound:
 
 def compared(
     proofs: Sequence[Proof], solution: Solution | None, tolerance: float
-) -> tuple[dict[str, ErrorBound], list[Statement]]:
-    """Bound errors of inputs, at the instants of a solution or of a default run, and state what follows from them.
+) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
+    """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
 
-    Inputs of a solution are right, and no input goes far beyond its values at the instants.
+    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants.
     """
-    proof, path = proofs[0], proofs[0].problem.reference
+    proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
-    t = time_grid(path, None) if solution is None else solution.t
+    t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     c, r = unknowns_at(proof, t)
     middle, radius = c[0, places], (norm(c[1:]) + r)[places] * UP
     apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name] for each in inputs]) - middle)
@@ -64,29 +65,21 @@ def compared(
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
     between = np.max([each.rho[places] for each_proof in proofs for each in each_proof.intervals], axis=0)
-    bounds = {
-        each.name: ErrorBound(float(most[k].max()), float(between[k]), float(peaks[k]), each.unit)
-        for k, each in enumerate(inputs)
-    }
-    found = list[Statement]()
+    bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
+    for k, each in enumerate(inputs):
+        peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
+        bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
+        spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
+        claims += [] if proof.boxed else [Claim(what, spike)]
     if solution is not None:
         low, high = least / peaks[:, None], most / peaks[:, None]
-        verdict: Verdict = "proved" if (high <= tolerance).all() else "undecided"
-        verdict = "refuted" if (low > tolerance).any() else verdict
-        k, at = np.unravel_index(int(high.argmax()), high.shape)
-        text = f"{inputs[k].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
+        verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"
+        verdict = "proved" if (high <= tolerance).all() else verdict
+        place, at = np.unravel_index(int(high.argmax()), high.shape)
+        text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
         what = f"inputs within {tolerance:g} of their peaks"
-        found.append(Statement(what, verdict, path.start_time, path.end_time, text, float(t[at])))
-    bound = [_SPIKE * peak for peak in peaks.tolist()]
-    spikes = [
-        Limit(each.name, each.unit, -most, "the instants do not show it", Named(each.name), upper=most)
-        for each, most in zip(inputs, bound, strict=True)
-    ]
-    if proof.boxed:
-        return bounds, found
-    return bounds, found + limit_statements(
-        proofs, spikes, lambda limit: f"{limit.quantity} between instants at most twice its peak at instants"
-    )
+        found.append(Statement(what, verdict, text, float(t[at])))
+    return bounds, found, claims
 
 
 def unknowns_at(proof: Proof, t: Array) -> Model:
@@ -111,7 +104,7 @@ def unknowns_at(proof: Proof, t: Array) -> Model:
 def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring = arithmetic((0, *proof.ring.degrees[1:]))
-    walk = proof.equations.walk([Named(name)(proof.problem.system) for name in names])
+    walk = proof.equations.walk([(Named(name)(proof.problem.system), False) for name in names])
     path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
     given = joined(path, parameter_models(ring, proof.problem.p, proof.boxed, len(t)))
     low, high = ring.span(walk(ring, joined(unknowns_at(proof, t), given)))

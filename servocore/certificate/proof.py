@@ -302,6 +302,11 @@ class Proof:
         """The same on all intervals, once they are final."""
         return self.models(self.intervals)
 
+    @property
+    def unproved(self) -> list[Interval]:
+        """The intervals without a proof."""
+        return [each for each in self.intervals if not each.proved]
+
     # Joints ---------------------------------------------------------------------------------------------------------
 
     def _joints(self) -> list[Joint]:
