@@ -118,19 +118,6 @@ def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
     return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
 
 
-def predicted(array: DerivativeArray, x: Array, before: tuple[Array, float] | None, step: float) -> Array:
-    """Return unknowns (size, N) a step of time on: by their derivatives, the highest by those a step before."""
-    guess, place = x.copy(), {unknown: k for k, unknown in enumerate(array.unknowns)}
-    for k, (j, order) in enumerate(array.unknowns):
-        factor, higher = step, order + 1
-        while (j, higher) in place:
-            guess[k] += factor * x[place[j, higher]]
-            factor, higher = factor * step / (higher - order + 1), higher + 1
-        if higher == order + 1 and before is not None:
-            guess[k] += (x[k] - before[0][k]) * step / before[1]
-    return guess
-
-
 def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) -> list[Array]:
     """Evaluate a function of (gamma, p, *columns) at N points, filled up to a power of two: few maps are compiled."""
     count = len(jets)
