@@ -10,7 +10,6 @@ from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import Verdict, known
 from servocore.model.limits import Named, reported_quantities
-from servocore.numerics.step_operations import KINKS, holds_any
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-2  # of the duration
@@ -29,23 +28,13 @@ def cause_of(proof: Proof) -> tuple[Verdict, float, str]:
         if sentence:
             return "refuted", time, sentence
     unsolved = [each for each in unproved if not _is_solved(each)]
-    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and _is_kinked(proof, first)):
+    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and first.switches):
         first = unsolved[0]
     return "undecided", first.begin, _sentence(proof, first)
 
 
 def _is_solved(each: Interval) -> bool:
     return each.c is not None and bool(np.isfinite(each.c).all())
-
-
-def _is_kinked(proof: Proof, each: Interval) -> bool:
-    """Whether equations with kinks or jumps, or their Jacobian, have no enclosure even at the polynomials."""
-    if each.c is None or not holds_any(proof.equations.array.residual, KINKS):
-        return False
-    (c, r), x = proof.given([each]), each.c[:, :, None]
-    arguments = np.concatenate([x, c], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), r])
-    walks = proof.equations.residual, proof.equations.jacobian
-    return not all(np.isfinite(walk(proof.ring, arguments)[1]).all() for walk in walks)
 
 
 def switchings(proof: Proof) -> list[tuple[float, str]]:
@@ -61,7 +50,7 @@ def switchings(proof: Proof) -> list[tuple[float, str]]:
         gap, between = b.begin - a.end, order[order.index(a) + 1]
         if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
             continue
-        if not (_is_solved(between) and _is_kinked(proof, between)):
+        if not (_is_solved(between) and between.switches):
             continue
         left, right = a.c.sum(axis=0), (-1.0) ** np.arange(len(b.c)) @ b.c
         jumps = ""
@@ -92,7 +81,7 @@ def _sentence(proof: Proof, each: Interval) -> str:
     singular = ": the configuration is singular there, or two branches meet"
     if not all(_is_solved(other) for other in proof.intervals[proof.intervals.index(each) :][:2]):
         singular = ": the configuration is singular there, and beyond it the path may be out of reach"
-    return where + (slack or (": they have a kink or a jump there" if _is_kinked(proof, each) else singular))
+    return where + (slack or (": they have a kink or a jump there" if each.switches else singular))
 
 
 def _slack(proof: Proof, each: Interval) -> str:

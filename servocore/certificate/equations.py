@@ -6,7 +6,7 @@ structure with all offsets one higher.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model
-from servocore.certificate.walk import Walk, walk_of
+from servocore.certificate.walk import CONSTANT, Walk, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.expressions import time_derivative
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import without_jumps
+from servocore.numerics.step_operations import computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
 from servocore.structure.inversion import Inversion, inversion
@@ -32,37 +32,41 @@ Places = npt.NDArray[np.intp]
 class Equations:
     """A derivative array for proofs.
 
+    Operations that are constant between jumps, such as signs, are arguments of residual and Jacobian: where a value is
+    not known, all of them are tried.
+
     Attributes
     ----------
     array : DerivativeArray
         Differentiated once more for rates.
     symbols : casadi.SX
         Unknowns, path with its derivatives, parameters: the arguments of the walks.
+    steps : Walk
+        Of operations that are constant between jumps.
     residual, jacobian : Walk
-        Of the equations, and of the entries of their Jacobian.
+        Of the equations, and of the entries of their Jacobian; arguments are the symbols and the steps.
     pattern : casadi.Sparsity
         Of the Jacobian.
     curved : ndarray of bool
-        Unknowns that the Jacobian depends on.
+        Unknowns that the Jacobian or the steps depend on.
+    motion, steady : list of int
+        Unknowns that are coordinates and velocities: they cannot jump; and those that the steps depend on beside them.
     """
 
     array: DerivativeArray
     symbols: ca.SX
+    steps: Walk
     residual: Walk
     jacobian: Walk
     pattern: ca.Sparsity
     curved: npt.NDArray[np.bool_]
+    motion: list[int]
+    steady: list[int]
 
     @property
     def path_order(self) -> int:
         """Highest derivative of the path that enters."""
         return self.array.reference_order
-
-    @cached_property
-    def motion(self) -> list[int]:
-        """Unknowns that are coordinates and velocities: they cannot jump."""
-        n = len(self.array.system.coordinates)
-        return [k for k, (j, order) in enumerate(self.array.unknowns) if j < n and order < 2]
 
     @cached_property
     def inputs(self) -> list[int]:
@@ -86,13 +90,35 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     """Prepare the equations of a system; `raised` with the rates."""
     array = differentiated_once_more(resolved.array) if raised else resolved.array
     x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
-    symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(array.residual, x)
+    residual, names, steps = _without_steps(array.residual)
+    symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(residual, x)
+    switching = set(ca.jacobian_sparsity(steps, x).get_col())
     curved = np.zeros(x.numel(), dtype=bool)
-    # In CasADi the derivative of what jumps is zero: an unknown behind a step has more than one value.
-    smooth = without_jumps(array.residual)
-    slopes = J if smooth is array.residual else ca.jacobian(smooth, x)
-    curved[np.array(ca.jacobian_sparsity(slopes.nz[:], x).get_col(), dtype=np.intp)] = True
-    return Equations(array, symbols, walk_of(array.residual, symbols), walk_of(J.nz[:], symbols), J.sparsity(), curved)
+    curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
+    n = len(array.system.coordinates)
+    motion = [k for k, (j, order) in enumerate(array.unknowns) if j < n and order < 2]
+    every = ca.vertcat(symbols, names)
+    return Equations(
+        array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
+        curved, motion, sorted(switching.union(motion)),
+    )  # fmt: skip
+
+
+def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return an expression of names for operations that are constant between jumps, these names, and the operations."""
+    names, steps = ca.SX(0, 1), ca.SX(0, 1)
+
+    def named(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+        nonlocal names, steps
+        result = computed(operation, taken)
+        if operation not in CONSTANT:
+            return result
+        names, steps = ca.vertcat(names, ca.SX.sym("s")), ca.vertcat(steps, *ca.substitute([result], [names], [steps]))
+        return names[-1]
+
+    if holds_any(expression, CONSTANT):
+        expression = rebuilt(ca.cse(expression), named)
+    return expression, names, steps
 
 
 # Answers at instants --------------------------------------------------------------------------------------------------

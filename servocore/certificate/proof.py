@@ -40,7 +40,8 @@ _NARROW = 0.05  # of the tolerance
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE, _LESS = 20.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
-_MOST = 1200  # intervals
+_MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
+_STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 
 
 @dataclass(eq=False)
@@ -65,8 +66,8 @@ class Interval:
         Radii, and where the solution is the only one; empty before the test.
     failed : int
         The first unknown that was not proved; -1 for none.
-    proved : bool
-        What the test said.
+    proved, switches : bool
+        What the test said, and whether equations may jump within.
     before : tuple of (float, float)
         Relative radii of the intervals that it is a quarter of, and a half.
     """
@@ -82,6 +83,7 @@ class Interval:
     D: Array = field(default_factory=lambda: np.zeros(0))
     failed: int = -1
     proved: bool = False
+    switches: bool = False
     before: tuple[float, float] = (np.inf, np.inf)
 
     def parts(self, halvings: int = 1, relative: float = np.inf) -> list[Interval]:
@@ -177,7 +179,8 @@ class Proof:
             if again:
                 D = np.stack([_ENLARGED * each.rho for each in again], axis=1)
                 self._test(again, np.maximum(D, self._reach(again)))
-        halved = [each for each in self.intervals if self._too_wide(each)]
+        many = sum(each.switches for each in self.intervals) > _SWITCHING
+        halved = [each for each in self.intervals if self._too_wide(each) and not (many and each.switches)]
         self._replace(halved, [each.parts(relative=self._relative_radius(each)) for each in halved])
         return bool(halved)
 
@@ -210,6 +213,8 @@ class Proof:
         They do not where its radius, of rounding errors, is hardly less than that of the interval of which it is a
         quarter.
         """
+        if each.proved and each.switches:
+            return not each.outside and each.depth < _DEEPEST
         if each.proved:
             return self._narrow < self._relative_radius(each) <= each.before[0] / 2.0 and each.depth < _DEEPEST
         return not each.followed and each.depth < _GUESSED
@@ -258,11 +263,15 @@ class Proof:
     def _test(self, some: Sequence[Interval], D: Array) -> None:
         x = np.stack([each.c for each in some if each.c is not None], axis=2)
         solved: npt.NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=(0, 1)))
-        rho, failed = radii(self.equations, self.ring, np.where(solved, x, 0.0), self.given(some), D, self.peaks)
+        rho, switches, failed = radii(
+            self.equations, self.ring, np.where(solved, x, 0.0), self.given(some), D, self.peaks
+        )
         rho = np.where(solved, rho, np.inf)
         within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        steady = np.asarray((rho <= _STEADY * self.peaks[:, None])[self.equations.steady].all(axis=0))
         for k, each in enumerate(some):
-            each.rho, each.D, each.proved, each.failed = rho[:, k], D[:, k], bool(within[k]), int(failed[k])
+            each.rho, each.D, each.failed, each.switches = rho[:, k], D[:, k], int(failed[k]), bool(switches[k])
+            each.proved = bool(within[k] and (steady[k] or not each.switches))
 
     def _found(self) -> tuple[Array, Array, Array]:
         """Return polynomials, radii and D of all intervals; where it is not proved nothing, infinity and nothing."""
@@ -294,7 +303,7 @@ class Proof:
         of_path = np.isin([each.end for each in self.intervals[:-1]], self.problem.reference.joints)
         proved = np.array([each.proved for each in self.intervals])
         both = proved[:-1] & proved[1:]
-        kinds: list[tuple[npt.NDArray[np.bool_], Joint]] = [
+        kinds: list[tuple[npt.ArrayLike, Joint]] = [
             (~both, "not proved"), (fits.all(axis=1).any(axis=0), "one branch"), (~of_path, "apart"),
             ((apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0), "motion jumps"),
             (fits[:, motion].all(axis=1).max(axis=0), "inputs jump"), (np.ones_like(both), "apart"),

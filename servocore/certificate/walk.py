@@ -1,8 +1,8 @@
 """Enclosures of CasADi expressions: their operations carried out on Chebyshev models, many at once.
 
 Sums and products are programs; between them stand the operations that are interpolated, those of one kind with known
-arguments together. Operations with a kink or a jump are products with the sign of a level, which is known where that
-stays on one side of zero; elsewhere their radius is infinite, and nothing that depends on them is proved.
+arguments together. Operations with a kink or a jump are products with the sign of a level, which is between -1 and 1
+where that may come to zero.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, bounded
-from servocore.certificate.programs import MINUS, PLUS, TIMES, Places, Program, program_of
+from servocore.certificate.chebyshev import Arithmetic, Model, bounded, norm
+from servocore.certificate.programs import MINUS, PLUS, TIMES, UP, Places, Program, program_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
@@ -198,6 +198,9 @@ _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
 }  # fmt: skip
 
+CONSTANT = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
+"""Operations that are constant between jumps."""
+
 _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES, ca.OP_SQ: TIMES}
 
 # Rules ----------------------------------------------------------------------------------------------------------------
@@ -212,20 +215,19 @@ def _single(operation: Callable[..., Model]) -> Rule:
 
 
 def _stepped(step: Callable[[Array], Array]) -> Rule:
-    """Return the rule of a function that is constant between its jumps."""
+    """Return the rule of a function that rises by jumps: any value between the least and the largest."""
 
     def rule(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
         low, high = (step(each) for each in ring.span(a))
-        c, r = ring.constant(low)
-        return ((c, np.where(low == high, r, np.inf)),)
+        return ((ring.constant((low + high) / 2.0)[0], (high - low) / 2.0),)
 
     return rule
 
 
 def _if(_: Arithmetic, condition: Model, a: Model) -> tuple[Model, ...]:
-    """Return `a` where a condition holds, and else zero; the condition is 0 or 1 but for rounding."""
-    holds, known = condition[0][0] > 0.5, condition[1] < 0.25
-    return ((np.where(holds, a[0], 0.0), np.where(known, np.where(holds, a[1], 0.0), np.inf)),)
+    """Return `a` where a condition holds, and else zero; both where it is not known. It is 0 or 1 but for rounding."""
+    share = np.where(condition[1] < 0.25, np.round(condition[0][0]), 0.5)
+    return ((share * a[0], np.where(share == 0.5, norm(a[0]) / 2.0 * UP, 0.0) + np.where(share, a[1], 0.0)),)
 
 
 def _no_bound(ring: Arithmetic, *taken: Model) -> tuple[Model, ...]:
