@@ -13,7 +13,7 @@ import pytest
 import test_meeting_branches as meeting
 from forty_digits import Digits, exactly
 from outside.test_kinks import STRIKES, linear, two_cars
-from outside.test_steps import REFUSED
+from outside.test_steps import HARMLESS, REFUSED, car
 from present import present
 
 import servocore as sc
@@ -173,6 +173,30 @@ def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
     certificate = sc.certify(line(OVERHEAD, (0, -4), (5, -1), 3.0, profile=DEGREE7))
     assert certificate.verdict == "proved"
     assert certificate.jumps == (0.0, 3.0)
+
+
+def rubbing() -> sc.Scene:
+    """A car that is pushed there and back against dry friction."""
+    scene = car(lambda x: x)
+    system = scene.model()
+    system = replace(system, force=-5 * ca.sign(system.v))
+    return sc.Scene("car", {"only": lambda: system}, sc.through([(0.0,), (1.0,), (0.0,)], duration=3.0))
+
+
+@pytest.mark.parametrize(
+    ("make", "times"), [(rubbing, [0.0, 1.5, 3.0]), (HARMLESS["a potential with a kink, no step"], [0.918])]
+)
+def test_equations_that_jump_in_inputs_alone_are_proved_with_the_times(
+    make: Callable[[], sc.Scene], times: list[float]
+) -> None:
+    scene = make()
+    certificate = sc.certify(sc.solve(scene, step=0.01))
+    assert certificate.verdict == "proved", certificate
+    assert certificate.jumps == pytest.approx(times, abs=2e-3)
+    assert certificate.error_bounds["F"].relative < 1e-9
+    low, high = certificate.tube([times[-1]])["F"][0]
+    assert 10.0 <= high - low < 10.11  # the force jumps from -5 N to 5 N more
+    assert sc.certify(scene, {"F.rate": 1e6}).verdict == "undecided"
 
 
 def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,9 +44,9 @@ def switchings(proof: Proof) -> list[tuple[float, str]]:
     at both ends could explain.
     """
     array, order, found = proof.equations.array, proof.intervals, list[tuple[float, str]]()
-    proved = [each for each in order if each.proved and not proof.boxed]
+    settled = [each for each in order if (each.proved or each.outside) and not proof.boxed]
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
-    for a, b in pairwise(proved):
+    for a, b in pairwise(settled):
         gap, between = b.begin - a.end, order[order.index(a) + 1]
         if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
             continue
@@ -57,7 +57,7 @@ def switchings(proof: Proof) -> list[tuple[float, str]]:
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
             rate = place[j, derivative + 1]
-            explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate])) + a.rho[k] + b.rho[k]
+            explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate]))
             if not jumps and abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
                 what = "the velocity of " * derivative + array.names[j].removeprefix("q.")
                 jumps = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -200,9 +200,8 @@ def certify(
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
         return _certificate(problem, [Statement("one motion", "refuted", text)])
     proofs = _proved(problem, boxed, tolerance, rates)
-    jumps = sorted({a.end for proof in proofs for a, joint in zip(proof.intervals, proof.joints, strict=False)
-                    if joint == "inputs jump"}
-                   | {time for proof in proofs for time, sentence in switchings(proof) if not sentence})  # fmt: skip
+    jumps = {time for proof in proofs for time in proof.jumps}
+    jumps |= {time for proof in proofs for time, sentence in switchings(proof) if not sentence}
     bounds, of_instants, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     if not any(proof.unproved for proof in proofs):
         bounds, of_instants, claims = compared(proofs, solution, tolerance)
@@ -216,12 +215,14 @@ def _certificate(
     statements: Sequence[Statement],
     bounds: Mapping[str, ErrorBound] | None = None,
     proofs: Sequence[Proof] = (),
-    jumps: Sequence[float] = (),
+    jumps: Iterable[float] = (),
 ) -> Certificate:
     path = problem.reference
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
     inner = [(each.begin, each.end) for proof in proofs[:1] for each in proof.intervals if not each.outside]
-    return Certificate(problem.name, timed, bounds or {}, np.reshape(inner, (-1, 2)), tuple(jumps), tuple(proofs))
+    return Certificate(
+        problem.name, timed, bounds or {}, np.reshape(inner, (-1, 2)), tuple(sorted(jumps)), tuple(proofs)
+    )
 
 
 def _problem_of(subject: Scene | Solution, model: str | None) -> tuple[Problem, Solution | None]:

@@ -15,15 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model
-from servocore.certificate.walk import CONSTANT, Walk, walk_of
+from servocore.certificate.walk import CONSTANT, Walk, lowered, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.expressions import time_derivative
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import computed, holds_any, rebuilt
+from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
 from servocore.structure.inversion import Inversion, inversion
+
+_STEP = "sc_step"
 
 Places = npt.NDArray[np.intp]
 
@@ -49,8 +51,8 @@ class Equations:
         Of the Jacobian.
     curved : ndarray of bool
         Unknowns that the Jacobian or the steps depend on.
-    motion, steady : list of int
-        Unknowns that are coordinates and velocities: they cannot jump; and those that the steps depend on beside them.
+    motion, switching : list of int
+        Unknowns that are coordinates and velocities: they cannot jump; and those that the steps depend on.
     """
 
     array: DerivativeArray
@@ -61,7 +63,7 @@ class Equations:
     pattern: ca.Sparsity
     curved: npt.NDArray[np.bool_]
     motion: list[int]
-    steady: list[int]
+    switching: list[int]
 
     @property
     def path_order(self) -> int:
@@ -92,7 +94,7 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
     residual, names, steps = _without_steps(array.residual)
     symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(residual, x)
-    switching = set(ca.jacobian_sparsity(steps, x).get_col())
+    switching = ca.jacobian_sparsity(steps, x).get_col()
     curved = np.zeros(x.numel(), dtype=bool)
     curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
     n = len(array.system.coordinates)
@@ -100,7 +102,7 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     every = ca.vertcat(symbols, names)
     return Equations(
         array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
-        curved, motion, sorted(switching.union(motion)),
+        curved, motion, switching,
     )  # fmt: skip
 
 
@@ -110,13 +112,19 @@ def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
     def named(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
         nonlocal names, steps
-        result = computed(operation, taken)
+        # Kinks are written by signs, which have a derivative that is bounded where they switch.
+        result = (lowered if operation in {ca.OP_FMAX, ca.OP_FMIN} else computed)(operation, taken)
+        if operation == ca.OP_DIV and {each.name() for each in ca.symvar(taken[1])} == {_STEP}:
+            return taken[0]  # the derivative of fmax(a, b) by a: with s = (b <= a) and z = (a <= b), it is s/(s + z)
         if operation not in CONSTANT:
             return result
-        names, steps = ca.vertcat(names, ca.SX.sym("s")), ca.vertcat(steps, *ca.substitute([result], [names], [steps]))
+        names, steps = (
+            ca.vertcat(names, ca.SX.sym(_STEP)),
+            ca.vertcat(steps, *ca.substitute([result], [names], [steps])),
+        )
         return names[-1]
 
-    if holds_any(expression, CONSTANT):
+    if holds_any(expression, KINKS):
         expression = rebuilt(ca.cse(expression), named)
     return expression, names, steps
 

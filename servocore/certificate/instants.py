@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, norm
 from servocore.certificate.equations import parameter_models, path_models
@@ -53,18 +54,22 @@ def compared(
 ) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
     """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
 
-    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants.
+    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
+    equations switch inputs have no value to compare with.
     """
     proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
+    calm = ~np.array([each.switches for each in proof.intervals])[_numbers(proof, t)]
+    t = t[calm]
     c, r = unknowns_at(proof, t)
     middle, radius = c[0, places], (norm(c[1:]) + r)[places] * UP
-    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name] for each in inputs]) - middle)
+    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    between = np.max([each.rho[places] for each_proof in proofs for each in each_proof.intervals], axis=0)
+    all_calm = [each for some in proofs for each in some.intervals if not each.switches]
+    between = np.max([each.rho[places] for each in all_calm], axis=0)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
@@ -82,10 +87,15 @@ def compared(
     return bounds, found, claims
 
 
+def _numbers(proof: Proof, t: Array) -> npt.NDArray[np.intp]:
+    """Return the numbers of the intervals of times."""
+    ends = [each.end for each in proof.intervals[:-1]]
+    return np.searchsorted(ends, t, side="right")
+
+
 def unknowns_at(proof: Proof, t: Array) -> Model:
     """Return the unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    ends = np.array([each.end for each in proof.intervals])
-    numbers = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1)
+    ends, numbers = np.array([each.end for each in proof.intervals]), _numbers(proof, t)
     a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])

@@ -128,7 +128,7 @@ def blocks_of(equations: Equations) -> Blocks:
 
 def radii(
     equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array
-) -> tuple[Array, npt.NDArray[np.bool_], Array]:
+) -> tuple[Array, npt.NDArray[np.bool_], Array, Array]:
     """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
 
     Parameters
@@ -154,6 +154,8 @@ def radii(
         Whether one of these takes more than one value.
     failed : ndarray of int, shape (boxes,)
         The first unknown of the first block that was not proved; -1 if all were.
+    shift : ndarray, shape (terms, unknowns, boxes)
+        What a step of Newton's method, block by block, would take off x_hat.
     """
     blocks = blocks_of(equations)
     wide = np.where(equations.curved[:, None], D, 0.0)
@@ -162,14 +164,15 @@ def radii(
     jacobian = equations.jacobian(ring, joined((x, wide), given, steps))
     own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
     Y = _inverses(blocks, ring, own[0])
-    found = magnitude(blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual)))
+    off = blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual))
+    found = magnitude(off)
     A, Z = found[: Y.shape[1]], np.maximum(found[Y.shape[1] :], _LEAST * sizes[blocks.columns, None])
     beside = magnitude((jacobian[0][:, blocks.others], jacobian[1][blocks.others]))
     rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, beside)
     first = blocks.ends[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
-    proved, unsorted = holds.all(axis=0), np.empty_like(rho)
-    unsorted[blocks.columns] = np.where(proved, rho, np.inf)
-    return unsorted, np.asarray((steps[1] > _KNOWN).any(axis=0)), np.where(proved, -1, blocks.columns[first])
+    proved, order = holds.all(axis=0), np.argsort(blocks.columns)
+    switches, failed = np.asarray((steps[1] > _KNOWN).any(axis=0)), np.where(proved, -1, blocks.columns[first])
+    return np.where(proved, rho, np.inf)[order], switches, failed, off[0][:, Y.shape[1] :][:, order]
 
 
 def joined(*some: Model) -> Model:

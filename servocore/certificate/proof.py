@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Literal
 
 import numpy as np
@@ -42,6 +42,8 @@ _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE, _LESS = 20.0, 1e-3  # last coefficients, of the tolerance, that call for halves, and their share in a half
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
+_TIGHT = 1e-11  # D of what they switch by
+_CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
 
 
 @dataclass(eq=False)
@@ -151,6 +153,17 @@ class Proof:
         """The intervals without a proof."""
         return [each for each in self.intervals if not each.proved]
 
+    @property
+    def jumps(self) -> list[float]:
+        """Times in s at which inputs alone jump: at joints of the path, and where equations switch."""
+        path = self.problem.reference
+        times = [each.end for each, joint in zip(self.intervals, self.joints, strict=False) if joint == "inputs jump"]
+        for switching, run in groupby(self.intervals, lambda each: each.proved and each.switches):
+            first, *_, last = 2 * list(run)
+            middle = path.start_time if first.outside else (first.begin + last.end) / 2.0
+            times += [path.end_time if last.outside else middle] if switching else []
+        return times
+
     @np.errstate(all="ignore")  # what is not finite is not proved
     def run(self) -> Proof:
         """Prove what can be proved."""
@@ -246,8 +259,19 @@ class Proof:
         return np.where(np.isfinite(c), c, np.nan)
 
     def _reach(self, fresh: Sequence[Interval]) -> Array:
-        """Return D (unknowns, intervals) to begin with: less on intervals that were halved, where it did not help."""
-        return np.asarray(_REACH * self.peaks[:, None] * np.array([0.5**each.depth for each in fresh]))
+        """Return D (unknowns, intervals) to begin with: less on intervals that were halved, where it did not help.
+
+        It is least for what equations switch by: they are known wherever that is not about to pass a jump.
+        """
+        D = _REACH * self.peaks[:, None] * np.array([0.5**each.depth for each in fresh])
+        D[self.equations.switching] = _TIGHT * self.peaks[self.equations.switching, None]
+        return np.asarray(D)
+
+    @cached_property
+    def _steady(self) -> npt.NDArray[np.bool_]:
+        """Unknowns that may not jump with the equations: coordinates, velocities, and what those switch by."""
+        places = [*self.equations.motion, *self.equations.switching]
+        return np.isin(np.arange(len(self.peaks)), places)
 
     def given(self, some: Sequence[Interval]) -> Model:
         """Return models of path and parameters on intervals."""
@@ -263,15 +287,19 @@ class Proof:
     def _test(self, some: Sequence[Interval], D: Array) -> None:
         x = np.stack([each.c for each in some if each.c is not None], axis=2)
         solved: npt.NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=(0, 1)))
-        rho, switches, failed = radii(
-            self.equations, self.ring, np.where(solved, x, 0.0), self.given(some), D, self.peaks
-        )
+        x, given = np.where(solved, x, 0.0), self.given(some)
+        for left in reversed(range(_CENTRED)):
+            rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, self.peaks)
+            if not left or not switches.any():
+                break
+            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
         rho = np.where(solved, rho, np.inf)
         within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        steady = np.asarray((rho <= _STEADY * self.peaks[:, None])[self.equations.steady].all(axis=0))
+        steady = np.asarray((rho <= _STEADY * self.peaks[:, None])[self._steady].all(axis=0))
         for k, each in enumerate(some):
             each.rho, each.D, each.failed, each.switches = rho[:, k], D[:, k], int(failed[k]), bool(switches[k])
             each.proved = bool(within[k] and (steady[k] or not each.switches))
+            each.c = x[:, :, k] if each.proved else each.c
 
     def _found(self) -> tuple[Array, Array, Array]:
         """Return polynomials, radii and D of all intervals; where it is not proved nothing, infinity and nothing."""

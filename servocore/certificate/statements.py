@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -250,7 +250,7 @@ def decided(boxes: Boxes, walk: Walk, lower: Array, upper: Array) -> list[Decisi
     return found
 
 
-def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Sequence[float] = ()) -> list[Statement]:
+def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proofs[0].equations
     names = ["t", *(proofs[0].problem.system.parameters.names[k] for k in proofs[0].boxed)]
@@ -265,7 +265,7 @@ def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Seque
         if each not in decisions:
             sentence = "it depends on higher derivatives of the path than the inputs do"
         elif each.limit.rate and jumps and decision.verdict == "proved":
-            decision, time = Decision("undecided"), jumps[0]
+            decision, time = Decision("undecided"), min(jumps)
             sentence = f"inputs jump at t = {time:.6g} s, where rates have no bound"
         elif decision.at is None:
             extent = map(each.limit.with_unit, (decision.least, decision.most))

@@ -143,7 +143,7 @@ class _Graph:
 
 def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
     """Group the operations of a column of expressions of a column of symbols."""
-    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, _lowered))], {"cse": True})
+    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
     graph, place_of = _Graph([], {}, [], [], {}), dict[int, int]()  # CasADi uses places of its work vector again
     outputs = [graph.constant(0.0)] * expression.numel()
     for number, out, used, constant in operations_of(function):
@@ -162,7 +162,7 @@ def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
 # In terms of other operations -----------------------------------------------------------------------------------------
 
 
-def _lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+def lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
     """Return an operation's result in terms of operations that have rules."""
     rule = _LOWERED.get(operation)
     return rule(*taken) if rule else computed(operation, taken)
