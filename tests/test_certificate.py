@@ -256,6 +256,23 @@ def test_limits_hold_for_all_parameters_of_a_box_or_are_refuted_with_one() -> No
     assert "load_mass = " in str(broken)
 
 
+@pytest.mark.parametrize("name", ["mass_on_car", "passive_joint_arm"])
+def test_internal_dynamics_are_proved_at_the_computed_states_and_else_undecided(name: str) -> None:
+    scene = sc.scenes.REGISTRY[name]()
+    right = sc.solve(scene)
+    motion, algebraic = sc.certify(right).statements
+    assert (motion.verdict, algebraic.verdict) == ("undecided", "proved")
+
+    def off(solution: sc.Solution) -> float:
+        return float(re.findall(r"within (\S+) of", sc.certify(solution).statements[1].sentence)[0])
+
+    assert off(right) < 1e-7
+    assert 1e-4 < off(sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=0.01)) < 1e-2
+    values = right.values.copy()
+    values[50, right.names.index("u")] += 0.01 * np.abs(right["u"]).max()
+    assert off(replace(right, values=values)) == pytest.approx(0.01, rel=0.01)
+
+
 def test_what_cannot_be_certified_is_told() -> None:
     internal = sc.certify(sc.scenes.mass_on_car())
     assert internal.verdict == "undecided"

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import cause_of, switchings
-from servocore.certificate.instants import ErrorBound, compared, tube_of
+from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
     LIMIT,
@@ -192,7 +192,8 @@ def certify(
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
         if solution is not None and solution.error.largest is not None:
             text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-        return _certificate(problem, [Statement("one motion", "undecided", text)])
+        algebraic = [at_states(problem, solution)] if solution is not None else []
+        return _certificate(problem, [Statement("one motion", "undecided", text), *algebraic])
     extra = tuple(limit_named(problem.system, name, bounds) for name, bounds in (limits or {}).items())
     wanted = tuple(limit for limit in (*problem.limits, *extra) if not limit.at_instants_only)
     boxed, rates = _boxes(problem, parameters or {}), any(limit.rate for limit in wanted)

@@ -42,7 +42,7 @@ class Equations:
     array : DerivativeArray
         Differentiated once more for rates.
     symbols : casadi.SX
-        Unknowns, path with its derivatives, parameters: the arguments of the walks.
+        Unknowns, path with its derivatives, parameters, and states of the internal dynamics: arguments of the walks.
     steps : Walk
         Of operations that are constant between jumps.
     residual, jacobian : Walk
@@ -74,7 +74,7 @@ class Equations:
     def inputs(self) -> list[int]:
         """Places of the inputs among the unknowns."""
         first = len(self.array.names) - len(self.array.system.inputs)
-        return self.array.places((j, 0) for j in range(first, len(self.array.names)))
+        return [self.array.determined.index((j, 0)) for j in range(first, len(self.array.names))]
 
     def walk(self, quantities: Iterable[tuple[ca.SX, bool]]) -> Walk:
         """Return expressions of q, v, lam, u, gamma and p, of some the rates, as a walk of the same arguments."""
@@ -91,14 +91,14 @@ class Equations:
 def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     """Prepare the equations of a system; `raised` with the rates."""
     array = differentiated_once_more(resolved.array) if raised else resolved.array
-    x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
+    x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
     residual, names, steps = _without_steps(array.residual)
-    symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(residual, x)
+    symbols, J = ca.vertcat(x, gamma, array.system.p, array.column(array.states)), ca.jacobian(residual, x)
     switching = ca.jacobian_sparsity(steps, x).get_col()
     curved = np.zeros(x.numel(), dtype=bool)
     curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
     n = len(array.system.coordinates)
-    motion = [k for k, (j, order) in enumerate(array.unknowns) if j < n and order < 2]
+    motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
     every = ca.vertcat(symbols, names)
     return Equations(
         array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
@@ -146,6 +146,12 @@ def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess:
     return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
 
 
+def guessed(problem: Problem, array: DerivativeArray, t: Array, p: Array) -> Array:
+    """Return the guess of the model (size, N) at instants."""
+    (guess,) = _at_points(inversion(array).guess, problem.reference.jet(t, array.reference_order), p)
+    return guess
+
+
 @made_once
 def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
     """Return the inversion in machine code, once it is worth it: each proof counts as one call."""
@@ -159,6 +165,7 @@ def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) ->
     padded = [np.concatenate([each, np.repeat(each[:, -1:], full - count, axis=1)], axis=1) for each in (p, *columns)]
     jets = np.concatenate([jets, np.repeat(jets[-1:], full - count, axis=0)])
     results = mapped(function, full)(side_by_side(jets), *padded)
+    results = results if isinstance(results, (list, tuple)) else [results]
     return [each.reshape(-1, full, order="F")[:, :count].copy() for each in results]
 
 

@@ -7,19 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, norm
-from servocore.certificate.equations import parameter_models, path_models
-from servocore.certificate.krawczyk import joined
+from servocore.certificate.equations import answers, equations_of, guessed, parameter_models, path_models
+from servocore.certificate.krawczyk import joined, radii
 from servocore.certificate.programs import UP
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import Claim, Statement, Verdict
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
+_SPLINE, _BESIDE = 5, 1e-6  # degree; D, of a peak
 _UNSHOWN = "the instants do not show it"
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
 
@@ -120,3 +123,32 @@ def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]
     low, high = ring.span(walk(ring, joined(unknowns_at(proof, t), given)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)
+
+
+@np.errstate(all="ignore")
+def at_states(problem: Problem, solution: Solution) -> Statement:
+    """State that the algebraic equations have one regular solution at each instant, at the computed states.
+
+    These are the reported coordinates and their rates, by a spline through them.
+    """
+    what, t = "one regular solution of the algebraic equations at the computed states", solution.t
+    equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
+    array, p = equations.array, np.tile(problem.p[:, None], len(t))
+    guess, degree = guessed(problem, array, t, p), min(_SPLINE, len(t) - 1)
+    for k, (j, order) in enumerate(array.unknowns):
+        if j < len(problem.system.coordinates) and order <= degree:
+            curve = make_interp_spline(t, solution[array.names[j].removeprefix("q.")], k=degree)
+            guess[k] = curve.derivative(order)(t)
+    found = answers(problem, array, t, p, guess)
+    x, states = found[array.places(array.determined)], found[array.places(array.states)]
+    given = joined(path_models(problem, ring, t, t, equations.path_order), ring.constant(p), ring.constant(states))
+    sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
+    D = np.tile(_BESIDE * sizes[:, None], len(t))
+    rho, *_ = radii(equations, ring, np.nan_to_num(x)[None], given, D, sizes)
+    lost = np.flatnonzero(~((rho <= D)[equations.curved].all(axis=0) & np.isfinite(x + rho).all(axis=0)))
+    if len(lost):
+        return Statement(what, "undecided", f"not proved at t = {t[lost[0]]:.6g} s", float(t[lost[0]]))
+    places = equations.inputs
+    reported = np.stack([solution[each.name] for each in problem.system.inputs])
+    off = ((np.abs(reported - x[places]) + rho[places]) / sizes[places, None]).max()
+    return Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")
