@@ -121,7 +121,7 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     native, plain = models.copy(), models.copy()
     for run, results in ((code._load(built(build)), native), (None, plain)):
         monkeypatch.setattr(programs, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
-        program(degrees, results)
+        program(arithmetic(degrees), results)
     np.testing.assert_allclose(native[:, [6, 8]], plain[:, [6, 8]], rtol=1e-12, atol=1e-12)
     assert (native[:, [5, 7]] == 0.0).all()
 

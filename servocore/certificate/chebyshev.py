@@ -13,14 +13,13 @@ ISSAC 2010; Tucker, *Validated Numerics*, 2011, chapter 3). NumPy's sin, cos, ex
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property, reduce
 from math import prod
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.programs import TIMES, UNIT, UP, norm, program_of, summed
+from servocore.certificate.programs import TIMES, UNIT, UP, Products, norm, program_of, summed
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
@@ -40,17 +39,8 @@ def magnitude(a: Model) -> Array:
     return np.asarray((norm(a[0]) + a[1]) * UP)
 
 
-@dataclass(frozen=True)
-class Arithmetic:
-    """Operations on Chebyshev models of some degree in each variable.
-
-    Attributes
-    ----------
-    degrees : tuple of int
-        In time, and in each parameter.
-    """
-
-    degrees: tuple[int, ...]
+class Arithmetic(Products):
+    """Operations on Chebyshev models of some degree in each variable."""
 
     @cached_property
     def nodes(self) -> Array:
@@ -139,7 +129,7 @@ class Arithmetic:
         models = np.empty((len(c) + 1, 3, r.size))
         for place, (coefficients, radii) in enumerate((a, b)):
             models[:-1, place], models[-1, place] = coefficients.reshape(len(c), -1), radii.ravel()
-        _PRODUCT(self.degrees, models)
+        _PRODUCT(self, models)
         return models[:-1, 2].reshape(c.shape), models[-1, 2].reshape(r.shape)
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------

@@ -60,7 +60,7 @@ class Walk:
         models[1:, places], models[0, places] = 0.0, values[:, None]
         models[:-1, self.inputs], models[-1, self.inputs] = (part[..., self.numbers, :] for part in arguments)
         for program, functions in self.parts:
-            program(ring.degrees, models)
+            program(ring, models)
             for rule, taken, results in functions:
                 found = rule(ring, *((models[:-1, each], models[-1, each]) for each in taken))
                 for place, (c, r) in zip(results, found, strict=True):
