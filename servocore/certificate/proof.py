@@ -70,8 +70,10 @@ class Interval:
         The first unknown that was not proved; -1 for none.
     proved, switches : bool
         What the test said, and whether equations may jump within.
+    relative : float
+        The largest radius of an input, of its peak; infinite if it is not proved.
     before : tuple of (float, float)
-        Relative radii of the intervals that it is a quarter of, and a half.
+        The same of the intervals that it is a quarter of, and a half.
     """
 
     begin: float
@@ -86,14 +88,15 @@ class Interval:
     failed: int = -1
     proved: bool = False
     switches: bool = False
+    relative: float = np.inf
     before: tuple[float, float] = (np.inf, np.inf)
 
-    def parts(self, halvings: int = 1, relative: float = np.inf) -> list[Interval]:
+    def parts(self, halvings: int = 1) -> list[Interval]:
         """Return its halves, or quarters and so on, of which nothing is known."""
         if not halvings:
             return [self]
         ends, depth = np.linspace(self.begin, self.end, 2**halvings + 1).tolist(), self.depth + halvings
-        before = self.before[1], relative
+        before = self.before[1], self.relative
         return [Interval(*each, depth, self.outside, self.followed, before=before) for each in pairwise(ends)]
 
 
@@ -194,7 +197,7 @@ class Proof:
                 self._test(again, np.maximum(D, self._reach(again)))
         many = sum(each.switches for each in self.intervals) > _SWITCHING
         halved = [each for each in self.intervals if self._too_wide(each) and not (many and each.switches)]
-        self._replace(halved, [each.parts(relative=self._relative_radius(each)) for each in halved])
+        self._replace(halved, [each.parts() for each in halved])
         return bool(halved)
 
     def _replace(self, old: Sequence[Interval], new: Sequence[list[Interval]]) -> None:
@@ -229,13 +232,8 @@ class Proof:
         if each.proved and each.switches:
             return not each.outside and each.depth < _DEEPEST
         if each.proved:
-            return self._narrow < self._relative_radius(each) <= each.before[0] / 2.0 and each.depth < _DEEPEST
+            return self._narrow < each.relative <= each.before[0] / 2.0 and each.depth < _DEEPEST
         return not each.followed and each.depth < _GUESSED
-
-    def _relative_radius(self, each: Interval) -> float:
-        """Return the largest radius of an input, of its peak; infinite if it is not proved."""
-        places = self.equations.inputs
-        return float((each.rho[places] / self.input_peaks).max(initial=0.0)) if each.proved else np.inf
 
     # Answers and test -----------------------------------------------------------------------------------------------
 
@@ -295,11 +293,13 @@ class Proof:
             x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
         rho = np.where(solved, rho, np.inf)
         within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        relative = (rho[self.equations.inputs] / self.input_peaks[:, None]).max(axis=0, initial=0.0)
         steady = np.asarray((rho <= _STEADY * self.peaks[:, None])[self._steady].all(axis=0))
         for k, each in enumerate(some):
             each.rho, each.D, each.failed, each.switches = rho[:, k], D[:, k], int(failed[k]), bool(switches[k])
             each.proved = bool(within[k] and (steady[k] or not each.switches))
             each.c = x[:, :, k] if each.proved else each.c
+            each.relative = float(relative[k]) if each.proved else np.inf
 
     def _found(self) -> tuple[Array, Array, Array]:
         """Return polynomials, radii and D of all intervals; where it is not proved nothing, infinity and nothing."""
