@@ -206,7 +206,7 @@ def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch
     for size in 10.0 ** np.arange(-12.0, 0.0):
 
         def disturbed(self: Proof, x: np.ndarray, size: float = size) -> np.ndarray:
-            return interpolated(self, x * (1.0 + size * rng.normal(size=(len(x), 1))))
+            return interpolated(self, x * (1.0 + size * rng.normal(size=x.shape[1:])))
 
         monkeypatch.setattr(Proof, "_interpolated", disturbed)
         monkeypatch.setattr(proof, "_MOST", 60)

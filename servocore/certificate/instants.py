@@ -65,8 +65,8 @@ def compared(
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     calm = ~np.array([each.switches for each in proof.intervals])[_numbers(proof, t)]
     t = t[calm]
-    c, r = unknowns_at(proof, t)
-    middle, radius = c[0, places], (norm(c[1:]) + r)[places] * UP
+    c, r = unknowns_at(proof, t, places)
+    middle, radius = c[0], (norm(c[1:]) + r) * UP
     apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
@@ -96,15 +96,14 @@ def _numbers(proof: Proof, t: Array) -> npt.NDArray[np.intp]:
     return np.searchsorted(ends, t, side="right")
 
 
-def unknowns_at(proof: Proof, t: Array) -> Model:
-    """Return the unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
+def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
+    """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
     ends, numbers = np.array([each.end for each in proof.intervals]), _numbers(proof, t)
     a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    models = proof.enclosures
-    count = len(proof.peaks)
-    c, rho = np.moveaxis(models[0][:, :count], 2, 0), models[1][:count, numbers]
+    models, count = proof.enclosures, len(places)
+    c, rho = np.moveaxis(models[0][:, places], 2, 0), models[1][places][:, numbers]
     shaped = c.reshape(len(ends), basis.shape[1], -1)
     x = (basis[:, None] @ shaped[numbers]).reshape(len(t), -1, count).transpose(1, 2, 0)
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
@@ -120,7 +119,7 @@ def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]
     walk = proof.equations.walk([(Named(name)(proof.problem.system), False) for name in names])
     path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
     given = joined(path, parameter_models(ring, proof.problem.p, proof.boxed, len(t)))
-    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t), given)))
+    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t, range(len(proof.peaks))), given)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)
 

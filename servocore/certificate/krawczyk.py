@@ -159,9 +159,10 @@ def radii(
     """
     blocks = blocks_of(equations)
     wide = np.where(equations.curved[:, None], D, 0.0)
-    steps = equations.steps(ring, joined((x, wide), given))
+    anywhere = joined((x, wide), given)
+    steps = equations.steps(ring, anywhere)
     residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given, steps))
-    jacobian = equations.jacobian(ring, joined((x, wide), given, steps))
+    jacobian = equations.jacobian(ring, joined(anywhere, steps))
     own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
     Y = _inverses(blocks, ring, own[0])
     off = blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual))
@@ -177,6 +178,9 @@ def radii(
 
 def joined(*some: Model) -> Model:
     """Return models one after the other."""
+    some = tuple(each for each in some if each[1].size) or some[:1]
+    if len(some) == 1:
+        return some[0]
     return np.concatenate([c for c, _ in some], axis=1), np.concatenate([r for _, r in some])
 
 

@@ -249,11 +249,13 @@ class Proof:
             points[:, 0] = (2.0 * t - beside.begin - beside.end) / (beside.end - beside.begin)
             guess = (self.ring.rows(points) @ beside.c).T
         x = answers(self.problem, self.equations.array, t, np.tile(p, len(some)), guess)
-        for each, own in zip(some, np.split(x, len(some), axis=1), strict=True):
-            each.c = self._interpolated(own)
+        c = self._interpolated(x.reshape(len(x), len(some), -1).transpose(2, 0, 1))
+        for k, each in enumerate(some):
+            each.c = c[:, :, k]
 
     def _interpolated(self, x: Array) -> Array:
-        c = self.ring.interpolated(x.T[:, :, None])[:, :, 0]
+        """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
+        c = self.ring.interpolated(x)
         return np.where(np.isfinite(c), c, np.nan)
 
     def _reach(self, fresh: Sequence[Interval]) -> Array:

@@ -124,6 +124,11 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 
 
 @made_once
+def _unbounded(limit: Limit) -> Limit:
+    return replace(limit, bound=-math.inf, upper=math.inf)
+
+
+@made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
     return equations.walk([(limit.on(equations.array.system), limit.rate) for limit in limits])
@@ -254,9 +259,9 @@ def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Colle
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proofs[0].equations
     names = ["t", *(proofs[0].problem.system.parameters.names[k] for k in proofs[0].boxed)]
-    usable = [each for each in claims if known(equations, each.limit)]
+    usable = [each for each in claims if known(equations, _unbounded(each.limit))]
     # Walks are kept, whatever the bounds are.
-    walk = walk_of_limits(equations, tuple(replace(k.limit, bound=-math.inf, upper=math.inf) for k in usable))
+    walk = walk_of_limits(equations, tuple(_unbounded(each.limit) for each in usable))
     bounds = (np.array([getattr(each.limit, name) for each in usable]) for name in ("bound", "upper"))
     decisions = dict(zip(usable, decided(boxes_of(proofs), walk, *bounds), strict=True))
     found = dict[str, Statement]()
