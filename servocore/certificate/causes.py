@@ -6,10 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from servocore.certificate.krawczyk import blocks_of
+from servocore.certificate.krawczyk import blocks_of, joined
 from servocore.certificate.proof import Interval, Proof
-from servocore.certificate.statements import Verdict, known
-from servocore.model.limits import Named, reported_quantities
+from servocore.certificate.statements import Verdict, claims_of, known, walk_of_limits
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-2  # of the duration
@@ -86,26 +85,19 @@ def _sentence(proof: Proof, each: Interval) -> str:
 
 def _slack(proof: Proof, each: Interval) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
-    problem, system = proof.problem, proof.problem.system
-    bounded = [
-        (limit.quantity, limit.bound, limit.reason, limit.on(system))
-        for limit in problem.limits if limit.of_path and known(proof.equations, limit)
-    ]  # fmt: skip
-    signed = [each for each in reported_quantities(system).values() if each.positive]
-    bounded += [(each.name, 0.0, each.wrong_sign, Named(each.name)(system)) for each in signed]
+    problem, equations = proof.problem, proof.equations
+    limits = [limit for limit in problem.limits if limit.of_path]
+    limits += [claim.limit for claim in claims_of(problem.resolved) if not claim.told]
+    limits = [limit for limit in limits if known(equations, limit)]
     reach = _NEAR * problem.reference.duration
-    near = [
-        k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach
-    ]
-    if not bounded or not near:
+    near = [k for k in proof.intervals if _is_solved(k) and abs(k.begin - each.begin) < reach]
+    if not limits or not near:
         return ""
-    walk = proof.equations.walk([(expression, False) for *_, expression in bounded])
-    given = proof.given(near)
     x = np.stack([other.c for other in near if other.c is not None], axis=2)
-    c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))
+    c, _ = walk_of_limits(equations, tuple(limits))(proof.ring, joined((x, 0.0 * x[0]), proof.given(near)))
     values = proof.ring.values(c)
-    for k, (name, bound, reason, _) in enumerate(bounded):
-        distance = values[:, k] - bound
+    for k, limit in enumerate(limits):
+        distance = values[:, k] - limit.bound
         if np.nanmin(distance) < _SMALL * np.nanmax(np.abs(distance)):
-            return f": {name} comes to {bound:g}" + (f", {reason}" if reason else "")
+            return f": {limit.quantity} comes to {limit.bound:g}" + (f", {limit.reason}" if limit.reason else "")
     return ""

@@ -166,20 +166,21 @@ class Boxes:
         low, high = self.low[box], self.high[box]
         return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * self.ring.nodes[node])
 
-    def halved(self, chosen: npt.NDArray[np.bool_], c: Array) -> Boxes:
-        """Return the halves of some boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
-        degrees = self.ring.degrees
+    def of(self, chosen: npt.NDArray[np.bool_]) -> Boxes:
+        """Return some of the boxes."""
+        return Boxes(self.ring, self.c[..., chosen], self.r[:, chosen], self.low[chosen], self.high[chosen])
+
+    def halved(self, c: Array) -> Boxes:
+        """Return the halves of the boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
+        degrees, size = self.ring.degrees, np.maximum(norm(c), 1e-300)
         orders = np.indices([d + 1 for d in degrees]).reshape(len(degrees), -1)
-        by = np.stack([(norm(c[order > 0]) / np.maximum(norm(c), 1e-300)).sum(axis=0) for order in orders]).argmax(
-            axis=0
-        )
+        by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in orders], axis=0)
         parts = list[tuple[Array, ...]]()
         for k in range(len(degrees)):
-            own = chosen & (by == k)
-            middle = (self.low[own, k] + self.high[own, k]) / 2.0
-            for late, model in enumerate(self.ring.halved((self.c[..., own], self.r[:, own]), k)):
-                corners = self.low[own], self.high[own]
-                corners[1 - late][:, k] = middle
+            own = self.of(by == k)
+            for late, model in enumerate(self.ring.halved((own.c, own.r), k)):
+                corners = own.low.copy(), own.high.copy()
+                corners[1 - late][:, k] = (own.low[:, k] + own.high[:, k]) / 2.0
                 parts.append((*model, *corners))
         return Boxes(self.ring, *_together(parts))
 
@@ -202,7 +203,7 @@ def _together(parts: Sequence[tuple[Array, ...]]) -> Iterator[Array]:
     return (np.concatenate(some, axis) for some, axis in zip(zip(*parts, strict=True), (2, 1, 0, 0), strict=True))
 
 
-@dataclass(frozen=True)
+@dataclass
 class Decision:
     """Whether a quantity keeps its bounds.
 
@@ -228,30 +229,34 @@ class Decision:
 def decided(boxes: Boxes, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
     """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
     ring, found = boxes.ring, [Decision() for _ in lower]
-    lower, upper = lower[:, None], upper[:, None]
+    lower, upper, open_ = lower[:, None], upper[:, None], np.ones(len(lower), dtype=bool)
     for halvings in range(_HALVINGS):
         c, r = walk(ring, (boxes.c, boxes.r))
-        least, most = ring.span((c, r))
-        kept, values = (least >= lower) & (most <= upper), ring.values(c)
-        noise, beyond = r + (len(c) + 8) * UNIT * norm(c), np.maximum(lower - values, values - upper)
+        low, high = ring.span((c, r))
+        kept = (low >= lower) & (high <= upper)
+        least, most = low.min(axis=1, initial=np.inf, where=kept), high.max(axis=1, initial=-np.inf, where=kept)
+        for k, each in enumerate(found):
+            each.least, each.most = min(each.least, float(least[k])), max(each.most, float(most[k]))
+        some = np.asarray(~kept[open_].all(axis=0))
+        if not some.any():
+            break
+        boxes, c, r, kept = boxes.of(some), c[..., some], r[:, some], kept[:, some]
+        values, noise = ring.values(c), r + (len(c) + 8) * UNIT * norm(c)
+        beyond = np.maximum(lower - values, values - upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
         # Where the radius is more than what the polynomial varies by, halves tell nothing new.
         wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes.r).all(axis=0) | (halvings >= _HALVED_FIRST))
         lost = certain | ~kept & (wide | (halvings == _HALVINGS - 1) | (kept.shape[1] > _MOST))
-        for k, before in enumerate(found):
-            extent = least[k].min(initial=before.least, where=kept[k]), most[k].max(initial=before.most, where=kept[k])
-            found[k] = replace(before, least=float(extent[0]), most=float(extent[1]))
-            if before.verdict != "refuted" and lost[k].any():
-                verdict: Verdict = "refuted" if certain[k].any() else "undecided"
-                worst = np.where(certain[k] if certain[k].any() else lost[k], beyond[:, k], -np.inf)
-                node, box = np.unravel_index(int(worst.argmax()), worst.shape)
-                value = values[node, k, box] if np.isfinite(noise[k, box]) else np.nan
-                found[k] = replace(found[k], verdict=verdict, at=boxes.place(int(box), int(node)), value=float(value))
-        open_ = np.array([each.verdict != "refuted" for each in found])
+        for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
+            open_[k] = not certain[k].any()
+            worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
+            node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
+            found[k].verdict, found[k].at = "undecided" if open_[k] else "refuted", boxes.place(box, node)
+            found[k].value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
-        boxes = boxes.halved(again, c[:, open_])
+        boxes = boxes.of(again).halved(c[:, open_][..., again])
     return found
 
 
@@ -259,11 +264,10 @@ def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Colle
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proofs[0].equations
     names = ["t", *(proofs[0].problem.system.parameters.names[k] for k in proofs[0].boxed)]
-    usable = [each for each in claims if known(equations, _unbounded(each.limit))]
-    # Walks are kept, whatever the bounds are.
-    walk = walk_of_limits(equations, tuple(_unbounded(each.limit) for each in usable))
-    bounds = (np.array([getattr(each.limit, name) for each in usable]) for name in ("bound", "upper"))
-    decisions = dict(zip(usable, decided(boxes_of(proofs), walk, *bounds), strict=True))
+    limits = {each: _unbounded(each.limit) for each in claims if known(equations, _unbounded(each.limit))}
+    walk = walk_of_limits(equations, tuple(limits.values()))  # it is kept, whatever the bounds are
+    bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
+    decisions = dict(zip(limits, decided(boxes_of(proofs), walk, *bounds), strict=True))
     found = dict[str, Statement]()
     for each in claims:
         decision, time = decisions.get(each, Decision("undecided")), None
