@@ -63,17 +63,6 @@ class Arithmetic(Products):
         return np.asarray(reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), each))
 
     @cached_property
-    def _samples(self) -> tuple[Array, float]:
-        """The matrix to values at 4 d + 1 Chebyshev points in each variable, and what their largest is to be times.
-
-        A polynomial of degree d is at most 1/cos(d pi/(2 m)) times its largest magnitude at m Chebyshev points
-        (Ehlich & Zeller, Math. Z. 86 (1964) 41); in several variables the factors multiply.
-        """
-        counts = [4 * d + 1 for d in self.degrees]
-        factor = prod(1.0 / np.cos(d * np.pi / (2 * m)) for d, m in zip(self.degrees, counts, strict=True))
-        return self.rows(_grid([_points(m) for m in counts])), factor * UP
-
-    @cached_property
     def derivatives(self) -> list[Array]:
         """Matrices of the derivative by each variable that a polynomial depends on; entries are whole numbers."""
         return [self._slopes(k) for k, d in enumerate(self.degrees) if d]
@@ -97,24 +86,11 @@ class Arithmetic(Products):
         return _applied(self.at_nodes, c)
 
     def span(self, a: Model) -> tuple[Array, Array]:
-        """Return lower and upper bounds of models, shape (count, boxes) each.
-
-        About the constant coefficient, by the lesser of two bounds of the rest: the sum of its coefficients, and the
-        samples. A sample is a sum of `terms` products, each off by some ulps of its coefficient.
-        """
-        c, r = a
-        matrix, factor = self._samples
-        rest = norm(c[1:])
-        sampled = _applied(matrix[:, 1:], c[1:])
-        noise = (len(c) + 8) * UNIT * rest
-        above, below = np.maximum(sampled.max(axis=0), 0.0), np.maximum(-sampled.min(axis=0), 0.0)
-        # The rule is one of magnitudes: it is applied to the polynomial less the middle of its samples.
-        half, middle = (above + below) / 2.0, (above - below) / 2.0
-        width = (factor * half + noise + r) * UP + UNIT * np.abs(middle)
-        low, high = c[0] + middle - width, c[0] + middle + width
-        least = (rest + r) * UP
+        """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
+        c, rest = a[0], magnitude((a[0][1:], a[1]))
+        low, high = c[0] - rest, c[0] + rest
         slack = 2.0 * UNIT * (np.abs(low) + np.abs(high))
-        return np.maximum(low, c[0] - least) - slack, np.minimum(high, c[0] + least) + slack
+        return low - slack, high + slack
 
     # Sums and products ----------------------------------------------------------------------------------------------
 

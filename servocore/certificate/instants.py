@@ -63,7 +63,7 @@ def compared(
     proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
-    calm = ~np.array([each.switches for each in proof.intervals])[_numbers(proof, t)]
+    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[_numbers(proof, t)]
     t = t[calm]
     c, r = unknowns_at(proof, t, places)
     middle, radius = c[0], (norm(c[1:]) + r) * UP
@@ -71,7 +71,7 @@ def compared(
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    all_calm = [each for some in proofs for each in some.intervals if not each.switches]
+    all_calm = [each for some in proofs for each in some.intervals if not some.jumps_within(each)]
     between = np.max([each.rho[places] for each in all_calm], axis=0)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):

@@ -156,12 +156,16 @@ class Proof:
         """The intervals without a proof."""
         return [each for each in self.intervals if not each.proved]
 
+    def jumps_within(self, each: Interval) -> bool:
+        """Whether inputs may jump within an interval, and the motion does not."""
+        return each.proved and each.switches and each.relative > self.tolerance
+
     @property
     def jumps(self) -> list[float]:
         """Times in s at which inputs alone jump: at joints of the path, and where equations switch."""
         path = self.problem.reference
         times = [each.end for each, joint in zip(self.intervals, self.joints, strict=False) if joint == "inputs jump"]
-        for switching, run in groupby(self.intervals, lambda each: each.proved and each.switches):
+        for switching, run in groupby(self.intervals, self.jumps_within):
             first, *_, last = 2 * list(run)
             middle = path.start_time if first.outside else (first.begin + last.end) / 2.0
             times += [path.end_time if last.outside else middle] if switching else []
@@ -229,7 +233,7 @@ class Proof:
         They do not where its radius, of rounding errors, is hardly less than that of the interval of which it is a
         quarter.
         """
-        if each.proved and each.switches:
+        if self.jumps_within(each):
             return not each.outside and each.depth < _DEEPEST
         if each.proved:
             return self._narrow < each.relative <= each.before[0] / 2.0 and each.depth < _DEEPEST

@@ -24,6 +24,7 @@ from servocore.numerics.step_operations import KINKS, computed, operations_of, r
 Rule: TypeAlias = Callable[..., tuple[Model, ...]]
 _Function: TypeAlias = tuple[Rule, list[Places], list[Places]]
 
+_ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
@@ -225,9 +226,11 @@ def _stepped(step: Callable[[Array], Array]) -> Rule:
 
 
 def _if(_: Arithmetic, condition: Model, a: Model) -> tuple[Model, ...]:
-    """Return `a` where a condition holds, and else zero; both where it is not known. It is 0 or 1 but for rounding."""
-    share = np.where(condition[1] < 0.25, np.round(condition[0][0]), 0.5)
-    return ((share * a[0], np.where(share == 0.5, norm(a[0]) / 2.0 * UP, 0.0) + np.where(share, a[1], 0.0)),)
+    """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
+    (c, r), whole = condition, np.round(condition[0][0])
+    known = np.abs(c[0] - whole) + norm(c[1:]) + r < _ROUNDED
+    share = np.where(known, whole != 0.0, 0.5)
+    return ((share * a[0], np.where(known, 0.0, norm(a[0]) / 2.0 * UP) + np.where(share, a[1], 0.0)),)
 
 
 def _no_bound(ring: Arithmetic, *taken: Model) -> tuple[Model, ...]:
