@@ -211,13 +211,12 @@ class Proof:
 
     def _coarse(self, fresh: Sequence[Interval]) -> list[int]:
         """Return how many halvings answers need, as the last coefficients of their polynomials in time fall."""
-        c = np.stack([each.c for each in fresh if each.c is not None], axis=2)
-        last = norm(c.reshape(_DEGREE + 1, -1, *c.shape[1:])[-2:].reshape(-1, *c.shape[1:])) / self.peaks[:, None]
         chosen = self.equations.curved.copy()
         chosen[self.equations.inputs] = True
-        halvings = np.ceil(
-            np.log(last[chosen].max(axis=0) / (_COARSE * np.clip(self._narrow, 1e-12, 1e-8))) / -np.log(_LESS)
-        )
+        c = np.stack([each.c[:, chosen] for each in fresh if each.c is not None], axis=2)
+        last = norm(c.reshape(_DEGREE + 1, -1, *c.shape[1:])[-2:].reshape(-1, *c.shape[1:]))
+        share = (last / self.peaks[chosen, None]).max(axis=0) / (_COARSE * np.clip(self._narrow, 1e-12, 1e-8))
+        halvings = np.ceil(np.log(share) / -np.log(_LESS))
         depth = np.array([each.depth for each in fresh])
         known = np.where(np.isfinite(halvings), halvings, 0.0)
         return [int(each) for each in np.clip(known, 0.0, np.maximum(_GUESSED - depth, 0))]

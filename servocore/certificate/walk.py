@@ -36,10 +36,10 @@ class Walk:
     ----------
     parts : tuple of (Program, list of (rule, places of arguments, places of results))
         In an order in which arguments are known.
-    inputs, numbers : ndarray of int
-        Places and numbers of the arguments that are used.
-    constants : tuple of (ndarray of int, ndarray)
-        Places and values of the numbers.
+    numbers : ndarray of int
+        Numbers of the arguments that are used: they have the first places.
+    constants : ndarray
+        Values of the numbers, which have the next ones.
     outputs : ndarray of int
         Place of every entry of the result.
     places : int
@@ -47,9 +47,8 @@ class Walk:
     """
 
     parts: tuple[tuple[Program, list[_Function]], ...]
-    inputs: Places
     numbers: Places
-    constants: tuple[Places, Array]
+    constants: Array
     outputs: Places
     places: int
 
@@ -57,9 +56,9 @@ class Walk:
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms, arguments, boxes)."""
         models: Array = np.empty((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
-        places, values = self.constants
-        models[1:, places], models[0, places] = 0.0, values[:, None]
-        models[:-1, self.inputs], models[-1, self.inputs] = (part[..., self.numbers, :] for part in arguments)
+        count, constants = len(self.numbers), slice(len(self.numbers), len(self.numbers) + len(self.constants))
+        models[:-1, :count], models[-1, :count] = (part[..., self.numbers, :] for part in arguments)
+        models[1:, constants], models[0, constants] = 0.0, self.constants[:, None]
         for program, functions in self.parts:
             program(ring, models)
             for rule, taken, results in functions:
@@ -123,8 +122,10 @@ class _Graph:
         for depth, own in enumerate(steps):
             wanted.update(place for _, _, *taken in own for place in taken if self.depth[place] < depth)
         # Places that only one program knows come last.
-        inner = {step[1] for own in steps for step in own} - wanted
-        order = sorted(range(len(self.depth)), key=inner.__contains__)
+        inner, given = {step[1] for own in steps for step in own} - wanted, [place for place, _ in self.inputs]
+        given += self.constants.values()
+        rest = sorted(set(range(len(self.depth))).difference(given), key=lambda place: (place in inner, place))
+        order = [*given, *rest]
         number = np.argsort(order)
         functions = list[tuple[int, _Function]]()
         for (depth, rule), some in self.functions.items():
@@ -136,10 +137,9 @@ class _Graph:
         for depth, own in enumerate(steps):
             numbered = [(operation, *number[list(places)].tolist()) for operation, *places in own]
             parts.append((program_of(numbered, read), [each for at, each in functions if at == depth + 1]))
-        inputs = np.array(self.inputs, dtype=np.intp).reshape(-1, 2)
-        constants = number[list(self.constants.values())], np.array(list(self.constants))
-        count = len(order) - len(inner)
-        return Walk(tuple(parts), number[inputs[:, 0]], inputs[:, 1], constants, number[outputs], count)
+        numbers = np.array([argument for _, argument in self.inputs], dtype=np.intp)
+        values, count = np.array(list(self.constants)), len(order) - len(inner)
+        return Walk(tuple(parts), numbers, values, number[outputs], count)
 
 
 def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
