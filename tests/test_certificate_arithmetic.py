@@ -13,6 +13,7 @@ from flint import arb, ctx
 
 from servocore.certificate import programs
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
+from servocore.certificate.equations import _without_steps
 from servocore.certificate.walk import walk_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import built
@@ -178,3 +179,17 @@ def test_jumps_and_kinks_are_enclosed_with_all_values(written: Callable[[ca.SX],
     values = np.array([float(ca.Function("f", [X], [written(X)])(each)) for each in x])
     assert np.isfinite(r).all()
     assert (np.abs(ring.rows(x[:, None]) @ c[:, 0, 0] - values) <= r[0, 0]).all()
+
+
+@pytest.mark.parametrize("written", [
+    lambda x: ca.gradient(ca.fmax(x, 0.3) ** 2, x), lambda x: x / (2 + ca.sign(x)), lambda x: ca.fmin(x, ca.floor(x)),
+    lambda x: (x <= 0) / ((x <= 0) + (x <= 0.5) + 1), lambda x: ca.if_else(x > 0.2, ca.if_else(x < 0.4, x, 1), 2),
+])  # fmt: skip
+def test_named_steps_are_those_of_the_expression(written: Callable[[ca.SX], ca.SX]) -> None:
+    smooth, names, steps = _without_steps(written(X))
+    (again,) = ca.substitute([smooth], [names], [steps])
+    found = ca.Function("f", [X], [written(X), again])
+    assert names.numel() > 0
+    for point in np.linspace(-1.0, 1.0, 40).tolist():
+        value, same = (float(each) for each in found(point))
+        assert same == pytest.approx(value, abs=1e-15)

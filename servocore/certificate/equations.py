@@ -6,7 +6,7 @@ structure with all offsets one higher.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,8 +24,6 @@ from servocore.numerics.step_operations import KINKS, computed, holds_any, rebui
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
 from servocore.structure.inversion import Inversion, inversion
-
-_STEP = "sc_step"
 
 Places = npt.NDArray[np.intp]
 
@@ -108,25 +106,34 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return an expression of names for operations that are constant between jumps, these names, and the operations."""
-    names, steps = ca.SX(0, 1), ca.SX(0, 1)
+    names, steps, compared = ca.SX(0, 1), ca.SX(0, 1), dict[int, tuple[int, ...]]()
 
     def named(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
         nonlocal names, steps
         # Kinks are written by signs, which have a derivative that is bounded where they switch.
         result = (lowered if operation in {ca.OP_FMAX, ca.OP_FMIN} else computed)(operation, taken)
-        if operation == ca.OP_DIV and {each.name() for each in ca.symvar(taken[1])} == {_STEP}:
-            return taken[0]  # the derivative of fmax(a, b) by a: with s = (b <= a) and z = (a <= b), it is s/(s + z)
+        if operation == ca.OP_DIV and _is_share(taken[0], taken[1], compared):
+            return taken[0]
         if operation not in CONSTANT:
             return result
-        names, steps = (
-            ca.vertcat(names, ca.SX.sym(_STEP)),
-            ca.vertcat(steps, *ca.substitute([result], [names], [steps])),
-        )
-        return names[-1]
+        name = ca.SX.sym("s")
+        if operation == ca.OP_LE:
+            compared[name.element_hash()] = tuple(each.element_hash() for each in taken)
+        names, steps = ca.vertcat(names, name), ca.vertcat(steps, *ca.substitute([result], [names], [steps]))
+        return name
 
     if holds_any(expression, KINKS):
         expression = rebuilt(ca.cse(expression), named)
     return expression, names, steps
+
+
+def _is_share(a: ca.SX, b: ca.SX, compared: Mapping[int, tuple[int, ...]]) -> bool:
+    """Whether a/b is s/(s + z) with s = (y <= x), z = (x <= y), as in derivatives of fmax(x, y): s but where x = y."""
+    parts = {each.element_hash(): each for each in ca.symvar(b)}
+    if len(parts) != 2 or a.element_hash() not in parts or not parts.keys() <= compared.keys():
+        return False
+    (s, z), (first, second) = parts.values(), (compared[each] for each in parts)
+    return first == second[::-1] and ca.is_equal(b, s + z, 1)
 
 
 # Answers at instants --------------------------------------------------------------------------------------------------
