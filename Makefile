@@ -60,7 +60,8 @@ loop: $(INSTALLED)  ## close the loop of native inverse model and plant over 200
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; fourteen thousand hostile sequences (some minutes)
 	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py tests/test_export.py \
-		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py tests/test_hostile.py
+		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_wasm.py tests/test_hostile.py \
+		tests/test_fmi_rules.py tests/test_foreign_tools.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py
@@ -86,6 +87,7 @@ bench: $(INSTALLED)  ## measure what steps, FMUs and WebAssembly cost on this ma
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/fmu_cost.py
 	$(BIN)/python benchmarks/native_cost.py
+	$(RUN) benchmarks.step_times
 	$(BIN)/python benchmarks/wasm_cost.py
 	OMP_NUM_THREADS=1 $(RUN) benchmarks.size_cost
 	$(BIN)/python benchmarks/energy_momentum.py
@@ -106,8 +108,8 @@ jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (som
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
 
-identification: $(INSTALLED)  ## identify random cranes from synthetic logs, into docs/identification (an hour)
-	$(RUN) benchmarks.identification
+identification: $(PEERS)/.installed  ## identify random cranes from synthetic logs, into docs/identification (half an hour)
+	$(PEERS)/bin/python -m benchmarks.identification
 
 docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples and notebooks (three minutes)
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b html docs build/docs

@@ -138,20 +138,22 @@ class FmuKind:
         return {name: values[name] for name in self.resting}
 
 
-def crane_with(starts: Starts) -> sc.Scene:
+def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] = MappingProxyType({})) -> sc.Scene:
     """Return the rotary crane with those of some start values that are its parameters.
 
     Parameters
     ----------
     starts : mapping
         Start values by the name of the variable.
+    drives : mapping of str to Drive
+        By the names of inputs.
 
     Returns
     -------
     Scene
         The crane; other start values have no effect.
     """
-    crane = sc.scenes.rotary_crane()
+    crane = sc.scenes.rotary_crane().with_drives(**drives)
     return crane.with_parameters(**{name: float(starts[name]) for name in crane.parameter_values() if name in starts})
 
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         export_plant as export_plant,
         export_trajectory as export_trajectory,
     )
+    from servocore.export.native_model import HostRules as HostRules
     from servocore.export.plant_model import PlantOptions as PlantOptions
     from servocore.export.routes import SteppedRoutes as SteppedRoutes
     from servocore.export.scene_system import export_ssp as export_ssp

@@ -178,6 +178,8 @@ class Problem:
         The path to follow; at rest at home for a system without a scene.
     limits : tuple of Limit
         Where the scene ends.
+    run_limits : tuple of Limit
+        Of what a whole run adds up.
     follow_branch : bool
         Whether every instant starts from the one before, see `Scene`.
     left_out : str
@@ -204,6 +206,7 @@ class Problem:
     left_out: str = ""
     start: Mapping[str, float] = field(default_factory=dict)
     drawing: Drawing | None = None
+    run_limits: tuple[Limit, ...] = ()
 
     def __post_init__(self) -> None:
         lock_arrays(self, "p")
@@ -249,9 +252,13 @@ class Problem:
             from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415 - few hold the time
 
             reference = TimeAugmented.of(reference)
-        return cls(
-            scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {}, scene.drawing
+        limits, run_limits = (
+            tuple(each for each in scene.limits if (each.over_run is not None) == of_run) for of_run in (False, True)
         )
+        return cls(
+            scene.name, resolved, p, reference, limits, scene.follow_branch, left_out, start or {}, scene.drawing,
+            run_limits,
+        )  # fmt: skip
 
     @property
     def system(self) -> MechanicalSystem:

@@ -10,7 +10,6 @@ import subprocess
 import tokenize
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
@@ -174,33 +173,6 @@ def test_nothing_mentions_the_machine_it_was_written_on() -> None:
 
 
 # Public names --------------------------------------------------------------------------------------------------------
-
-
-def taken_by(value: object) -> list[str]:
-    """Return the arguments of a function, and the fields that a dataclass is made of."""
-    if inspect.isfunction(value):
-        return list(inspect.signature(value).parameters)
-    if inspect.isclass(value) and is_dataclass(value) and not issubclass(value, Exception):
-        return [each.name for each in fields(value) if each.init]
-    return []
-
-
-@pytest.mark.parametrize(
-    "name", [name for name, value in PUBLIC if inspect.isclass(value) or inspect.isfunction(value)]
-)
-def test_a_public_name_says_what_it_is(name: str) -> None:
-    text = inspect.getdoc(getattr(sc, name)) or ""
-    assert text.splitlines()[0].endswith((".", ":")), f"{name} has no summary sentence"
-
-
-@pytest.mark.parametrize("name", [name for name, value in PUBLIC if len(taken_by(value)) > 1])
-def test_a_public_name_says_what_it_takes(name: str) -> None:
-    value, text = getattr(sc, name), inspect.getdoc(getattr(sc, name)) or ""
-    section = re.search(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.DOTALL | re.MULTILINE)
-    assert section, f"{name} takes {', '.join(taken_by(value))}, but its docstring has no such section"
-    if inspect.isfunction(value):
-        described = set(re.findall(r"\w+", " ".join(re.findall(r"^(\w[\w, *]*?)(?: :|$)", text, re.MULTILINE))))
-        assert set(taken_by(value)) <= described
 
 
 def exported_by(attribute: str, argument: str) -> list[str]:

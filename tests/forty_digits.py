@@ -40,7 +40,7 @@ class Digits:
         return kind(getattr(operator, operation)(*(Digits(each).value for each in pair)))
 
 
-for name in ("sqrt", "sin", "cos", "__neg__", "__abs__"):
+for name in ("sqrt", "sin", "cos", "tanh", "__neg__", "__abs__"):
     setattr(Digits, name, partialmethod(Digits._alone, name))
 for name in ("add", "sub", "mul", "truediv", "pow", "lt", "le", "gt", "ge"):
     kind = bool if len(name) == 2 else Digits

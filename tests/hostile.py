@@ -181,7 +181,7 @@ class Machine:
             variable = self.random.choice(self.fmu.choices)
             value = self.random.choice((*range(1, self.fmu.items[variable.name] + 1), 0, -1, 99, 2**31 - 1))
             call = "set_integers", "Integer", [variable.reference], [value]
-            self.done(live, call, valid=live.account.phase not in LATE)
+            self.done(live, call, valid=self.fmu.settable(variable.reference, late=live.account.phase in LATE))
 
     def other_types(self, live: Live) -> None:
         reference, text = self.random.choice((0, 20, 999)), self.random.choice((b"", b"%n%s", b"x" * 100))

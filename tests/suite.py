@@ -77,11 +77,6 @@ def angle_difference(a: Array | float, b: Array | float) -> Array:
 class SceneSuite:
     """What every scene promises; parametrized over `scene_name`."""
 
-    def test_models_are_made_once(self, scene_name: str) -> None:
-        one, other = scene(scene_name), scene(scene_name)
-        for name in one.models:
-            assert one.model(name) is other.model(name)
-
     def test_models_agree_on_inputs_outputs_and_parameters(self, scene_name: str) -> None:
         first, *others = (scene(scene_name).model(name) for name in scene(scene_name).models)
         for system in others:
@@ -110,17 +105,6 @@ class SceneSuite:
         other = one.with_parameters(**{name: 2 * value})
         assert other.parameter_values()[name] == 2 * value
         assert one.parameter_values()[name] == value
-
-    @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-    def test_parameters_that_are_no_numbers_are_refused_by_name(self, scene_name: str, value: float) -> None:
-        name = scene(scene_name).model().parameters.names[0]
-        with pytest.raises(InvalidModel, match=rf"parameter {name} = .* outside its range"):
-            scene(scene_name).with_parameters(**{name: value})
-
-    def test_unknown_parameters_are_refused_and_the_known_ones_listed(self, scene_name: str) -> None:
-        name = scene(scene_name).model().parameters.names[0]
-        with pytest.raises(InvalidModel, match=rf"no parameter is called colour; there are .*{name}"):
-            scene(scene_name).with_parameters(colour=1.0)
 
     def test_unknown_models_are_refused_and_the_known_ones_listed(self, scene_name: str) -> None:
         with pytest.raises(InvalidModel, match=f"has no model clay; it has .*{scene(scene_name).default_model}"):

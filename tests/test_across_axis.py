@@ -54,11 +54,6 @@ def test_an_instant_on_the_axis_is_refused_with_its_time() -> None:
         sc.solve(scene(middle), sc.Reduced(), step=0.1)
 
 
-def test_without_the_option_the_path_is_refused() -> None:
-    with pytest.raises(sc.InvalidReference, match="the trolley reaches the slewing axis"):
-        sc.solve(sc.scenes.rotary_crane().with_reference(STRAIGHT))
-
-
 # Commands ------------------------------------------------------------------------------------------------------------
 
 COMMANDS = [

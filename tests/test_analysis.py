@@ -12,12 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import DataObject
-from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendulum
+from problems import actuated_chain, driven_pendulum, redundant_pendulum
 from thinned import thinned
 
 import servocore as sc
 from servocore.checks.internal_stability import ADVICE
-from servocore.numerics.compiled_calls import Array
 from servocore.numerics.conditioning import condition_number
 from servocore.references.rest_to_rest import RestToRest
 
@@ -47,27 +46,15 @@ def internal_roots(this: sc.Scene) -> np.ndarray:
 # Structure -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "model"), CRANE_MODELS)
-def test_a_crane_has_index_five_and_no_internal_dynamics_in_all_its_coordinates(name: str, model: str) -> None:
-    report = sc.analyse(scene(name), model=model)
-    freedom = 3 if name == "overhead_crane" else 5
-    assert (report.degrees_of_freedom, report.inputs, report.outputs) == (
-        freedom,
-        freedom - freedom // 2,
-        report.inputs,
-    )
-    assert (report.index, report.internal_degrees_of_freedom, report.internal_states) == (5, 0, ())
-    assert (report.classification, report.eigenvalues, report.reason) == ("flat", (), "")
-    assert 1.0 <= report.condition < 1e4
-
-
 def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates() -> None:
     crane = scene("rotary_crane")
     sizes = {model: len(crane.model(model).coordinates) for model in crane.models}
     assert sizes == {"points": 9, "generalized": 5, "bodies": 42}
     for model, size in sizes.items():
         report = sc.analyse(crane, model=model)
-        assert (report.degrees_of_freedom, report.inputs) == (5, 3)
+        assert (report.degrees_of_freedom, report.inputs, report.outputs) == (5, 3, 3)
+        assert (report.classification, report.eigenvalues, report.reason) == ("flat", (), "")
+        assert 1.0 <= report.condition < 1e4
         assert len(report.variable_offsets) == size + crane.model(model).lam.numel() + 3
         assert len(report.equation_offsets) == len(report.variable_offsets)
 
@@ -150,7 +137,7 @@ def test_an_unstable_problem_is_not_stepped_forward_unless_one_insists_and_then_
     solution = sc.solve(this)
     assert solution.advice == f"non-minimum phase: {ADVICE['non-minimum phase']}"
     exact = this.exact(solution.t)["u"]
-    np.testing.assert_allclose(solution["u"], exact, atol=1e-3 * np.abs(exact).max())
+    np.testing.assert_allclose(solution["u"], exact, rtol=0.0, atol=1e-8 * np.abs(exact).max())
     assert solution.t[0] < this.reference.start_time  # it moves before the path does
     with pytest.warns(sc.ServocoreWarning, match=rf"non-minimum phase.* like exp\({rate:.3g} t\)"):
         forward = sc.solve(this, sc.Reduced(), sc.RadauIIA(3))
@@ -196,13 +183,6 @@ def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them() -> No
     assert report.index is None
     assert "internal dynamics   unknown" in str(report)
     assert report.reason.startswith("actuated chain: ")
-
-
-def test_an_input_that_moves_nothing_is_singular() -> None:
-    chain = actuated_chain()
-    report = sc.analyse(replace(chain, input_matrix=ca.sparsify(ca.SX([[-1, 0], [0, 0]]))))
-    assert report.classification == "singular here"
-    assert "structurally singular" in report.reason
 
 
 THROUGH_AXIS = sc.rest_to_rest((3.0, 0.0, -5.0), (-3.0, 0.0, -5.0), 20.0)
@@ -301,46 +281,6 @@ def peaks(exact: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
     return np.array([max(np.abs(exact[name]).max(), 1e-3) for name in names])
 
 
-@pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
-@pytest.mark.parametrize("steps", [1, 7, 200])
-def test_the_inputs_are_exact_on_every_grid(name: str, model: str, steps: int) -> None:
-    this = scene(name)
-    inputs = tuple(each.name for each in this.model().inputs)
-    solution = sc.solve(this, step=this.reference.duration / steps, model=model)
-    exact, fine = this.exact(solution.t), this.exact(np.linspace(0.0, this.reference.duration, 400))
-    found = np.array([np.abs(solution[each] - exact[each]).max() for each in inputs])
-    assert (found < 1e-10 * peaks(fine, inputs)).all()
-
-
-def inverted(stepper: sc.Stepper, this: sc.Scene, state: np.ndarray, t: np.ndarray, names: tuple[str, ...]) -> Array:
-    """Advance to the instants in the order given, each from the state before; rows of inputs."""
-    rows = []
-    for jet in this.reference.jet(t, stepper.start_order):
-        state, report = stepper.advance(state, jet)
-        assert report.converged
-        values = stepper.values(state, jet)
-        rows.append([values[name] for name in names])
-    return np.array(rows)
-
-
-@pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
-def test_instants_may_come_in_any_order_for_nothing_is_remembered(name: str, model: str) -> None:
-    this = scene(name)
-    inputs = tuple(each.name for each in this.model().inputs)
-    stepper = sc.Stepper(this, sc.Reduced(), sc.BackwardEuler(), 0.1, model)
-    random = np.random.default_rng(5)
-    t = random.uniform(this.reference.start_time, this.reference.end_time, 30)
-    state, _ = stepper.start(this.reference.jet(t[0], stepper.start_order))
-    first = inverted(stepper, this, state, t, inputs)
-    order = random.permutation(len(t))
-    np.testing.assert_array_equal(inverted(stepper, this, state, t[order], inputs), first[order])
-    nothing = np.full_like(state, np.nan)
-    np.testing.assert_array_equal(inverted(stepper, this, nothing, t[:3], inputs), first[:3])
-    exact = this.exact(t)
-    assert (np.abs(first - np.column_stack([exact[each] for each in inputs])).max(axis=0) < 1e-10 * peaks(
-        exact, inputs)).all()  # fmt: skip
-
-
 @pytest.mark.parametrize("name", CRANES)
 @settings(max_examples=6, deadline=None)
 @given(data=st.data())
@@ -363,13 +303,6 @@ def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name: str, 
         exact, fine = this.exact(solution.t), this.exact(np.linspace(0.0, duration, 200))
         found = np.array([np.abs(solution[each] - exact[each]).max() for each in inputs])
         assert (found < 1e-10 * peaks(fine, inputs)).all(), model
-
-
-def test_a_scene_of_one_s_own_is_analysed_like_any_other() -> None:
-    this = as_scene(actuated_chain(), sc.rest_to_rest((0.0, 0.0), (1.0, 2.0), 2.0))
-    report = sc.analyse(this)
-    assert (report.index, report.classification) == (3, "flat")
-    assert sc.solve(this).advice.startswith("flat: ")
 
 
 def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero() -> None:

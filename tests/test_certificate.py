@@ -30,7 +30,7 @@ FLAT = [
     (name, model)
     for name, make in sc.scenes.REGISTRY.items()
     for model in make().models
-    if name not in {"mass_on_car", "passive_joint_arm"}
+    if name not in {"mass_on_car", "passive_joint_arm", "loop_manipulator"}
 ]
 THOROUGH = [pytest.param(*each, marks=pytest.mark.nightly) if each[1] == "bodies" else each for each in FLAT]
 
@@ -62,7 +62,8 @@ def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name:
     certificate = sc.certify(scene, model=model)
     assert certificate.verdict == "proved", certificate
     if scene.closed_form is not None and certificate.error_bounds:
-        assert require_truth_inside(scene, certificate) < 1e-9
+        most = 1e-7 if name == "heavy_rope" else 1e-9  # springs of 1e5 N a rope's length
+        assert require_truth_inside(scene, certificate) < most
 
 
 def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
@@ -97,7 +98,7 @@ def test_few_random_paths_and_parameters_stay_undecided(name: str, model: str) -
         if certificate.error_bounds and subject.closed_form is not None:
             bounds.append(require_truth_inside(subject, certificate, seed))
     assert np.median(bounds) <= 1e-9
-    assert max(bounds) <= 1e-8
+    assert max(bounds) <= 1e-7
     assert verdicts.count("undecided") <= 0.03 * len(verdicts), verdicts
 
 

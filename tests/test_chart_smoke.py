@@ -177,16 +177,6 @@ def test_the_committed_results_cover_scenes_models_and_peers() -> None:
 
 
 @committed
-def test_every_figure_of_the_page_is_there() -> None:
-    text = (DOCS / PAGE).read_text(encoding="utf-8")
-    shown = [part.split(")")[0] for part in text.split("](") if part.split(")")[0].endswith(".svg")]
-    assert len(shown) == 2 * len(SCENES) + 3
-    for name in shown:
-        assert (DOCS / name).exists()
-        assert (DOCS / name).with_suffix(".png").exists()
-
-
-@committed
 def test_what_is_missed_in_the_committed_study_is_a_matter_of_time_and_told_with_a_reason() -> None:
     text = (DOCS / PAGE).read_text(encoding="utf-8")
     missed = {each.what for each in requirements(read_record(DOCS)) if each.met is False}
@@ -200,12 +190,6 @@ def test_what_is_missed_of_sizes_is_told_with_a_reason() -> None:
     text = (DOCS / scale.PAGE).read_text(encoding="utf-8")
     for what, reason in scale.missed(scale.read_points(DOCS)):
         assert f"* {what}: {reason}." in text
-
-
-@committed
-def test_what_takes_longer_than_it_should_beside_c_is_explained() -> None:
-    text = (DOCS / PAGE).read_text(encoding="utf-8")
-    assert "In generalized coordinates the interpreter dominates: it takes about 7 ns" in text
 
 
 @committed

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tomllib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,18 +37,14 @@ def table(text: str) -> tuple[str, Array]:
     return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
 
 
-def reference_csv(
-    name: str = "path.csv", groups: int = 5, count: int = 41, change: Callable[[Array], object] | None = None
-) -> str:
+def reference_csv(groups: int = 5, count: int = 41) -> str:
     """Write the default manoeuvre with so many groups of columns."""
     reference = sc.scenes.rotary_crane().reference
     t = np.linspace(0.0, reference.duration, count)
     values = np.column_stack([t, reference.jet(t, 4)[:, :groups].reshape(count, -1)])
-    if change is not None:
-        change(values)
     names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s")[:groups] for axis in "xyz")]
     rows = [",".join(repr(float(value)) for value in row) for row in values]
-    return write(name, "\n".join([",".join(names), *rows]) + "\n")
+    return write("path.csv", "\n".join([",".join(names), *rows]) + "\n")
 
 
 class TestFeedforward:
@@ -62,34 +58,17 @@ class TestFeedforward:
         assert values[-1, 0] == 20.0
         assert os.listdir() == []
 
-    def test_a_file_holds_what_solve_returns_to_the_last_bit(self) -> None:
-        assert run("feedforward", *LINE, *PAPER, "--step", 0.1, "--output", "inputs.csv").exit_code == 0
+    @pytest.mark.parametrize("model", MODELS)
+    def test_a_file_holds_what_solve_returns_to_the_last_bit(self, model: str) -> None:
+        options = ("--model", model, "--step", 0.1, "--output", "inputs.csv")
+        assert run("feedforward", *LINE, *PAPER, *options).exit_code == 0
         header, values = table(Path("inputs.csv").read_text())
-        solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
+        solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1, model=model)
         assert header == HEADER
         np.testing.assert_array_equal(values[:, 0], solution.t)
         for k, name in enumerate(HEADER.split(",")[1:], start=1):
             np.testing.assert_array_equal(values[:, k], solution[name], err_msg=name)
         assert os.listdir() == ["inputs.csv"]
-
-    def test_the_inputs_approach_the_closed_form_with_the_first_order_and_the_motion_is_exact(self) -> None:
-        crane, errors = sc.scenes.rotary_crane(), []
-        for step in (0.1, 0.05):
-            _, values = table(run("feedforward", *LINE, *PAPER, "--step", step).stdout)
-            exact = crane.exact(values[:, 0])
-            errors.append([np.abs(values[:, k] - exact[name]).max() for k, name in ((1, "M_b"), (2, "F"), (3, "M_w"))])
-            for k, name in ((4, "phi"), (5, "s"), (6, "l"), (7, "x"), (8, "y"), (9, "z")):
-                np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
-        np.testing.assert_allclose(np.divide(errors[0], errors[1]), 2.0, rtol=0.05)
-
-    @pytest.mark.parametrize("model", MODELS)
-    def test_every_model_is_as_close_to_the_closed_form_as_its_step_is_small(self, model: str) -> None:
-        _, values = table(run("feedforward", *LINE, *PAPER, "--step", 0.0125, "--model", model).stdout)
-        exact = sc.scenes.rotary_crane().exact(values[:, 0])
-        for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
-            assert np.abs(values[:, k] - exact[name]).max() < 0.04 * np.abs(exact[name]).max(), name
-        for k, name in ((4, "phi"), (5, "s"), (6, "l")):
-            np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
 
     @pytest.mark.parametrize("formulation", FORMULATIONS)
     def test_every_formulation_can_be_asked_for(self, formulation: str) -> None:
@@ -110,12 +89,6 @@ class TestFeedforward:
 
     def test_without_a_path_the_load_goes_the_way_of_the_scene(self) -> None:
         assert run("feedforward").stdout == run("feedforward", *LINE).stdout
-
-    def test_by_default_the_inputs_are_exact(self) -> None:
-        _, values = table(run("feedforward", *LINE).stdout)
-        exact = sc.scenes.rotary_crane().exact(values[:, 0])
-        for k, name in enumerate(HEADER.split(",")[1:10], start=1):
-            np.testing.assert_allclose(values[:, k], exact[name], atol=1e-8, err_msg=name)
 
     @pytest.mark.parametrize("options", [["--rtol", 1e-3], ["--atol", 0.5], ["--rtol", 1e-3, "--atol", 0.1]])
     def test_a_tolerance_takes_the_place_of_a_step(self, options: Sequence[str]) -> None:
@@ -176,25 +149,6 @@ class TestFeedforward:
         assert limited.exit_code == 0
         assert limited.stdout == run("feedforward", *LINE).stdout
 
-    @pytest.mark.parametrize(
-        ("limit", "sentence"),
-        [
-            ("F=17", "rotary_crane: at t = 5.51236 s F goes beyond its lower limit of -17 N; it reaches -17.5746 N"),
-            ("M_w=..-98", "at t = 10.309 s M_w goes beyond its upper limit of -98 N.m; it reaches -97.3419 N.m"),
-            (
-                "swing = 1 deg",
-                "at t = 13.5794 s swing goes beyond its upper limit of 1 deg; it reaches 1.00332 deg",
-            ),
-            ("F", "--limit F is no NAME=NUMBER or NAME=LOW..HIGH"),
-            ("M_w=-104:-92", "a range is written M_w=-104..-92"),
-            ("torque=3", "reports nothing called torque that could have a limit"),
-            ("F=3 m", "the limit of F is given in m, but its unit is N"),
-        ],
-    )
-    def test_a_limit_that_is_broken_or_none_is_refused(self, limit: str, sentence: str) -> None:
-        assert_refused(run("feedforward", *LINE, "--limit", limit, "--output", "inputs.csv"), sentence)
-        assert os.listdir() == []
-
     def test_the_shortest_duration_that_a_refusal_names_keeps_the_limits(self) -> None:
         limits, way = ["--limit", "M_b=1000", "--limit", "F=60"], ["--from", 5, 0, -5, "--to", -2, 2, -2]
         refused = run("feedforward", *way, "--duration", 2, *limits)
@@ -207,9 +161,6 @@ class TestFeedforward:
         Path("limits.toml").write_text('F = 17\nM_w = [-104, -92]\nswing = "5 deg"\ns.rate = 1.2\n')
         assert_refused(run("feedforward", *LINE, "--limits", "limits.toml"), "F goes beyond its lower limit of -17 N")
         assert run("feedforward", *LINE, "--limits", "limits.toml", "--limit", "F=60").exit_code == 0
-
-    def test_a_limit_that_is_broken_at_rest_is_told_apart(self) -> None:
-        assert_refused(run("feedforward", *LINE, "--limit", "M_w=50"), "no duration helps")
 
     def test_what_code_1_advises_helps(self) -> None:
         advised = run("feedforward", *LINE, "--formulation", "reduced", "--method", "gauss1", "--step", 0.1)
@@ -284,33 +235,11 @@ class TestFeedforward:
         radial = ["--from", 5, 2.83, -5, "--to", 3, 1.698, -5, "--duration", 10]
         assert run("feedforward", *radial, "--formulation", "original", "--step", 0.01).exit_code == 0
 
-    @pytest.mark.parametrize("profile", PROFILES)
+    @pytest.mark.parametrize("profile", [*PROFILES, "three-phase --ramp 8"])
     def test_every_profile_can_be_asked_for(self, profile: str) -> None:
-        _, values = table(run("feedforward", *LINE, "--profile", profile).stdout)
-        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES[profile])
+        _, values = table(run("feedforward", *LINE, "--profile", *profile.split()).stdout)
+        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES.get(profile, sc.three_phase(8.0)))
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
-
-    def test_a_ramp_shapes_the_three_phase_profile(self) -> None:
-        options = ("--profile", "three-phase", "--ramp", 8)
-        _, values = table(run("feedforward", *LINE, *options).stdout)
-        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, sc.three_phase(8.0))
-        np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
-
-    @pytest.mark.parametrize("groups", [1, 2, 5])
-    def test_a_reference_file_gives_what_the_line_gives(self, groups: int) -> None:
-        path = reference_csv(groups=groups, count=201)
-        _, values = table(run("feedforward", "--reference", path, "--step", 0.1).stdout)
-        _, expected = table(run("feedforward", *LINE, "--step", 0.1).stdout)
-        np.testing.assert_allclose(values[:, 4:10], expected[:, 4:10], atol=1e-6)
-        np.testing.assert_allclose(values[:, 1:4], expected[:, 1:4], atol=1e-2)
-
-    def test_rounded_positions_are_followed_within_a_tolerance(self) -> None:
-        path = reference_csv(groups=1, count=201, change=lambda values: values.round(5, out=values))
-        assert_refused(run("feedforward", "--reference", path), "path.csv", "tolerance")
-        result = run("feedforward", "--reference", path, "--tolerance", 1e-5)
-        assert result.exit_code == 0
-        line = table(run("feedforward", *LINE).stdout)[1]
-        np.testing.assert_allclose(table(result.stdout)[1][:, 7:10], line[:, 7:10], atol=2e-5)
 
     def test_parameters_from_a_file_change_the_crane(self) -> None:
         write("crane.toml", "load_mass = 50\n")
@@ -324,129 +253,31 @@ class TestFeedforward:
         assert Path(name).read_bytes().startswith(start)
         assert sorted(os.listdir()) == ["inputs.csv", name]
 
-    def test_an_older_output_is_replaced(self) -> None:
-        write("inputs.csv", "old")
-        assert run("feedforward", *LINE, "--output", "inputs.csv").exit_code == 0
-        assert Path("inputs.csv").read_text().startswith(HEADER)
-
-
-def _not_a_number(values: Array) -> None:
-    values[3, 2] = np.nan
-
-
-def _back_in_time(values: Array) -> None:
-    values[3, 0] = values[2, 0]
-
-
-REFUSED_PATHS = {
-    "load above the girder": (["--from", 5, 0, -5, "--to", 3, 0, 1, "--duration", 20], "girder"),
-    "slack rope": (["--from", 5, 0, -50, "--to", 5, 0, -1, "--duration", 4], "slack"),
-    "trolley over the axis": (["--from", 5, 0, -5, "--to", -5, 0, -5, "--duration", 20], "slewing axis"),
-    "two paths": (["--reference", "path.csv", *LINE], "either"),
-    "half a line": (["--from", 5, 0, -5], "--to"),
-    "no start": (["--to", 5, 0, -5, "--duration", 5], "--from"),
-    "profile without a line": (["--reference", "path.csv", "--profile", "degree9"], "--profile"),
-    "tolerance without a file": ([*LINE, "--tolerance", 1e-3], "--tolerance"),
-    "no duration": ([*LINE[:-1], "0"], "duration"),
-    "negative duration": ([*LINE[:-1], "-3"], "duration"),
-    "duration without end": ([*LINE[:-1], "inf"], "duration"),
-    "start that is no number": (["--from", "nan", 0, -5, *LINE[4:]], "start"),
-    "point with two numbers": (["--from", 5, 0, *LINE[4:]], "--from X Y Z"),
-    "point with letters": (["--from", "a", 0, -5, *LINE[4:]], "--from"),
-    "ramp of another profile": ([*LINE, "--ramp", 3], "ramp"),
-    "ramp too long": ([*LINE, "--profile", "three-phase", "--ramp", 11], "20"),
-    "no ramp": ([*LINE, "--profile", "three-phase", "--ramp", 0], "ramp"),
-    "negative ramp": ([*LINE, "--profile", "three-phase", "--ramp", -1], "ramp"),
-    "unknown profile": ([*LINE, "--profile", "degree8"], "degree13"),
-    "unknown model": ([*LINE, "--model", "large"], "points"),
-    "unknown formulation": ([*LINE, "--formulation", "index9"], "projected"),
-    "unknown method": ([*LINE, "--method", "euler"], "backward-euler"),
-    "duration beyond reason": ([*LINE[:-1], "1e300"], "1e+09"),
-    "duration of no time": ([*LINE[:-1], "1e-300"], "slack"),
-    "coordinates beyond reason": (["--from", 1e308, 0, -5, "--to", -1e308, 1, -5, "--duration", 20], "t = 0 s"),
-    "step with too many rows": ([*LINE, "--step", 1e-9], "rows"),
-    "no step": ([*LINE, "--step", 0], "step"),
-    "negative step": ([*LINE, "--step", -0.1], "step"),
-    "step that is no number": ([*LINE, "--step", "nan"], "step"),
-    "step and tolerance": ([*LINE, "--step", 0.1, "--rtol", 1e-3], "--step"),
-    "rows of their own without a tolerance": ([*LINE, "--output-step", 0.1], "--rtol"),
-    "negative tolerance": ([*LINE, "--rtol", -1], "rtol"),
-    "tolerance that is no number": ([*LINE, "--atol", "nan"], "atol"),
-    "no tolerance": ([*LINE, "--rtol", 0], "tolerances"),
-    "rows that do not divide": ([*LINE, "--rtol", 1e-3, "--output-step", 0.3], "divide"),
-    "too many rows": ([*LINE, "--rtol", 1e-3, "--output-step", 1e-9], "rows"),
-    "step with letters": ([*LINE, "--step", "small"], "--step"),
-    "step beyond the duration": ([*LINE, "--step", 21], "duration"),
-    "step that does not divide": ([*LINE, "--step", 0.3], "divide"),
-    "missing reference": (["--reference", "nowhere.csv"], "nowhere.csv"),
-    "missing parameters": ([*LINE, "--parameters", "nowhere.toml"], "nowhere.toml"),
-    "unknown option": ([*LINE, "--speed", 3], "--speed"),
-    "stray argument": ([*LINE, "more"], "more"),
-    "output nowhere": ([*LINE, "--output", "nowhere/inputs.csv"], "nowhere"),
-    "plot nowhere": ([*LINE, "--plot", "nowhere/p.png", "--output", "o.csv"], "nowhere"),
-    "plot of no known kind": ([*LINE, "--plot", "p.gif", "--output", "o.csv"], "p.gif"),
-    "output and plot alike": ([*LINE, "--plot", "p.png", "--output", "p.png"], "p.png"),
-    "output into a device": ([*LINE, "--output", os.devnull], "ordinary"),
-    "output into a folder": ([*LINE, "--output", "."], "folder"),
-}
-
-
-@pytest.mark.parametrize(("options", "word"), REFUSED_PATHS.values(), ids=REFUSED_PATHS)
-def test_refusals_are_one_sentence_and_leave_no_file(options: Sequence[str], word: str) -> None:
-    assert_refused(run("feedforward", "--output", "o.csv", *options), word)
-    assert os.listdir() == []
-
-
-CONTENTS = {
-    "not a number": (lambda: reference_csv(change=_not_a_number), "line 5, column y"),
-    "time that stands still": (lambda: reference_csv(change=_back_in_time), "line 5, column time"),
-    "wrong header": (lambda: write("path.csv", "seconds,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "header"),
-    "no rows": (lambda: write("path.csv", "time,x,y,z\n"), "path.csv"),
-    "empty": (lambda: write("path.csv", ""), "path.csv"),
-    "too few rows": (lambda: write("path.csv", "time,x,y,z\n0,1,2,-3\n"), "path.csv"),
-    "row too short": (lambda: write("path.csv", "time,x,y,z\n0,1,2\n"), "line 2"),
-    "letters": (lambda: write("path.csv", "time,x,y,z\n0,1,2,deep\n"), "column z"),
-}
-
-
-@pytest.mark.parametrize(("make", "word"), CONTENTS.values(), ids=CONTENTS)
-def test_a_bad_reference_file_is_refused_with_its_name(make: Callable[[], str], word: str) -> None:
-    assert_refused(run("feedforward", "--reference", make(), "--output", "o.csv"), "path.csv", word)
-    assert os.listdir() == ["path.csv"]
-
 
 TOML = {
-    "unknown key": ("load_mas = 3", "load_mas"),
-    "negative mass": ("load_mass = -1", "load_mass"),
-    "beyond the bounds": ("load_mass = 1e12", "load_mass"),
-    "text": ('load_mass = "heavy"', "load_mass"),
-    "boolean": ("load_mass = true", "load_mass"),
-    "list": ("load_mass = [1, 2]", "load_mass"),
-    "table": ("[load_mass]\nvalue = 3", "load_mass"),
-    "date": ("load_mass = 2009-01-01", "load_mass"),
-    "not a number": ("load_mass = nan", "load_mass"),
-    "infinite": ("gravity = inf", "gravity"),
+    "unknown key": ("load_mas = 3", "no parameter is called 'load_mas'; there are bridge_inertia, "),
+    "negative mass": ("load_mass = -1", "load_mass = -1 kg is outside its range"),
+    "beyond the bounds": ("load_mass = 1e12", "load_mass = 1e+12 kg is outside its range"),
+    "text": ('load_mass = "heavy"', "load_mass must be a number, not a text"),
+    "boolean": ("load_mass = true", "load_mass must be a number, not a boolean"),
+    "list": ("load_mass = [1, 2]", "load_mass must be a number, not a"),
+    "table": ("[load_mass]\nvalue = 3", "load_mass must be a number, not a table"),
+    "date": ("load_mass = 2009-01-01", "load_mass must be a number, not a"),
+    "not a number": ("load_mass = nan", "load_mass = nan kg is outside its range"),
+    "infinite": ("gravity = inf", "gravity = inf m/s2 is outside its range"),
     "huge integer": (f"gravity = {'9' * 400}", "gravity"),
-    "no TOML": ("load_mass 3", "TOML"),
-    "key given twice": ("load_mass = 3\nload_mass = 4", "TOML"),
+    "no TOML": ("load_mass 3", "is not a TOML file"),
+    "key given twice": ("load_mass = 3\nload_mass = 4", "is not a TOML file"),
+    "no text": ("load_mass = 3\xff", "not UTF-8 text"),
 }
 
 
-@pytest.mark.parametrize(("text", "word"), TOML.values(), ids=TOML)
-def test_a_bad_parameter_file_is_refused_with_file_and_key(text: str, word: str) -> None:
-    write("crane.toml", text)
+@pytest.mark.parametrize(("text", "words"), TOML.values(), ids=TOML)
+def test_a_bad_parameter_file_is_refused_with_file_and_key(text: str, words: str) -> None:
+    Path("crane.toml").write_bytes(text.encode("latin-1"))
     result = run("feedforward", *LINE, "--parameters", "crane.toml", "--output", "o.csv")
-    assert_refused(result, "crane.toml", word)
+    assert_refused(result, "crane.toml", words)
     assert os.listdir() == ["crane.toml"]
-
-
-def test_a_negative_tolerance_is_refused() -> None:
-    assert_refused(run("feedforward", "--reference", reference_csv(groups=1), "--tolerance", -1), "tolerance")
-
-
-def test_a_parameter_file_that_is_no_text_is_refused() -> None:
-    Path("crane.toml").write_bytes(b"\xff\xfe\x00")
-    assert_refused(run("feedforward", *LINE, "--parameters", "crane.toml"), "crane.toml")
 
 
 def test_a_parameter_file_may_name_all_six_and_integers_count() -> None:
@@ -461,11 +292,6 @@ def test_the_file_that_is_read_is_never_overwritten() -> None:
     before = Path(path).read_bytes()
     assert_refused(run("feedforward", "--reference", path, "--output", path), path)
     assert Path(path).read_bytes() == before
-
-
-def test_no_command_and_an_unknown_one_are_refused() -> None:
-    assert_refused(run(), "--help")
-    assert_refused(run("fly"), "fly")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["feedforward", "--help"], ["feedforward", "-h"]])

@@ -78,18 +78,6 @@ def test_arguments_of_another_size_are_refused(
         weighted(*arguments)
 
 
-@pytest.mark.parametrize("arguments", [(X, A), (X, A, 0.0, 0.0)])
-def test_missing_or_surplus_arguments_are_refused(weighted: Call, arguments: tuple[Array | float, ...]) -> None:
-    with pytest.raises(ValueError, match="zip"):
-        weighted(*arguments)
-
-
-def test_after_a_refused_call_the_next_one_is_right(weighted: Call) -> None:
-    with pytest.raises(ValueError, match="expected 3"):
-        weighted(X[:2], A, 0.0)
-    np.testing.assert_array_equal(weighted(X, A, 0.0)[0], A @ X)
-
-
 def test_empty_arguments_and_results_are_allowed() -> None:
     x = ca.SX.sym("x", 2)
     call = Call(ca.Function("partly", [x, ca.SX(0, 1)], [2 * x, ca.SX(0, 1)]))

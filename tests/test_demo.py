@@ -1,12 +1,9 @@
 """The demo leaves a complete folder or none, and the FMU that it runs does what the library does."""
 
-import os
 import re
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,11 +17,10 @@ import servocore as sc
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli.commands import app
 from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
-from crane_fmu.files import filled_folder, put
+from crane_fmu.files import filled_folder
 from crane_fmu.report.study import LoadRun
 from crane_fmu.run import run_fmu
 
-ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
 FIGURES = ("crane", "reference_function", "inputs_paper", "error_against_step", "tracking", "closed_loop", "cycle_path")
 
@@ -162,20 +158,6 @@ def test_the_command_prints_tables_and_where_the_report_is(
     assert result.stderr == ""
 
 
-@pytest.mark.parametrize("command", ["demo", "build"])
-def test_a_folder_that_cannot_be_made_is_one_sentence(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("in the way")
-    for place in ("file", "file/deeper"):
-        result = CliRunner().invoke(app, [command, "-o", place])
-        assert result.exit_code == 2
-        assert result.stdout == ""
-        assert re.fullmatch(r"crane-fmu: cannot write file.*not a folder; name another place\n", result.stderr)
-    assert os.listdir() == ["file"]
-
-
 class TestRunFmu:
     def test_it_follows_the_library_at_every_row(self, fmu: Path) -> None:
         crane = sc.scenes.rotary_crane()
@@ -219,11 +201,6 @@ def _half_done(folder: Path, failure: type[BaseException]) -> None:
         raise failure
 
 
-def _done(folder: Path) -> None:
-    with filled_folder(folder) as draft:
-        put(draft, dict.fromkeys(("figures/crane.svg", "inputs.csv", "report.html", "table.csv"), "new"))
-
-
 class TestWriting:
     @pytest.mark.parametrize("failure", [KeyboardInterrupt, RuntimeError])
     @pytest.mark.parametrize("there", [False, True])
@@ -237,19 +214,3 @@ class TestWriting:
             _half_done(tmp_path / "out", failure)
         assert [each.read_text() for each in tmp_path.rglob("*.*")] == ["old"] * there
         assert [each.name for each in tmp_path.iterdir()] == ["out"] * there
-
-    @pytest.mark.parametrize("there", [False, True])
-    def test_whether_a_folder_can_be_written_is_tried_once(
-        self, there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        trial, tried = tempfile.TemporaryFile, list[object]()
-
-        def counted(**options: Any) -> Any:
-            tried.append(options)
-            return trial(**options)
-
-        monkeypatch.setattr(tempfile, "TemporaryFile", counted)
-        if there:
-            (tmp_path / "out").mkdir()
-        _done(tmp_path / "out")
-        assert tried == [{"dir": tmp_path / "out" if there else tmp_path}]

@@ -103,9 +103,6 @@ def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path: Path) ->
         (["--map", "M_b=none"], "Other.fmu has no input 'none'; its inputs are slew.torque, trolley.force"),
         ([], "Other.fmu has no input 'M_b'; map one with --map M_b=NAME; its inputs are slew.torque"),
         (["--map", "torque=a"], "there is no signal 'torque' to map; there are M_b, F, M_w, x, y, z"),
-        (["--map", "F"], "--map F is no OURS=THEIRS, nor a file that ends in .toml: write it as in --map"),
-        (["--map", "none.toml"], "none.toml cannot be read: No such file or directory"),
-        (["--set", "a"], "--set a is no NAME=NUMBER: write it as in --set start.swing=0.1"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(arguments: list[str], sentence: str) -> None:

@@ -13,14 +13,20 @@ import fmpy
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
+from fmpy.ssp.simulation import simulate_ssp
 from present import of_kind
 from problems import DRIVES, driven_crane
 from scipy.integrate import simpson
 from thinned import thinned
 
 import servocore as sc
+from crane_fmu.build.native import feedback_of
+from crane_fmu.cli.commands import app as crane_fmu
+from crane_fmu.run import nothing_left
 from servocore.checks.motion_limits import limited_values
 from servocore.cli.commands import app
+from servocore.export.variables import ORDERS
+from servocore.model.drive_files import read_drives
 from servocore.model.drives import largest_torque
 from servocore.model.limits import Bounds
 from servocore.problem import Problem
@@ -43,6 +49,7 @@ rated_power = "1.5 kW"
 """
 OF_WINCH = {"M_w.motor_torque": "N.m", "M_w.motor_speed": "rad/s", "M_w.power": "W", "M_w.current": "A"}
 OF_WINCH |= {"M_w.torque_reserve": "N.m"}
+OF_RUN = {"M_w.energy": "J", "M_w.rms_torque": "N.m"}
 REFLECTED = {"M_w": ("winch_inertia", 40**2 * 5e-4), "M_b": ("bridge_inertia", 90**2 * 0.012)}
 REFLECTED |= {"F": ("trolley_mass", (30 / 0.2) ** 2 * 1e-3)}
 LIKE = {  # drives whose inertia acts as that of a part, by crane; a trolley that moves with its bridge is no such part
@@ -135,6 +142,40 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
         sc.solve(crane.with_reference(sc.rest_to_rest(line_.start, line_.end, report.duration)))
 
 
+RUN_LIMITS: dict[str, Bounds] = {"F.rms_torque": "0.9 N m", "M_w.energy": "4 kJ"}
+
+
+def test_limits_of_energy_and_effective_torque_hold_for_the_run_as_a_whole() -> None:
+    crane, over = driven_crane(), r"F.rms_torque goes beyond its upper limit of 0.9 N m;.*over the whole run"
+    with pytest.raises(sc.LimitBroken, match=over):
+        sc.solve(crane.with_limits(**RUN_LIMITS))
+    with pytest.raises(sc.LimitBroken, match=r"M_w.energy goes beyond its lower limit"):
+        sc.solve(crane.with_limits(**{"M_w.energy": ("5 kJ", None)}))
+
+
+@pytest.mark.nightly
+def test_plans_keep_limits_of_the_run_as_a_whole() -> None:
+    crane = driven_crane()
+    line_ = of_kind(RestToRest, crane.reference)
+    plan, report = sc.fastest(crane, (line_.start, line_.end), {**RUN_LIMITS, "F": 1000.0}, intervals=40)
+    assert report.limits.evidence == "proved to be kept at all times"
+    assert "F.rms_torque" in {each.quantity for each in report.active}
+    assert report.duration < 0.85 * report.degree9  # which needs much torque in its middle
+    found = sc.solve(crane.with_reference(plan).with_limits(**RUN_LIMITS), step=plan.duration / 2000)
+    assert 0.89 < found["F.rms_torque"][-1] <= 0.9
+
+
+@pytest.mark.parametrize("name", ["M_w.energy", "F.rms_torque", "M_w.rms_torque"])
+def test_a_certificate_encloses_energies_and_effective_torques(name: str) -> None:
+    value = float(sc.solve(driven_crane(), step=0.001)[name][-1])
+    bounds: Bounds
+    for bounds, verdict in ((1.01 * value, "proved"), (0.99 * value, "refuted"), ((1.01 * value, None), "refuted")):
+        statements = {each.what: each for each in sc.certify(driven_crane(), {name: bounds}).statements}
+        assert statements[f"limit of {name}"].verdict == verdict
+    in_box = sc.certify(driven_crane(), {name: 1.1 * value}, {"load_mass": (99.0, 101.0)})
+    assert in_box.verdict == "proved"
+
+
 def test_a_certificate_proves_the_limits_of_the_motors() -> None:
     limits: dict[str, Bounds] = {"M_w.torque_reserve": (0.0, None), "M_w.motor_speed": "8000 rpm"}
     limits |= {"M_w.power": "5 kW", "M_w.current": 12.0, "M_w.motor_torque": "9 N m"}
@@ -145,33 +186,92 @@ def test_a_certificate_proves_the_limits_of_the_motors() -> None:
 
 
 def test_tables_sweeps_and_pages_have_the_quantities_of_the_motors_with_units(tmp_path: Path) -> None:
-    scene = driven_crane().with_limits(**{"M_w.current": 12.0})
+    limits: dict[str, Bounds] = {"M_w.current": 12.0, "M_w.energy": "5 kJ"}
+    scene = driven_crane().with_limits(**limits)
     solution = sc.solve(scene)
-    assert {name: solution.unit(name) for name in OF_WINCH} == OF_WINCH
+    assert {name: solution.unit(name) for name in OF_WINCH | OF_RUN} == OF_WINCH | OF_RUN
     solution.to_csv(tmp_path / "run.csv")
     assert (tmp_path / "run.csv").read_text().startswith(",".join(("time", *solution.names)))
     swept = sc.sweep(scene, {"load_mass": [80.0, 100.0], "M_w.ratio": [12.0, 14.0]}, instants=201)
     for name, unit in OF_WINCH.items():
         assert swept[f"peak_{name}"].attrs["units"] == unit
         assert float(swept[f"peak_{name}"][1, 0]) == pytest.approx(np.abs(solution[name]).max(), rel=1e-9)
+    for name, unit in OF_RUN.items():
+        assert swept[name].attrs["units"] == unit
+        assert float(swept[name][1, 0]) == pytest.approx(solution[name][-1], rel=1e-3)
+    assert float(swept["margin_M_w.energy"][1, 0]) == pytest.approx(5e3 - float(swept["M_w.energy"][1, 0]))
     assert float(swept["margin_M_w.current"][1, 0]) == pytest.approx(12.0 - np.abs(solution["M_w.current"]).max())
     page = sc.view(solution, tmp_path / "page.html").read_text()
-    for name, unit in OF_WINCH.items():
+    for name, unit in (OF_WINCH | OF_RUN).items():
         assert json.dumps({"name": name, "unit": unit}, separators=(",", ":"))[1:-1] in page
 
 
 @pytest.mark.parametrize("export", [sc.export_fmu, sc.export_plant])
 def test_both_kinds_of_fmus_have_them_as_outputs(tmp_path: Path, export: Callable[..., Path]) -> None:
+    units_of = OF_WINCH | OF_RUN
     for fmi in (2, 3):
         file = export(driven_crane(), tmp_path / f"{fmi}.fmu", fmi=fmi, targets="host")
         known = {each.name: each for each in fmpy.read_model_description(file).modelVariables}
-        units = {name: known[name].unit or known[name].declaredType.unit for name in OF_WINCH}
-        assert units == OF_WINCH
-        assert {known[name].causality for name in OF_WINCH} == {"output"}
+        units = {name: known[name].unit or known[name].declaredType.unit for name in units_of}
+        assert units == units_of
+        assert {known[name].causality for name in units_of} == {"output"}
         assert known["M_w.motor_inertia"].causality == "parameter"
-    start = fmpy.simulate_fmu(str(tmp_path / "2.fmu"), stop_time=0.1, output=list(OF_WINCH), start_values={"M_w": -98.1}
-                              if export is sc.export_plant else {"load.position[2]": -4.0})  # fmt: skip
-    assert start["M_w.current"][0] == pytest.approx(-98.1 / 24 / 1.1 * (0.85 + 1 / 0.85) / 2, rel=1e-6)
+    found = sc.solve(driven_crane(), step=0.005)
+    given = [each for each in known.values() if each.causality == "input"]
+    jet = driven_crane().reference.jet(found.t, 4).reshape(len(found.t), -1).T
+    names = [f"load.{order}[{k}]" for order in ORDERS[:5] for k in (1, 2)] if export is sc.export_fmu else ["F", "M_w"]
+    columns = jet if export is sc.export_fmu else [found["F"], found["M_w"]]
+    assert len(given) == (5 if export is sc.export_fmu else 2)
+    table = np.rec.fromarrays([found.t, *columns], dtype=[(name, float) for name in ("time", *names)])
+    run = fmpy.simulate_fmu(str(tmp_path / "2.fmu"), stop_time=3.0, output_interval=0.005, input=table,
+                            start_values={"input_time": 2}, output=[*units_of])  # fmt: skip
+    for name in units_of:
+        within = 2e-3 if export is sc.export_plant else 1e-3  # tanh turns within a step or two
+        assert run[name][-1] == pytest.approx(found[name][-1], rel=within, abs=within * np.abs(found[name]).max()), name
+
+
+SHEET_OF_CRANE = (
+    """
+M_b = {ratio = 120, motor_inertia = "0.012 kg m^2", coulomb = "0.15 N m", viscous = 1e-3, efficiency = "90 %"}
+"""
+    + SHEET
+)
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load_is_on_its_path() -> None:
+    write("drives.toml", SHEET_OF_CRANE)
+    crane = sc.scenes.rotary_crane().with_drives(**read_drives("drives.toml"))
+    laws, h, times = feedback_of(crane).laws, 0.01, np.array([8.0, 8.01])
+    motion, p = sc.solve(crane, step=h), Problem.of(crane).p
+    jets = crane.reference.jet(times, 4).reshape(2, -1)
+    at = round(8.0 / h)
+    rates = [(motion[name][at + 1] - motion[name][at - 1]) / (2 * h) for name in ("phi", "s", "l")]
+    measured = [*(motion[name][at] for name in ("phi", "s", "l")), *rates, *jets[0, :6]]
+    now, then = (np.array([motion[name][k] for name in ("M_b", "F", "M_w")]) for k in (at, at + 1))
+    limits = np.full(3, 1e9)
+    memory = laws["begin_end"](jets[0], measured, p, h)
+    _, inputs = laws["feedback_end"](memory, jets[1], jets[0], measured, now, then, p, h, 1.0, limits)
+    np.testing.assert_allclose(np.asarray(inputs).ravel(), then, rtol=0, atol=1e-3 * np.abs(then).max())
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("empty_folder")
+@pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
+def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool) -> None:
+    write("drives.toml", SHEET_OF_CRANE)
+    result = CommandLine(crane_fmu, "crane-fmu")(
+        "ssp", "--drives", "drives.toml", "--targets", "host", "-o", "system", *["--native"] * native
+    )
+    assert result.exit_code == 0, result.stderr
+    with nothing_left():
+        rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
+    wanted, found = (np.array([rows[f"{of}.load.position[{k}]"] for k in (1, 2, 3)]) for of in ("trajectory", "plant"))
+    assert np.linalg.norm(wanted - found, axis=0).max() < 1e-6
+    solution = sc.solve(sc.scenes.rotary_crane().with_drives(**read_drives("drives.toml")), step=0.01)
+    for name in ("M_b.energy", "F.energy", *OF_RUN):
+        for part in ("crane", "plant"):
+            assert rows[f"{part}.{name}"][-1] == pytest.approx(solution[name][-1], rel=2e-4), name
 
 
 @pytest.mark.usefixtures("empty_folder")

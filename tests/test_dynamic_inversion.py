@@ -10,8 +10,6 @@ from present import present
 from problems import scene
 
 import servocore as sc
-from servocore.numerics.stepped_runs import Between, Run
-from servocore.stepping.explicit_steps import compile_explicit_steps
 
 SCENES = ("mass_on_car", "passive_joint_arm")
 
@@ -70,20 +68,6 @@ def test_one_instant_gives_one_row_and_instants_may_come_in_any_order() -> None:
     t = np.linspace(0.0, 4.0, 7)
     np.testing.assert_allclose(inputs(t[::-1])[::-1], inputs(t), rtol=1e-12)
     np.testing.assert_allclose(inputs(t[3]), inputs(t)[3], rtol=1e-9)
-
-
-def test_steps_have_order_eight_and_polynomials_of_degree_seven_are_met() -> None:
-    problem = sc.Problem.of(scene("mass_on_car"))
-    steps = compile_explicit_steps(problem.resolved, problem.reference.formula, False)
-    runs = [steps.run([problem.reference], count, problem.p, np.zeros(2)) for count in (20, 40, 400)]
-    ends = [steps.runs.states(each)[0, :, -1] for each in runs]
-    ratio = np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()
-    assert 7.0 < np.log2(ratio) < 9.5
-    h = 0.5
-    x, t = 2.0 + h * np.arange(11.0), np.linspace(2.0, 7.0, 101)
-    run = Run(2.0, 7.0, 10, x[None], np.zeros(1), np.array([h]), np.zeros(1))
-    between = Between.of(t, run, steps.runs.weigh(len(t)))
-    np.testing.assert_allclose(between.states(np.array([[x**7], [7.0 * h * x**6]]))[0], t**7, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", SCENES)

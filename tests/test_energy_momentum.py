@@ -14,7 +14,7 @@ from problems import scene
 from thinned import thinned
 
 import servocore as sc
-from servocore.stepping.energy_momentum import compile_conserving_step, conserving_equations
+from servocore.stepping.energy_momentum import conserving_equations
 
 STEPS = {
     conserved.free_body: (0.1, 0.03, 0.01),
@@ -124,21 +124,6 @@ def test_rotations_as_unknowns_give_the_motion_and_the_forces_that_multipliers_g
     names = (*motion.system.coordinates.names, "work", "energy")
     for name in names:
         np.testing.assert_allclose(turned[name], with_multipliers[name], rtol=1e-9, atol=1e-9)
-
-
-def test_a_step_in_rotations_has_no_multipliers_among_its_unknowns() -> None:
-    """It takes none, and returns those of the step with multipliers."""
-    motion = conserved.heavy_top()
-    system = motion.system
-    values = [motion.start[f"{name}{dot}"] for dot in ("", "_dot") for name in system.coordinates.names]
-    noise, p = np.sin(1.0 + np.arange(system.lam.numel())), system.parameters.values()
-    steps = [compile_conserving_step(system, update).step for update in (sc.RotationUpdate(), None)]
-    turned, disturbed, usual = (
-        np.asarray(step(np.r_[values, lam], 0.0, 0.01, p)[0]).ravel()
-        for step, lam in ((steps[0], 0 * noise), (steps[0], noise), (steps[1], 0 * noise))
-    )
-    np.testing.assert_array_equal(turned, disturbed)
-    np.testing.assert_allclose(turned, usual, atol=1e-10)
 
 
 def test_the_null_space_has_no_columns_that_become_dependent() -> None:

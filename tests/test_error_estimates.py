@@ -5,23 +5,20 @@ from __future__ import annotations
 import pickle
 import re
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import vtol
 from present import present
-from problems import as_scene, scene
+from problems import Rest, as_scene, car_chain, changed, scene
 
 import servocore as sc
 from servocore.checks.better_solutions import warn_and_state_branch
-from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
-from servocore.numerics.compiled_calls import Array
+from servocore.checks.wrong_inputs import LARGEST_UNWARNED
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep
@@ -154,19 +151,9 @@ class CubicCars:
     k3: float = 3.0
 
     def __call__(self) -> sc.MechanicalSystem:
-        coordinates = sc.Coordinates(sc.Quantity("x_1", "m"), sc.Quantity("x_2", "m"))
-        stretch = coordinates["x_1"] - coordinates["x_2"]
-        return sc.MechanicalSystem(
-            name="cubic cars",
-            coordinates=coordinates,
-            parameters=sc.Parameters(),
-            inputs=(sc.Quantity("F", "N"),),
-            outputs=(sc.Quantity("y", "m"),),
-            mass=ca.SX.eye(2),
-            output=coordinates["x_1"],
-            input_matrix=ca.SX([[0.0, -1.0]]),
-            potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4,
-        )
+        cars = car_chain((1.0, 1.0))
+        stretch = cars.q[0] - cars.q[1]
+        return changed(cars, name="cubic cars", potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4)
 
     def closed_form(self, reference: np.ndarray, _: object) -> dict[str, np.ndarray]:
         """F = x_1'' + x_2'', where x_2 = x_1 - e and k e + k3 e^3 = -x_1''."""
@@ -196,13 +183,6 @@ def test_a_spike_between_samples_is_seen(duration: float, steps: int) -> None:
 # Every route ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch() -> None:
-    for name in ("cars", "overhead_crane", "elastic_bar"):
-        found = sc.solve(scene(name))
-        assert 0.0 < present(found.error.largest) < 1e-10
-        assert found.statistics.branch.startswith("one: ")
-
-
 @pytest.mark.parametrize("scale", [1e-9, 1e3])
 def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale: float) -> None:
     """A path of a nanometre where a metre is typical: Newton's method stops before it has begun."""
@@ -224,47 +204,31 @@ def test_a_run_is_compared_on_the_branch_that_it_began_on() -> None:
     assert found.error["torque"] == pytest.approx(true, rel=1e-3)
 
 
-def test_a_bounded_inversion_is_compared_with_one_of_higher_order() -> None:
-    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
-    found, said = solved(unstable, None, sc.StableInversion(tolerance=0.05, stages=1), step=0.4)
-    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
+PUSHED = scene("mass_on_car").with_parameters(stiffness=-5.0)
+
+
+@pytest.mark.parametrize(
+    ("subject", "form", "method", "step", "within"),
+    [
+        (PUSHED, None, sc.StableInversion(tolerance=0.05, stages=1), 0.4, 0.1),  # beside one of higher order
+        (PUSHED, sc.Reduced(), sc.RadauIIA(3), 0.04, 1e-6),  # what runs forward, beside what stays bounded
+        (scene("mass_on_car"), sc.Reduced(), sc.BDF(2), sc.Adaptive(1e-3), 0.1),
+    ],
+    ids=["bounded", "forward", "to a tolerance"],
+)
+def test_every_route_of_internal_dynamics_is_compared_with_a_better_one(
+    subject: sc.Scene, form: sc.Formulation | None, method: sc.Method | Route, step: Any, within: float
+) -> None:
+    found, said = solved(subject, form, method, step=step)
+    true = np.abs(found["u"] - subject.exact(found.t)["u"]).max()
     assert said == []
-    assert found.error["u"] == pytest.approx(true, rel=0.1)
-
-
-def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_does() -> None:
-    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
-    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
-        found = sc.solve(unstable, sc.Reduced(), sc.RadauIIA(3), step=0.04)
-    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
-    assert found.error["u"] == pytest.approx(true, rel=1e-6)
-
-
-def test_a_tolerance_is_judged_as_a_step_is() -> None:
-    found, said = solved(scene("mass_on_car"), sc.Reduced(), sc.BDF(2), step=sc.Adaptive(1e-3))
-    true = np.abs(found["u"] - scene("mass_on_car").exact(found.t)["u"]).max()
-    assert said == []
-    assert found.error["u"] == pytest.approx(true, rel=0.1)
-
-
-@dataclass(frozen=True)
-class Elsewhere:
-    """A route of somebody's own."""
-
-    def run(
-        self,
-        problem: sc.Problem,
-        times: Array,
-        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002
-    ) -> sc.Solution:
-        values = np.zeros((len(times), len(problem.system.inputs)))
-        return sc.Solution(times, problem.system.inputs, values, "elsewhere")
+    assert found.error["u"] == pytest.approx(true, rel=within)
 
 
 def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is() -> None:
-    found = sc.solve(scene("cars"), method=Elsewhere())
+    found = sc.solve(scene("cars"), method=Rest())
     assert found.error.relative["u"] == pytest.approx(1.0)
-    found, said = solved(scene("mass_on_car"), method=Elsewhere())
+    found, said = solved(scene("mass_on_car"), method=Rest())
     assert said == []
     assert found.error["u"] is None
     assert found.error.largest is None
@@ -350,14 +314,6 @@ def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estim
 
 
 # One motion -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not() -> None:
-    t = np.linspace(0.0, 2.5, 200)
-    winch = np.column_stack([np.cos(6 * t**2), np.sin(6 * t**2), t])
-    assert len(steps_that_stand_out(winch)) == 0
-    jumping = winch + np.where(t > 1.2, 1.0, 0.0)[:, None]
-    assert steps_that_stand_out(jumping).tolist() == [int((t <= 1.2).sum()) - 1]
 
 
 def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:

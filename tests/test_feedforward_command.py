@@ -8,14 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click import Group
 from command_lines import CommandLine
 
 import servocore as sc
-from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
 from servocore.cli.commands import NAME, app
-from servocore.cli.options import GivenPath
 from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY
 
@@ -111,65 +108,8 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
     np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)
 
 
-def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: Path) -> None:
-    bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
-    outputs = [each.name for each in bar.model().outputs]
-    file.write_text(sc.path_to_csv(bar.reference, outputs, each=40), encoding="utf-8")
-    assert GivenPath(file).along(bar).reference.smoothness >= 6
-    sensitivities = servocore_command("sensitivities", "elastic_bar", "--reference", file, "-o", tmp_path / "by.csv")
-    assert sensitivities.exit_code == 0, sensitivities.stderr
-
-
-@pytest.mark.parametrize("commands", [app, crane_app], ids=["servocore", "crane-fmu"])
-def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: Group) -> None:
-    """Sentences about files name --waypoints, whatever command reads them."""
-    options = {name: {each for option in one.params for each in option.opts} for name, one in commands.commands.items()}
-    reading = [name for name, known in options.items() if "--reference" in known]
-    assert len(reading) >= 4
-    assert [name for name in reading if not {"--waypoints", "--tolerance"} <= options[name]] == []
-
-
 def test_what_is_undefined_is_told_with_its_first_time() -> None:
     solution = sc.solve(REGISTRY["overhead_crane"](), step=0.3)
     values = solution.values.copy()
     values[4:6, solution.names.index("swing")] = np.nan
     assert "  swing: undefined in 2 of 11 rows, first at t = 1.2 s" in summary(replace(solution, values=values))
-
-
-def test_columns_are_chosen_by_name() -> None:
-    done = servocore_command("feedforward", "overhead_crane", "--columns", "F,swing")
-    assert done.stdout.startswith("time,F,swing\n")
-
-
-def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path: Path) -> None:
-    options = ("--from", "0", "-4", "--to", "5", "-4", "--limit", "F=100")
-    refused = servocore_command(
-        "feedforward", "overhead_crane", *options, "--duration", "3", "-o", tmp_path / "inputs.csv"
-    )
-    assert refused.exit_code == 2
-    assert not list(tmp_path.iterdir())
-    shortest = refused.stderr.rpartition("keeps all limits is ")[2].partition(" s")[0]
-    kept = servocore_command("feedforward", "overhead_crane", *options, "--duration", shortest)
-    assert kept.exit_code == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (("--from", "0", "--to", "nan", "--duration", "3"), "component 0 is nan, not a finite number"),
-        (("--from", "0", "--to", "1"), "a straight line also needs --duration"),
-        (("--from", "0", "--to", "1", "2", "--duration", "3"), "--to 1 2: it needs 1 number, y"),
-        (("--duration", "3", "--reference", "x.csv"), "either by --reference or by --duration, not by both"),
-        (("--waypoints", "y.csv", "--reference", "x.csv"), "either by --reference or by --waypoints, not by both"),
-        (("--tolerance", "1"), "--tolerance belongs to --reference"),
-        (("--columns", "u,nothing"), "there is no 'nothing'; there are u, y"),
-        (("--columns", "u,y,u"), "--columns names u twice"),
-        (("--waypoints", "none.csv"), "none.csv cannot be read: No such file or directory"),
-        (("--from", "0", "--to", "1", "--duration", "3", "--profile", "x"), "there is no profile 'x'"),
-        (("--step", "1e-9"), "a step of 1e-09 s makes more than 1e+07 rows"),
-        (("--step", "0"), "step"),
-        (("--reference", "missing.csv"), "missing.csv cannot be read"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_one_sentence(options: tuple[str, ...], sentence: str) -> None:
-    servocore_command.assert_refused(servocore_command("feedforward", "mass_on_car", *options), sentence)

@@ -9,13 +9,11 @@ import casadi as ca
 import conserved
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.special
 from flexible import unstrained
+from outside.writing import coordinates, lagrange
 from thinned import thinned
 
 import servocore as sc
-from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array
 from servocore.rotationless import GROUND, Assembly, Beam, ElasticRope, Frame, Section, angle, fixed, revolute, turned
 
@@ -123,29 +121,6 @@ def test_a_flying_beam_keeps_energy_and_momentum(steps: int) -> None:
 # A hanging rope -------------------------------------------------------------------------------------------------------
 
 
-def frequencies(elements: int, count: int = 3, length: float = 2.0, gravity: float = 9.81) -> Array:
-    """Circular frequencies of a rope that hangs from a fixed point, from its potential and its mass matrix."""
-    rope = ElasticRope("rope", length, elements, 1e8, 1.5)
-    parts = Assembly((rope,), sc.Parameters(), gravity=(0, 0, -gravity))
-    q, size, weight = parts.coordinates.q, length / elements, 1.5 * gravity
-    pull = weight * (length - size * (np.arange(elements) + 0.5))  # of the nodes below every piece
-    z = -np.concatenate([[0.0], np.cumsum(size * (1.0 + pull / 1e8))])
-    place = np.column_stack([0 * z, 0 * z, z]).ravel()
-    hessian, gradient = ca.hessian(parts.potential, q)
-    K, force, M = (np.asarray(each) for each in ca.Function("K", [q], [hessian, gradient, parts.mass])(place))
-    assert np.abs(force[3:]).max() < 1e-4  # at rest
-    aside = 3 * np.arange(1, elements + 1)
-    return np.sqrt(scipy.linalg.eigh(K[np.ix_(aside, aside)], M[np.ix_(aside, aside)], eigvals_only=True)[:count])
-
-
-def test_a_hanging_rope_swings_with_the_zeros_of_bessels_function() -> None:
-    exact = scipy.special.jn_zeros(0, 3) / 2 * np.sqrt(9.81 / 2.0)
-    errors = [np.abs(frequencies(elements) - exact) for elements in (16, 32, 64)]
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    np.testing.assert_allclose(orders, 2.0, atol=0.2)
-    assert errors[-1].max() / exact[-1] < 0.02
-
-
 # Displacement control -------------------------------------------------------------------------------------------------
 
 STIFFNESS, HALF_SPAN, RISE = 1e6, 1.0, 0.2
@@ -154,25 +129,19 @@ BAR = float(np.hypot(HALF_SPAN, RISE))
 
 def truss(controlled: str) -> sc.MechanicalSystem:
     """Two bars to one joint, without inertia: q = (across, down, load). The load, or the way down, is prescribed."""
-    names = {"across": "m", "down": "m", "load": "N"}
-    coordinates = sc.Coordinates(*(sc.Quantity(name, unit) for name, unit in names.items()))
-    across, down, load = ca.vertsplit(coordinates.q)
+    q = coordinates("across down load")
+    across, down, load = ca.vertsplit(q.q)
     lengths = [ca.sqrt((HALF_SPAN + side * across) ** 2 + (RISE - down) ** 2) for side in (1, -1)]
     strain = sum(STIFFNESS / (2 * BAR) * (each - BAR) ** 2 for each in lengths)
-    y = reference_symbols(1)
     by_way = controlled == "down"
-    return sc.MechanicalSystem(
-        name="von Mises truss",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("P", "N"),),
-        outputs=(sc.Quantity("prescribed", names[controlled]),),
-        mass=ca.SX(3, 3),
-        output=coordinates[controlled],
-        input_matrix=ca.SX([[0, -1 if by_way else 0, 0 if by_way else -1]]),
+    return lagrange(
+        "von Mises truss",
+        q,
+        ca.SX(0),
+        {"prescribed": q[controlled]},
+        {"P": q[controlled]},
         potential=strain + (load**2 / 2 if by_way else -load * down),
-        gamma=y,
-        guess=ca.vertcat(0, y[0, 0], 0) if by_way else ca.vertcat(0, 0, y[0, 0]),
+        guess=lambda y: (0, y[0], 0) if by_way else (0, 0, y[0]),
         home=(0.05 if by_way else 1.0,),
     )
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import re
 import shutil
 import subprocess
 import zipfile
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -15,7 +19,15 @@ import pytest
 from command_lines import CommandLine
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
 from fmpy.ssp.ssd import read_ssd
+from fmu_host import ERROR, Host, extracted
 from native_fmu import FULL, Native, exported, native_file, path_of
 from present import present
 from test_moving_starts import rows
@@ -25,11 +37,14 @@ from crane_fmu.run import run_ssp
 from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import c_files
+from servocore.export.native_model import HostRules
 from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.system import Element, packed_system, structure, wires_by_name
 
 pytestmark = pytest.mark.usefixtures("compiler")
 run = CommandLine(app, "servocore")
+
+STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 
 # Sources -------------------------------------------------------------------------------------------------------------
 
@@ -198,6 +213,71 @@ def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
     assert not [node for node, after in reached.items() if node in after]
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_related_files_are_in_the_fmu_with_their_roles(
+    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """FMI-LS-REF: a parameter set as SSV, a run as smoke test, and its results."""
+    monkeypatch.chdir(tmp_path)
+    line = ("export", "overhead_crane", "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--cross-check")
+    assert run(*line).exit_code == 0
+    folder = "extra/org.fmi-standard.fmi-ls-ref/"
+    with zipfile.ZipFile("x.fmu") as archive:
+        members = {name.removeprefix(folder): archive.read(name) for name in archive.namelist() if folder in name}
+    root = ET.fromstring(members.pop("fmi-ls-manifest.xml"))
+    assert {"org.fmi-standard.fmi-ls-ref", "1.0.0-alpha.1"} <= set(root.attrib.values())
+    roles = {each.attrib["source"]: each.attrib["role"] for each in root}
+    assert roles == {"parameters.ssv": "parameter", "x_in.csv": "experiment/smoke-test", "x_ref.csv": "result",
+                     "x_ref.opt": "configuration"}  # fmt: skip
+    assert set(members) == set(roles)
+    for name in set(roles) - {"parameters.ssv"}:
+        assert members[name] == Path(name).read_bytes()
+    parameters = ET.fromstring(members["parameters.ssv"])
+    assert parameters.get("version") == {2: "1.0", 3: "2.0"}[fmi]
+    values = {each.attrib["name"]: each[0].attrib for each in parameters.iter() if each.tag.endswith("}Parameter")}
+    assert {
+        name: float(each["value"]) for name, each in values.items()
+    } == sc.scenes.overhead_crane().parameter_values()
+    declared = {each.get("name") for each in parameters.iter() if each.tag.endswith("}Unit")}
+    assert {each["unit"] for each in values.values()} == declared
+
+
+def test_a_system_of_fmi_3_has_arrays_and_moves_as_that_of_fmi_2(tmp_path: Path) -> None:
+    """SSP 2.0, in a master of twenty lines; parameters of the scene are one set for inverse model and plant."""
+    scene, files = sc.scenes.overhead_crane(), {}
+    for fmi in (2, 3):
+        files[fmi] = sc.export_ssp(scene, tmp_path / f"{fmi}.ssp", fmi=fmi, targets="host")
+        with zipfile.ZipFile(files[fmi]) as archive:
+            archive.extractall(tmp_path / str(fmi))
+            root = ET.fromstring(archive.read("SystemStructure.ssd"))
+        assert root.get("version") == {2: "1.0", 3: "2.0"}[fmi]
+        bindings = {part.get("name"): [each.get("source") for each in part.iter() if each.get("source")][1:]
+                    for part in root.iter() if part.tag.endswith("}Component")}  # fmt: skip
+        assert bindings == {"trajectory": [], **{name: ["resources/parameters.ssv", f"resources/{name}.ssm"]
+                                                 for name in ("inverse", "plant")}}  # fmt: skip
+        for name in ("inverse", "plant"):
+            mapping = ET.parse(tmp_path / str(fmi) / f"resources/{name}.ssm").getroot()
+            assert {each.get("target") for each in mapping} == set(scene.parameter_values())
+    assert {each[1].get("size") for each in root.iter() if each.tag.endswith("}Connector") and len(each) > 1} == {"2"}
+    wires = [each.attrib for each in root.iter() if each.tag.endswith("}Connection")]
+    h, names = 0.01, ("trajectory", "inverse", "plant")
+    sources = ("overhead_crane_trajectory", "overhead_crane", "overhead_crane_plant")
+    expected = run_ssp(files[2], 2.0, h)
+    with ExitStack() as running:
+        hosts = {name: running.enter_context(Host(tmp_path / "3" / "resources" / f"{file}.fmu"))
+                 for name, file in zip(names, sources, strict=True)}  # fmt: skip
+        for host in hosts.values():
+            host.start()
+        for k in range(200):  # all exchange values, then all step, as in FMPy
+            signals = [(each, hosts[each["startElement"]].get(each["startConnector"])) for each in wires]
+            for each, values in signals:
+                hosts[each["endElement"]].numbers_set([each["endConnector"]], values)
+            assert all(host.step(k * h, h) for host in hosts.values())
+        found = hosts["plant"].get("load.position")
+    last = [expected[f"plant.load.position[{k}]"][199] for k in (1, 2)]  # rows show the ends of steps
+    np.testing.assert_allclose(found, last, atol=1e-12 * np.abs(last).max())
+
+
 # About ---------------------------------------------------------------------------------------------------------------
 
 VENDOR = """
@@ -309,16 +389,13 @@ MODELS = [
     "rotary_crane trajectory",
     *(["rotary_crane loop", "limited"] if FULL else []),
 ]
-STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 LANGUAGES = {"C99": ("-std=c99",), "C11": ("-std=c11",), "C++17": ("-x", "c++", "-std=c++17")}
 
 
 def compilers() -> dict[str, list[str]]:
     """Return the commands of gcc, and of clang, which is zig's, in `make native`: CasADi has numbers as conditions."""
-    found = {"gcc": ["g++", "-fsyntax-only", "-Wconversion"]} if shutil.which("g++") else {}
-    return found | (
-        {"clang": [*zig, "c++", "-Wno-deprecated", "-c", "-o", "object.o"]} if FULL and (zig := targets.zig()) else {}
-    )
+    found = {"gcc": ["g++", "-Wconversion"]} if shutil.which("g++") else {}
+    return found | ({"clang": [*zig, "c++", "-Wno-deprecated"]} if FULL and (zig := targets.zig()) else {})
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
@@ -335,8 +412,10 @@ def test_compilers_have_nothing_to_say_about_sources(name: str, language: str, t
         files = [file for file in sources if file.endswith(".c")]
         for command in compilers().values():
             words = [*command, *(("-x", "c") if language != "C++17" else ()), *LANGUAGES[language], *STRICT]
-            for file in files:
-                done = subprocess.run([*words, file], cwd=folder, capture_output=True, text=True, check=False)
+            for file in files:  # some warnings come with optimizations only
+                compiles = "mathematics" not in file and (FULL or language == "C99")
+                amount = ("-O2", "-c", "-o", "object.o") if compiles else ("-fsyntax-only",)
+                done = subprocess.run([*words, *amount, file], cwd=folder, capture_output=True, text=True, check=False)
                 assert not done.returncode, done.stderr
                 assert not done.stderr
 
@@ -393,6 +472,114 @@ def test_outputs_read_before_the_initialization_are_those_of_its_time(fmi: int) 
         host.values()
         host.start(time=7.0)
         np.testing.assert_allclose(host.values(), path.jet(7.0, 4).ravel(), atol=1e-9)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_trajectory_begins_new_motions_where_it_rests(fmi: int) -> None:
+    """Three lines without a reset, each that of the library; while the path moves, a new one is refused."""
+    h, moves = 0.01, [  # target, start time, duration, profile: set at 0, 3 and 6 s
+        (1.0, 0.5, 2.0, "degree9"), (-0.5, 1.0, 1.5, "three-phase"), (0.25, 7.0, 2.0, "degree13")
+    ]  # fmt: skip
+    found, wanted, place = [], [], 0.0
+    with Native("cars trajectory", fmi) as host:
+        for k, (end, begin, duration, law) in enumerate(moves):
+            host.set(profile=law, duration=duration, start_time=begin, trigger=-k, **{"end.y": end})
+            if k == 0:
+                host.set(**{"start.y": place}).start()
+            times = h * np.arange(300 * k, 300 * (k + 1))
+            at = max(begin, times[0])  # at once where the time has passed
+            line = sc.rest_to_rest((place,), (end,), duration, sc.TIME_LAWS[law], start_time=at)
+            for time in times:
+                if time == times[120]:
+                    saved = host.saved()
+                    assert not host.set(trigger=7.0).step(time, h)
+                    sentence = (
+                        f"at t = {time:g} s a new motion cannot begin: the present one ends at t = {line.end_time:g} s"
+                    )
+                    assert host.messages[-1] == sentence
+                    host.restore(saved)
+                assert host.step(time, h), host.messages
+                found.append(host.values())
+            wanted.append(line.jet(times + h, 4)[:, :, 0])
+            place = end
+    np.testing.assert_allclose(found, np.concatenate(wanted), atol=1e-9 * np.abs(wanted).max())
+
+
+# Hosts without an operating system ------------------------------------------------------------------------------------
+
+MATHEMATICS = "fabs fmax fmin floor ceil fmod sqrt sin cos tan asin acos atan atan2 exp log pow sinh cosh tanh hypot"
+MEMORY = "memcpy memset memmove strlen strcmp strcpy strcat strchr strspn calloc free"
+PLAIN = {*MATHEMATICS.split(), *MEMORY.split(), "copysign", "_GLOBAL_OFFSET_TABLE_"}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    "name", ["mass_on_car", "cars plant", "cars trajectory", *(["rotary_crane loop"] if FULL else [])]
+)
+def test_sources_without_stdio_call_the_mathematics_of_c_and_the_host_only(
+    name: str, fmi: int, compiler: list[str], tmp_path: Path
+) -> None:
+    """As controllers need it that compile sources (TwinCAT's TE1420): no call of an operating system, nothing else."""
+    model = replace(exported(name), host=HostRules(stdio=False, internal_steps=7))
+    for file, text in fmu_sources(model, fmi).items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    wanted = set()
+    for file in compiled_files(model, fmi):
+        optimized = "-O2" if file.startswith("fmi") else "-O0"
+        command = [*compiler, "-std=c99", optimized, "-ffreestanding", "-fno-builtin", *STRICT, "-c", file]
+        subprocess.run(command, cwd=tmp_path, check=True)
+    objects = [Path(file).with_suffix(".o") for file in compiled_files(model, fmi)]
+    subprocess.run([*compiler, "-r", "-nostdlib", *objects, "-o", "all.o"], cwd=tmp_path, check=True)
+    listed = subprocess.run(["nm", "-u", "all.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    wanted = {line.split()[-1] for line in listed.splitlines()}
+    assert wanted <= PLAIN
+
+
+def test_without_stdio_sentences_have_question_marks_for_numbers_and_the_bound_of_steps_holds(tmp_path: Path) -> None:
+    rules = HostRules(stdio=False, internal_steps=7)
+    plant = sc.export_plant(sc.scenes.cars(), tmp_path / "plant.fmu", fmi=2, targets="host", host=rules)
+    with Native("cars plant", 2, plant) as host:
+        host.start(internal_step=0.01)
+        assert host.step(0.0, 0.07)
+        assert host.status(0.07, 0.08) == ERROR
+        assert host.messages[-1] == (
+            "an internal_step of ? s divides the communication step of ? s into more than ? steps"
+        )
+        with pytest.raises(FMICallException):
+            host.set(internal_step=-1.0)
+        assert host.messages[-1] == "internal_step = ? s is outside its range [?, ?] s"
+    with pytest.raises(sc.InvalidSetting, match="at least 1 internal step, not 0"):
+        HostRules(internal_steps=0)
+
+
+def test_memory_is_the_host_s() -> None:
+    """Of instances and saved states, in FMI 2; all of it is given back, and steps take none."""
+    taken: dict[int, Any] = {}
+
+    def allocate(count: int, size: int) -> int:
+        block = ctypes.create_string_buffer(max(count * size, 1))
+        taken[ctypes.addressof(block)] = block
+        return ctypes.addressof(block)
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *_: None)
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(allocate)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(taken.__delitem__)
+    file = native_file("cars", 2)
+    fmu = FMU2Slave(guid=read_model_description(str(file)).guid, unzipDirectory=extracted(file), modelIdentifier="cars",
+                    instanceName="cars")  # fmt: skip
+    fmu.instantiate(callbacks=callbacks)
+    fmu.setupExperiment(startTime=0.0)
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    assert len(taken) == 2
+    state = fmu.getFMUstate()
+    for k in range(10):
+        fmu.doStep(0.1 * k, 0.1)
+    assert len(taken) == 3
+    fmu.freeFMUstate(state)
+    fmu.freeInstance()
+    assert not taken
 
 
 # The worst case ------------------------------------------------------------------------------------------------------

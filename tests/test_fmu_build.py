@@ -18,7 +18,7 @@ from present import present
 import servocore as sc
 from crane_fmu.build import fmu as build
 from crane_fmu.build.archive import packed
-from crane_fmu.build.native import native_fmu
+from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel
 from servocore.export.units import base_units
@@ -34,7 +34,7 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def native() -> bytes:
     """Return a native FMU that is soon compiled."""
-    return native_fmu(LOAD_TRAJECTORY, targets="host", deferred_refusals=True)
+    return native_fmu(LOAD_TRAJECTORY, targets="host", host=OF_PYTHONFMU)
 
 
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_the_identifier_changes_with_the_content(
 
 def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of the slave, and of the library: the crane has a lighter load."""
-    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", deferred_refusals=True)
+    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", host=OF_PYTHONFMU)
     slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
     (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
     monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))

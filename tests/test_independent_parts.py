@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from outside.writing import coordinates, lagrange
 from present import present
 
 from servocore.numerics.compiled_calls import Array
@@ -21,7 +22,6 @@ sys.path.insert(0, str(ROOT))
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
 from servocore.checks.branches import rank_losses  # noqa: E402
-from servocore.model.nominal_magnitudes import _changes, _followed  # noqa: E402
 from servocore.numerics.components import Part, filled, parts_of, singular_values  # noqa: E402
 from servocore.numerics.conditioning import (  # noqa: E402
     condition_number,
@@ -36,7 +36,7 @@ from servocore.numerics.constraint_ranks import (  # noqa: E402
 )
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402
-from servocore.solvers import results, within_limits  # noqa: E402
+from servocore.solvers import results  # noqa: E402
 from servocore.structure.inversion import determinant_signs, inversion, is_regular_throughout  # noqa: E402
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
@@ -75,12 +75,6 @@ def test_parts_of_a_matrix_have_no_entries_in_common() -> None:
     entries = np.array(sparse.nonzeros())[:, None]
     for part in parts:
         np.testing.assert_array_equal(part.dense(entries)[0], BLOCKS[np.ix_(part.rows, part.columns)])
-
-
-def test_empty_rows_and_columns_are_parts_of_their_own() -> None:
-    pattern = ca.Sparsity.triplet(2, 3, [1], [2])
-    found = [(part.rows.tolist(), part.columns.tolist()) for part in parts_of(pattern)]
-    assert sorted(found) == [([], [0]), ([], [1]), ([0], []), ([1], [2])]
 
 
 @pytest.mark.parametrize("matrix", [BLOCKS, BLOCKS[:3], BLOCKS[:, :2], np.zeros((2, 3)), np.diag([1.0, 0.0, 2.0])])
@@ -175,12 +169,6 @@ def test_parts_with_other_numbers_written_into_them_are_not_alike() -> None:
     assert groups(equations((1.0, 2.0, 1.0, 2.0, 3.0))) == [2, 2]
 
 
-def test_equations_that_do_not_fall_apart_have_no_parts() -> None:
-    system = equations((1.0, 1.0))
-    joined = ca.vertcat(system.residual[0] + system.unknowns[7], system.residual[1:])
-    assert not replace(system, residual=joined).alike
-
-
 def test_parts_that_are_alike_are_solved_as_if_each_stood_alone() -> None:
     system, values = equations((1.0, 1.0, 2.0)), [1.1, 0.9, 1.2, 0.8]
     x, counts, residual = compile_solver("together", system, [system.unknowns])(values)
@@ -254,23 +242,18 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
 def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:
     """Of two cranks one goes through its dead centre, where two motions go on."""
     length, radius = 1.0, 0.3
-    names = [f"{name}_{i}" for i in range(2) for name in ("x", "y", "slide")]
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in names))
-    gamma = ca.SX.sym("gamma", 2, 25)
-    q = [ca.vertsplit(coordinates.q[3 * i : 3 * i + 3]) for i in range(2)]
-    system = sc.MechanicalSystem(
-        name="two cranks",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=tuple(sc.Quantity(f"F_{i}", "N") for i in range(2)),
-        outputs=tuple(sc.Quantity(f"place_{i}", "m") for i in range(2)),
-        mass=ca.sparsify(ca.diag(ca.SX.ones(6))),
-        output=ca.vertcat(*[slide for _, _, slide in q]),
-        input_matrix=ca.sparsify(ca.SX.eye(6)[[2, 5], :]),
-        constraints=ca.vertcat(
-            *[each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
-        ),
-        gamma=gamma,
+    both = coordinates("x_0 y_0 slide_0 x_1 y_1 slide_1")
+    q = [ca.vertsplit(both.q[3 * i : 3 * i + 3]) for i in range(2)]
+    slides = [slide for _, _, slide in q]
+    rows = [each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
+    system = lagrange(
+        "two cranks",
+        both,
+        ca.sumsqr(both.v) / 2,
+        {f"place_{i}": slides[i] for i in range(2)},
+        {f"F_{i}": slides[i] for i in range(2)},
+        constraints=ca.vertcat(*rows),
+        guess=lambda _: [0.0] * 6,
         home=(1.0, 1.0),
     )
     t = np.linspace(0.0, 1.0, 41)
@@ -305,13 +288,6 @@ def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_
     assert 51 < solution.statistics.newton_iterations < 51 * 4
 
 
-def test_errors_of_a_method_are_cleared_without_looking_between_instants(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Backward Euler on the projected form starts with errors that stand out; exact inputs there do not."""
-    monkeypatch.setattr(within_limits, "refuse_or_warn_of_poles", lambda *_: pytest.fail("looked between"))
-    scene = sc.scenes.gantry_crane()
-    sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=scene.reference.duration / 200)
-
-
 # What `analyse` does once ---------------------------------------------------------------------------------------------
 
 
@@ -325,20 +301,6 @@ def test_constraints_at_home_are_assembled_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("servocore.model.system.constraint_rank", counted)
     sc.analyse(cranes(2)[0])
     assert len(asked) == 1
-
-
-def test_magnitudes_of_many_cranes_are_those_of_each_and_those_of_the_whole_matrix() -> None:
-    alone, together = (cranes(count)[0].model() for count in (1, 3))
-    extent = np.array([2.0, 0.5, 0.25])
-    np.testing.assert_allclose(_changes(together, np.tile(extent, 3)), np.tile(_changes(alone, extent), 3), rtol=1e-12)
-    generator = np.random.default_rng(2)
-    rows = np.zeros((6, 9))
-    rows[:3, :4] = generator.normal(size=(3, 4))
-    rows[3:, 4:8] = generator.normal(size=(3, 4))
-    rows[2] = rows[0] + rows[1]  # follows from others
-    far = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
-    whole = np.abs(np.linalg.pinv(rows, rcond=1e-9) * far).max(axis=1)
-    np.testing.assert_allclose(_followed(rows, far), whole, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("singular", [False, True])

@@ -1,4 +1,4 @@
-"""The index-3 problems of the test set for initial value problem solvers, to more digits than were published."""
+"""Problems of the test set for initial value problem solvers, to as many digits as were published or more."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
+
+import servocore as sc
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.ivp import REFERENCES, peer  # noqa: E402
 from benchmarks.ivp.__main__ import PAGE, own_rows, record, render  # noqa: E402
-from benchmarks.ivp.problems import at_the_end, digits, problems  # noqa: E402
+from benchmarks.ivp.long import long_problems  # noqa: E402
+from benchmarks.ivp.marching import marched  # noqa: E402
+from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset  # noqa: E402
 
 PROBLEMS = {each.name: each for each in problems()}
 FINEST = {"car_axis": ("simulate, rtol", 1e-12), "squeezer": ("simulate, rtol", 1e-12),
@@ -57,7 +62,7 @@ def test_the_page_holds_what_was_measured() -> None:
     rows, page = record(), PAGE.read_text()
     machine = page.split("Measured on ")[1].split(".\n")[0]
     assert render(rows, machine) == page
-    assert set(rows) == set(PROBLEMS)
+    assert set(rows) == {*PROBLEMS, *(each.name for each in long_problems())}
     assert all(any(row.found for row in each) for each in rows.values())
 
 
@@ -71,3 +76,56 @@ def test_the_script_measures_its_own_routes(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_study_needs_nothing_that_its_environment_lacks() -> None:
     code = "import sys; sys.modules['pytest'] = None; import benchmarks.ivp.__main__"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
+
+
+# Problems of long duration --------------------------------------------------------------------------------------------
+
+
+def test_the_published_end_of_the_fekete_points_is_an_equilibrium_of_the_equations() -> None:
+    """With the multipliers of the set, -4.75 in its sign."""
+    dae = fekete.stabilized()
+    residual = ca.Function("residual", [dae.x, dae.z], [dae.f, dae.h])
+    end = np.concatenate([fekete.END.ravel(), np.zeros(60)])
+    for part in residual(end, np.concatenate([np.full(20, 4.75), np.zeros(20)])):
+        assert np.abs(np.asarray(part)).max() < 2e-12
+
+
+def test_two_routes_agree_on_the_fekete_points_and_keep_the_sphere() -> None:
+    t, names = np.linspace(0.0, 0.5, 6), fekete.particles().coordinates.names
+    found = sc.simulate(fekete.scene(), lambda _: np.zeros(1), t=t, start=fekete.at_rest(), rtol=1e-12, atol=1e-14)
+    positions = np.column_stack([found[name] for name in names])
+    _, unknowns = marched(fekete.stabilized(), sc.RadauIIA(3), fekete.consistent(), [(0.025, 20)])
+    np.testing.assert_allclose(unknowns[::4, :60], positions, atol=1e-8)
+    for points in (positions, unknowns[:, :60]):
+        assert np.abs((points.reshape(-1, 20, 3) ** 2).sum(axis=2) - 1.0).max() < 1e-13
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("route", "constraints"), [("simulate", 1e-13), ("Dae, RadauIIA(3)", 1e-15)])
+def test_the_fekete_points_end_as_published_by_two_routes(route: str, constraints: float) -> None:
+    problem, _ = long_problems()
+    *_, finest = (run for (name, _), run in problem.own.items() if name == route)
+    found = finest()
+    assert found["error"] < 1e-8
+    assert found["constraints"] < constraints
+
+
+def test_the_wheelset_starts_with_the_published_accelerations_and_is_solved_to_its_order() -> None:
+    dae = wheelset.wheelset()
+    H, f, h = (np.asarray(each) for each in ca.Function("parts", [dae.x, dae.z], [dae.H, dae.f, dae.h])(
+        wheelset.START[:11], wheelset.START[11:]
+    ))  # fmt: skip
+    published = [-1.975258894011285, -1.0898297102811276e-3, 7.8855083626142589e-2, -5.533362821731549,
+                 -0.3487021489546511, -2.132968724380927]  # fmt: skip
+    np.testing.assert_allclose(np.linalg.solve(H, f)[5:, 0], published, rtol=2e-8)
+    assert np.abs(h).max() < 1e-15
+    ends = [marched(dae, sc.RadauIIA(3), wheelset.START, [(0.1 / n, n)])[1][-1, :5] for n in (100, 200, 400)]
+    coarse, fine = (np.abs(each - ends[2]).max() for each in ends[:2])
+    assert coarse > 8 * fine
+
+
+@pytest.mark.nightly
+def test_the_wheelset_ends_as_published() -> None:
+    """Relative to each value, or to 1e-9 of the published run where that is more."""
+    _, unknowns = marched(wheelset.wheelset(), sc.RadauIIA(5), wheelset.START, [(2e-4, 50_000)])
+    np.testing.assert_allclose(unknowns[-1], wheelset.END, rtol=1e-6, atol=1e-9)

@@ -67,7 +67,8 @@ def test_a_plan_passes_a_thin_plate_above_it() -> None:
     plate = sc.Box((2.5, -3.0), (0.6, 0.01))
     path, report = sc.fastest(OVERHEAD, LEVEL, LIMITS, free=sc.Space((plate,)), intervals=COARSE)
     assert not passes_a_box(*rope(path), plate)
-    assert report.clearance > 0.0
+    assert 0.0 < report.clearance < 0.3
+    assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
     exact = OVERHEAD.with_reference(path).exact(np.linspace(0.0, path.duration, 20_001))
     assert np.abs(exact["F"]).max() <= 200.0
     assert exact["swing"].max() <= math.radians(15.0)
@@ -92,9 +93,11 @@ def test_a_rope_that_does_not_hang_from_height_zero_is_refused() -> None:
         sc.fastest(boom, [(5, 0, 1), (4, 3, 1)], limits, free=space)
 
 
-@pytest.mark.parametrize(
-    "body", [sc.Sphere((0.2, -0.3, 0.1), 0.4), sc.Box((0.2, -0.3, 0.1), (0.4, 0.02, 0.3))], ids=["sphere", "box"]
-)
+BODIES = [sc.Sphere((0.2, -0.3, 0.1), 0.4), sc.Box((0.2, -0.3, 0.1), (0.4, 0.02, 0.3))]
+each_body = pytest.mark.parametrize("body", BODIES, ids=["sphere", "box"])
+
+
+@each_body
 def test_the_distance_of_a_segment_is_the_least_of_its_points(body: sc.Sphere | sc.Box) -> None:
     begin, end = np.random.default_rng(5).uniform(-1.0, 1.0, (2, 300, 3))
     parts = np.linspace(0.0, 1.0, 4001)
@@ -111,9 +114,7 @@ def test_the_distance_of_a_segment_is_the_least_of_its_points(body: sc.Sphere | 
         assert passes(begin[k : k + 1], end[k : k + 1]) == (found[k] < 0.0)
 
 
-@pytest.mark.parametrize(
-    "body", [sc.Sphere((0.2, -0.3, 0.1), 0.4), sc.Box((0.2, -0.3, 0.1), (0.4, 0.02, 0.3))], ids=["sphere", "box"]
-)
+@each_body
 def test_a_plan_looks_where_a_rope_is_nearest(body: sc.Sphere | sc.Box) -> None:
     a, b, place = ca.SX.sym("a", 3), ca.SX.sym("b", 3), ca.SX.sym("place", 3)
     least, row = (

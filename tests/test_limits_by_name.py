@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.interpolate
+from outside.writing import coordinates, lagrange
 from present import present
 
 import servocore as sc
-from servocore.model.limits import Bounds
 from servocore.model.units import in_unit
 from servocore.rotationless import GROUND, Assembly, PointMass, distance, rope
 from servocore.solvers import within_limits
@@ -109,10 +109,6 @@ class TestRandomCranes:
 
 
 class TestWhatALimitIs:
-    def test_the_limits_of_the_planning_example_are_kept_by_the_default_manoeuvre(self) -> None:
-        limits: dict[str, Bounds] = {"F": 60, "M_w": (-104, -92), "swing": "5 deg", "s.rate": 1.2, "F.rate": 200}
-        assert refusal(CRANE.with_limits(**limits)) is None
-
     def test_one_number_is_symmetric_and_an_upper_bound_for_what_is_never_negative(self) -> None:
         assert present(refusal(CRANE.with_limits(F=17)))["side"] == "lower"  # F runs from -17.6 to 2 N
         assert refusal(CRANE.with_limits(F=(None, 17))) is None
@@ -340,29 +336,22 @@ class TestRopes:
 
 def two_ropes() -> sc.MechanicalSystem:
     """Return a load on two ropes from (-2, 0) and (2, 0), their lengths driven; on that line they are singular."""
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in ("x", "z", "l_1", "l_2")))
-    x, z, *lengths = ca.vertsplit(coordinates.q)
-    lam, gamma = ca.SX.sym("lam", 2), ca.SX.sym("gamma", 2, sc.MAX_REFERENCE_ORDER + 1)
-    anchors = (-2.0, 2.0)
+    q = coordinates("x z l_1 l_2")
+    x, z, *lengths = ca.vertsplit(q.q)
+    lam, anchors = ca.SX.sym("lam", 2), (-2.0, 2.0)
     rows = [(x - at) ** 2 + z**2 - length**2 for at, length in zip(anchors, lengths, strict=True)]
-    guess = [ca.norm_2(ca.vertcat(gamma[0, 0] - at, gamma[1, 0])) for at in anchors]
-    tensions = [2 * lam[k] * length for k, length in enumerate(lengths)]
-    return sc.MechanicalSystem(
-        name="two ropes",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("F_1", "N"), sc.Quantity("F_2", "N")),
-        outputs=(sc.Quantity("x", "m"), sc.Quantity("z", "m")),
-        mass=ca.diag(ca.SX([100.0, 100.0, 1.0, 1.0])),
+    return lagrange(
+        "two ropes",
+        q,
+        (100.0 * ca.sumsqr(q.v[:2]) + ca.sumsqr(q.v[2:])) / 2,
+        {"x": x, "z": z},
+        {"F_1": lengths[0], "F_2": lengths[1]},
         potential=981.0 * z,
         constraints=ca.vertcat(*rows),
         multipliers=lam,
-        input_matrix=ca.horzcat(ca.SX(2, 2), -ca.SX.eye(2)),
-        output=ca.vertcat(x, z),
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], gamma[1, 0], *guess),
+        guess=lambda at: (at[0], at[1], *(ca.norm_2(ca.vertcat(at[0] - each, at[1])) for each in anchors)),
         home=(0.3, -1.0),
-        observables={sc.Quantity(f"tension_{k}", "N"): each for k, each in enumerate(tensions, 1)},
+        observables={sc.Quantity(f"tension_{k + 1}", "N"): 2 * lam[k] * length for k, length in enumerate(lengths)},
     )
 
 
@@ -422,6 +411,8 @@ def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch: py
     monkeypatch.setattr(within_limits, "refuse_or_warn_of_poles", lambda *_: looked.append(1))
     for make in (sc.scenes.rotary_crane, sc.scenes.overhead_crane, sc.scenes.gantry_crane, sc.scenes.cars):
         sc.solve(make())
+    gantry = sc.scenes.gantry_crane()  # errors that stand out at its start are cleared by exact inputs there
+    sc.solve(gantry, sc.Projected(), sc.BackwardEuler(), step=gantry.reference.duration / 200)
     assert looked == []
 
 

@@ -1,7 +1,8 @@
-"""Odd command lines, as people type them: each is refused in one sentence, exit code 2, and nothing is written."""
+"""Wrong command lines, and odd ones as people type them: refused in one sentence, exit code 2, nothing is written."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -29,55 +30,28 @@ FILES = {
 }
 
 TABLE = """
-crane-fmu feedforward --from=5,0,-5 --to -2 2 -2 --duration= -> write it as in --duration 20
 crane-fmu feedforward {CRANE} --duration 0 -> the duration of a path must be a positive time, not 0.0 s
 crane-fmu feedforward {CRANE} --duration -5 -> the duration of a path must be a positive time, not -5.0 s
 crane-fmu feedforward {CRANE} --duration inf -> write it as in --duration 20
 crane-fmu feedforward {CRANE} --duration 1e12 -> the duration of 1e+12 s is longer than the limit of 1e+09 s
 crane-fmu feedforward {CRANE} --duration 1e-12 -> the rope goes slack: g + z'' is
-crane-fmu feedforward {CRANE} --duration 20 s -> see crane-fmu feedforward --help
 crane-fmu feedforward --from inf 0 -5 --to 5 0 -5 --duration 20 -> start point 0, component 0 is inf, not a finite
-crane-fmu feedforward --from nan nan nan --to 5 0 -5 --duration 20 -> start point 0, component 0 is nan, not a finite
 crane-fmu feedforward --from 5;0;-5;3 --to 5 0 -5 --duration 20 -> --from 5 0 -5 3: it needs 3 numbers, x, y, z
-crane-fmu feedforward --from 5m 0m -5m --to 5 0 -5 --duration 20 -> write it as in --from 5 0 -5
 crane-fmu feedforward --from (5,0,-5) --to 5 0 -5 --duration 20 -> write it as in --from 5 0 -5
 crane-fmu feedforward --from 5. 0. -5. --to ,, --duration 20 -> write it as in --to 5 0 -5
 crane-fmu feedforward --from 5 0 -5 --from 4 0 -5 --to 3 0 -5 --duration 20 --step 0.3 -> the step of 0.3 s does not
 crane-fmu feedforward {CRANE} --duration 20 --step inf -> write it as in --step 0.1
 crane-fmu feedforward {CRANE} --duration 20 --step 30 -> the step of 30 s is larger than the duration of 20 s
-crane-fmu feedforward {CRANE} --duration 20 --step 0.7 -> the step of 0.7 s does not divide the duration of 20 s; the
-crane-fmu feedforward {CRANE} --duration 20 --step 1e-12 -> a step of 1e-12 s makes more than 1e+07 rows: take a
 crane-fmu feedforward {CRANE} --duration 20 --rtol 0 -> tolerances must be finite and not negative, one of them
 crane-fmu feedforward {CRANE} --duration 20 --rtol -1 -> tolerances must be finite and not negative, one of them
 crane-fmu feedforward {CRANE} --duration 20 --rtol 1e-3 --output-step 0.7 -> the step of 0.7 s does not divide the
-crane-fmu feedforward {CRANE} --duration 20 --rtol 1e-3 --step 0.1 -> accuracy is given either by --step or by --rtol
-crane-fmu feedforward {CRANE} --duration 20 --rtol 5% -> write it as in --rtol 1e-3
-crane-fmu feedforward {CRANE} --duration 20 --profile degree -> write it as in --profile degree9
 crane-fmu feedforward {CRANE} --duration 20 --profile '' -> write it as in --profile degree9
 crane-fmu feedforward {CRANE} --duration 20 --profile three-phase --ramp 0 -> the ramp of a three-phase profile must
-crane-fmu feedforward {CRANE} --duration 20 --profile three-phase --ramp -1 -> the ramp of a three-phase profile must
-crane-fmu feedforward {CRANE} --duration 20 --profile three-phase --ramp inf -> write it as in --ramp 20
-crane-fmu feedforward {CRANE} --duration 20 --profile degree-9 --ramp 4 -> --ramp belongs to --profile three-phase
-crane-fmu feedforward --profile three-phase --ramp 4 -> a straight line also needs --from and --to and --duration
-crane-fmu feedforward --formulation '' -> write it as in --formulation reduced
-crane-fmu feedforward --formulation projected --method '' -> write it as in --method backward-euler
-crane-fmu feedforward --method gauss9 -> write it as in --method backward-euler
-crane-fmu feedforward --formulation reduced --rtol 1e-3 --output-step 0 -> write it as in --output-step 0.1
 crane-fmu feedforward --columns '' -> write it as in --columns F,swing
 crane-fmu feedforward --columns , -> --columns: there is no ''; there are M_b, F, M_w, phi, s, l
-crane-fmu feedforward --columns F, -> --columns: there is no ''; there are M_b, F, M_w, phi, s, l
-crane-fmu feedforward --columns F M_b -> see crane-fmu feedforward --help
 crane-fmu feedforward --columns time -> --columns: there is no 'time'; there are M_b, F, M_w, phi, s
-crane-fmu feedforward --columns F;M_b -> --columns: there is no 'F;M_b'; there are M_b, F, M_w, phi
-crane-fmu feedforward --columns f -> --columns: there is no 'f'; there are M_b, F, M_w, phi, s, l
-crane-fmu feedforward --plot -> write it as in --plot FILE.png
-crane-fmu feedforward --plot inputs -> cannot draw inputs: the name must end in .png, .svg, .pdf
 crane-fmu feedforward --plot .png -> cannot draw .png: the name must end in .png, .svg, .pdf
-crane-fmu feedforward --plot no/p.png -> cannot write no/p.png: there is no folder no; make it first
-crane-fmu feedforward --plot p.png --output p.png -> --output and --plot both name p.png
-crane-fmu feedforward --output . -> cannot write .: it is a folder; name a file
 crane-fmu feedforward --output / -> cannot write /: it is a folder; name a file
-crane-fmu feedforward --output no/such/x.csv -> cannot write no/such/x.csv: there is no folder no/such; make
 crane-fmu feedforward --reference . -> . cannot be read: Is a directory
 crane-fmu feedforward --reference bad.csv -> bad.csv, line 1: the header time,x,y,z, optionally followed
 crane-fmu feedforward --reference empty.csv -> empty.csv, line 1: the file is empty, but a header time,x,y,z
@@ -89,53 +63,29 @@ crane-fmu feedforward --reference back.csv -> back.csv, line 4, column time: 1 s
 crane-fmu feedforward --reference nanrow.csv -> nanrow.csv, line 3, column x: 'nan' is not a finite number
 crane-fmu feedforward --reference unit.csv -> unit.csv, line 1, column z: its unit must be one of m, mm
 crane-fmu feedforward --reference way.csv --tolerance 0 -> way.csv, line 3: the file ends after 2 rows of data, but
-crane-fmu feedforward --reference way.csv --tolerance -1mm -> way.csv, line 3: the file ends after 2 rows of data
 crane-fmu feedforward --reference way.csv --tolerance inf -> write it as in --tolerance 1mm
-crane-fmu feedforward --reference way.csv --tolerance nan -> write it as in --tolerance 1mm
-crane-fmu feedforward --waypoints bad.csv -> bad.csv, line 1: the header time,x,y,z, optionally followed
-crane-fmu feedforward --waypoints empty.csv -> empty.csv, line 1: the file is empty, but a header time,x,y,z
 crane-fmu feedforward --waypoints one.csv -> one.csv, line 2: the file ends after 1 rows of data, but such
-crane-fmu feedforward --waypoints back.csv -> back.csv, line 4, column time: 1 s does not come after 2 s of
 crane-fmu feedforward --waypoints way.csv --tolerance 1mm -> --tolerance belongs to --reference: it bounds the
 crane-fmu feedforward --parameters bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu feedforward --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there are
 crane-fmu feedforward --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
 crane-fmu feedforward --parameters texts.toml -> texts.toml: parameter load_mass must be a number, not a text
-crane-fmu feedforward --parameters . -> . cannot be read: Is a directory
 crane-fmu feedforward --limits bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu feedforward --limits unknown.toml -> rotary crane, points reports nothing called nothing that
-crane-fmu feedforward --limits texts.toml -> rotary crane, points reports nothing called load_mass that
-crane-fmu feedforward --limit =60 -> --limit =60 is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit F= -> --limit F= is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit F=.. -> --limit F=.. is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit F=60.. -> rotary_crane: at t = 0 s F goes beyond its lower limit of 60
-crane-fmu feedforward --limit F=10..5 -> the limit of F must run from a lower to an upper number, not
 crane-fmu feedforward --limit F=0 -> the limit of F is '0': one number is the largest magnitude
-crane-fmu feedforward --limit F=-5 -> the limit of F is '-5': one number is the largest magnitude
-crane-fmu feedforward --limit F=nan -> the limit of F is given as 'nan', which is no number with a
 crane-fmu feedforward --limit F=inf -> the limit of F is given as 'inf', which is no number with a
-crane-fmu feedforward --limit F=60N..5deg -> the limit of F is given in deg, but its unit is N
-crane-fmu feedforward --limit F:60 -> --limit F:60 is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
-crane-fmu feedforward --limit swing=5grad -> the limit of swing is given in grad, which is no unit known
-crane-fmu feedforward --limit swing=5degs -> the limit of swing is given in degs, which is no unit known
-crane-fmu feedforward --limit s.speed=1 -> rotary crane, points reports nothing called s.speed that
 crane-fmu feedforward --limit s.rate.rate=1 -> rotary crane, points reports nothing called s.rate.rate that
-crane-fmu feedforward --limit .rate=1 -> rotary crane, points reports nothing called .rate that could
-crane-fmu feedforward --limit M_w=-92..-104 -> the limit of M_w must run from a lower to an upper number
 crane-fmu feedforward --limit '' -> write it as in --limit F=60
 crane-fmu feedforward --model '' -> write it as in --model points
-crane-fmu feedforward --model point -> rotary_crane has no model point; it has points, generalized
-crane-fmu feedforward -o -> write it as in --output FILE
 crane-fmu feedforward -ox/y.csv -> cannot write x/y.csv: there is no folder x; make it first
-servocore feedforward rotary_crane rotary_crane -> see servocore feedforward --help
 servocore feedforward '' -> no scene is called ''; there are rotary_crane
-servocore feedforward rotary-crane -> no scene is called rotary-crane
-servocore feedforward Rotary_Crane -> no scene is called Rotary_Crane
 servocore feedforward rotary_crane: -> rotary_crane:: there is no module rotary_crane
 servocore feedforward :rotary_crane -> :rotary_crane: there is no module ''
 servocore feedforward os:getcwd -> os:getcwd returns str, not a Scene
 servocore feedforward os:nothing -> os:nothing: the module os has no function 'nothing'
-servocore feedforward os.py:getcwd -> os.py:getcwd: there is no module os.py; in the folder of
 servocore feedforward no_such_module:scene -> no_such_module:scene: there is no module no_such_module
 servocore feedforward a..b:scene -> a..b:scene: there is no module a..b
 servocore feedforward broken:scene -> broken:scene: the module cannot be imported
@@ -144,113 +94,53 @@ servocore feedforward cars --from 0 --to 1 --duration 2 --limit u=0..0 -> the li
 servocore feedforward overhead_crane --from 0,-4 --to 5,4 --duration 6 -> at t = 3 s the load is not below the
 servocore analyse -> see servocore analyse --help
 servocore analyse cars --model none -> cars has no model none; it has points
-servocore analyse cars --parameters none.toml -> none.toml cannot be read: No such file or directory
-servocore analyse cars --parameters -> write it as in --parameters FILE
 servocore scenes cars -> see servocore scenes --help
-crane-fmu plan -> no path is given: use --from and --to, --reference, or
 crane-fmu plan {CRANE} -> rotary_crane has no limits: without any there is no fastest
-crane-fmu plan {CRANE} --limit F=60 --duration 20 -> see crane-fmu plan --help
-crane-fmu plan {CRANE} --limit F=60 --profile degree9 -> see crane-fmu plan --help
-crane-fmu plan {CRANE} --limit F=60 --step 0 -> write it as in --step 0.1
-crane-fmu plan {CRANE} --limit F=60 --step -1 -> write it as in --step 0.1
-crane-fmu plan {CRANE} --limit F=60 --robust load_mass -> --robust load_mass is no NAME=LOW..HIGH: write it as in
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=1.1..0.9 -> write it as in --robust load_mass=0.9..1.1
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=-1..1 -> parameter load_mass = -100 kg is outside its range
 crane-fmu plan {CRANE} --limit F=60 --robust nothing=0.9..1.1 -> rotary_crane has no parameter nothing
-crane-fmu plan {CRANE} --limit F=60 --robust load_mass=nan..1.1 -> write it as in --robust load_mass=0.9..1.1
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9..1.1 --robust load_mass=0.8..1.2 -> --robust gives
-crane-fmu plan {CRANE} --limit F=60 --free --keep-out sphere -> --keep-out 'sphere' is neither 'sphere' with a centre
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2' -> --keep-out 'sphere 1 2' is neither 'sphere'
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'cone 1 2 3 4' -> --keep-out 'cone 1 2 3 4' is neither 'sphere'
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 3 -4' -> the radius of a sphere must be positive
-crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere a b c d' -> --keep-out 'sphere a b c d' is neither
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 1' --clearance-of hook -> 'hook' is no part that
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 1' --clearance-of '' -> in --clearance-of load,rope
-crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 inf' -> the radius of a sphere must be positive
 crane-fmu plan {CRANE} --via 1 2 -3 --limit F=60 --free -> a plan with a free path runs from one point to another
 crane-fmu plan --from 5 0 -5 --to 5 0 -5 --limit F=60 -> waypoints 0 and 1 coincide: the path does not move there
-crane-fmu plan --via 1 1 -1 --limit F=60 -> no path is given: use --from and --to, --reference, or
 crane-fmu plan {CRANE} --limit F=60 --write-path x.csv -o x.csv -> --write-path and --output both name x.csv
-crane-fmu plan {CRANE} --limit F=60 --write-path no/x.csv -> cannot write no/x.csv: there is no folder no; make it first
 crane-fmu plan {CRANE} --reference way.csv --limit F=60 -> a path is given either by --reference or by --from, not by
-crane-fmu plan {CRANE} --limit F=60 --plot plan.jpg -> cannot draw plan.jpg: the name must end in .png, .svg, .pdf
-crane-fmu plan {CRANE} --limit F=60 --free --reference way.csv -> a path is given either by --reference or by --from
-crane-fmu view --output x.pdf -> cannot write x.pdf: the name of a page ends with .html
-crane-fmu view --output no/x.html -> cannot write no/x.html: there is no folder no; make it first
-crane-fmu view --output . -> cannot write .: it is a folder; name a file
-crane-fmu view {CRANE} --duration -> write it as in --duration 20
-crane-fmu view --step 0 -> write it as in --step 0.1
-crane-fmu view --step 0.3 -> the step of 0.3 s does not divide the duration of 20 s; the
 crane-fmu view --step 1e-9 -> a step of 1e-09 s makes more than 1e+07 rows: take a larger
-crane-fmu view --plot x.png -> see crane-fmu view --help
 crane-fmu view cars -> see crane-fmu view --help
-crane-fmu build --targets -> write it as in --targets host
 crane-fmu build --targets '' -> write it as in --targets host
 crane-fmu build --targets linux64 -> FMI 2 has no platform 'linux64'; there are x86_64-linux
-crane-fmu build --parameters none.toml -> none.toml cannot be read: No such file or directory
 crane-fmu build --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
-crane-fmu build -o afile -> cannot write afile: it is a file, not a folder; name another
 crane-fmu build -o '' -> write it as in --output DIR
-crane-fmu build extra -> see crane-fmu build --help
-crane-fmu build --fmi 2 -> see crane-fmu build --help
-crane-fmu ssp --from 5 0 -5 -> a straight line also needs --to and --duration
-crane-fmu ssp --profile degree8 -> write it as in --profile degree9
-crane-fmu ssp --profile three-phase --ramp 3 -> a straight line also needs --from and --to and --duration
-crane-fmu ssp --profile degree9 --duration 20 -> a straight line also needs --from and --to
-crane-fmu ssp --reference none.csv -> none.csv cannot be read: No such file or directory
-crane-fmu ssp --reference bad.csv -> bad.csv, line 1: the header time,x,y,z, optionally followed
-crane-fmu ssp -o afile -> cannot write afile: it is a file, not a folder; name another
 crane-fmu ssp -o afile/deep -> is a file, not a folder; name another place
 crane-fmu ssp --native=yes -> see crane-fmu ssp --help
-crane-fmu ssp {CRANE} --duration -1 -> the duration of a path must be a positive time, not -1.0 s
 crane-fmu drive . -> cannot read . as an FMU: Error reading file
 crane-fmu drive afile -> cannot read afile as an FMU: File is not a zip file
 crane-fmu drive afile --map =x -> write it as in --map F=trolley.force
-crane-fmu drive afile --map F= -> write it as in --map F=trolley.force
 crane-fmu drive afile --map G=x -> there is no signal 'G' to map
 crane-fmu drive afile --map none.toml -> none.toml cannot be read: No such file or directory
 crane-fmu drive afile --map bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
-crane-fmu drive afile --set =3 -> write it as in --set start.swing=0.1
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
-crane-fmu drive afile --step 0 -> write it as in --step 0.1
-crane-fmu drive afile --limit F -> --limit F is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu drive afile {CRANE} --duration 20 -o afile -> cannot write afile: it is read as well
-crane-fmu drive afile bfile -> see crane-fmu drive --help
 crane-fmu demo out -> see crane-fmu demo --help
-crane-fmu demo -o afile -> cannot write afile: it is a file, not a folder; name another
-crane-fmu demo --native -> see crane-fmu demo --help
-crane-fmu demo -o -> write it as in --output DIR
-crane-fmu simulate -> see crane-fmu --help
 crane-fmu Feedforward -> did you mean feedforward
 crane-fmu --versions -> see crane-fmu --help
-crane-fmu --version=3 -> see crane-fmu --help
-servocore sensitivities cars --wrt -> write it as in --wrt load_mass
 servocore sensitivities cars --wrt none -> cars has no parameter none
 servocore sensitivities cars --wrt '' -> write it as in --wrt load_mass
-servocore sensitivities cars --step 0 -> write it as in --step 0.1
-servocore sensitivities cars --step 1e-9 -> a step of 1e-09 s makes more than 1e+07 rows: take a larger
-servocore sensitivities cars --plot x.bmp -> cannot draw x.bmp: the name must end in .png, .svg, .pdf
-servocore sensitivities cars --columns u -> see servocore sensitivities --help
 servocore sensitivities cars --from 0 --to 1 -> a straight line also needs --duration
 servocore sensitivities cars --output x.svg --plot x.svg -> --output and --plot both name x.svg
-servocore sweep -> see servocore sweep --help
-servocore sweep cars -o s --vary -> write it as in --vary load_mass=50..150:100
 servocore sweep cars -o s --vary '' -> write it as in --vary load_mass=50..150:100
 servocore sweep cars -o s --vary =1..2:3 -> --vary =1..2:3 is no NAME=LOW..HIGH:COUNT: write it
-servocore sweep cars -o s --vary load=..2:3 -> --vary load=..2:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs a count of at least 1: write it as in
-servocore sweep cars -o s --vary load=1..2:-3 -> --vary: the range of load needs a count of at least 1: write it as in
 servocore sweep cars -o s --vary load=1..2:2.5 -> --vary load=1..2:2.5 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
-servocore sweep cars -o s --vary load=1..nan:3 -> --vary: the range 1..nan of load is not finite, or does not run
-servocore sweep cars -o s --vary load=1kg..2kg:3 -> --vary load=1kg..2kg:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary none=1..2:3 -> cars has no parameter none
 servocore sweep cars -o s --vary duration=-1..2:3 -> durations must be positive, not -1 s
-servocore sweep cars -o s --vary duration=0..2:3 -> durations must be positive, not 0 s
 servocore sweep cars -o s --vary duration=1..2:3 --vary duration=1..2:3 -> --vary gives duration twice
-servocore sweep cars -o s --vary duration=1..2 --sample 0 -> write it as in --sample 100
-servocore sweep cars -o s --vary duration=1..2 --sample 5 --seed -1 -> write it as in --seed 100
 servocore sweep cars -o s --vary duration=1..2:3 --seed 4 -> --seed belongs to --sample
 servocore sweep cars -o s --vary duration=2..1 --sample 5 -> --vary: the range 2..1 of duration is not finite, or does
 servocore sweep cars -o s --vary duration=1..2:3 --instants 1 -> instants must be a whole number of at least 2, not 1
@@ -258,71 +148,60 @@ servocore sweep cars -o s --vary duration=1..2:3 --limit v=3 -> 2 cars, points r
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler nowhere -> no Dask scheduler answers at nowhere: missing
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler '' -> write it as in --scheduler tcp://localhost:8786
 servocore sweep cars -o s --vary duration=1..2:100000000000 -> more than 1e+07 values or instants fill the memory
-servocore sweep cars -o afile --vary duration=1..2:3 -> cannot write afile: it is a file, not a folder; name another
-servocore effects -> see servocore effects --help
-servocore effects cars --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
-servocore effects cars --bandwidth -3 -> the bandwidth of position loops must be positive and finite, not -3
-servocore effects cars --bandwidth inf -> the bandwidth of position loops must be positive and finite, not inf
-servocore effects cars --bandwidth nan -> write it as in --bandwidth 1e-3
 servocore effects overhead_crane --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
 servocore effects overhead_crane --bandwidth -2 -> the bandwidth of position loops must be positive and finite, not -2
 servocore effects overhead_crane --bandwidth inf -> the bandwidth of position loops must be positive and finite, not inf
 servocore effects overhead_crane --deviation 0mm -> the tolerance must be positive and finite, not 0
-servocore effects overhead_crane --deviation -1mm -> the tolerance must be positive and finite, not -0.001
 servocore effects overhead_crane --deviation inf -> write it as in --deviation 5mm
-servocore effects overhead_crane --deviation infmm -> write it as in --deviation 5mm
-servocore effects overhead_crane --markdown no/e.md -> cannot write no/e.md: there is no folder no; make it first
-servocore effects overhead_crane --markdown . -> cannot write .: it is a folder; name a file
 servocore effects overhead_crane --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there
 servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth: there are no position
-servocore effects cars --from 0 --to 1 -> a straight line also needs --duration
-servocore view -> see servocore view --help
-servocore view cars -o -> write it as in --output FILE
-servocore view cars -o cars -> cannot write cars: the name of a page ends with .html
-servocore view cars --limit v=1 -> 2 cars, points reports nothing called v that could have a
-servocore view cars --from 0 0 --to 1 --duration 2 -> --from 0 0: it needs 1 number, y: write it as --from Y
-servocore view none -> no scene is called none
-servocore export -> see servocore export --help
 servocore export cars -o x -> cannot write x: the name of an FMU ends with .fmu, or tools
-servocore export cars -o x.zip -> cannot write x.zip: the name of an FMU ends with .fmu, or
-servocore export cars -o no/x.fmu -> cannot write no/x.fmu: there is no folder no; make it first
-servocore export cars -o . -> cannot write .: it is a folder; name a file
-servocore export cars -o x.fmu --fmi 2.0 -> write it as in --fmi 3
-servocore export cars -o x.fmu --fmi '' -> write it as in --fmi 3
-servocore export cars -o x.fmu --targets '' -> write it as in --targets host
-servocore export cars -o x.fmu --targets linux64,linux64,foo -> FMI 3 has no platform 'linux64'; there are
-servocore export cars -o x.fmu --model none -> cars has no model none; it has points
 servocore export cars -o x.fmu --plant --cross-check -> --cross-check is for inverse models: not with --plant
 servocore export cars -o x.fmu --trajectory --wasm x.wasm -> --wasm is for inverse models: not with --trajectory
 servocore export cars --cross-check -> --cross-check belongs to an FMU: name it with -o FILE.fmu
 servocore export cars --fmi 3 -> --fmi belongs to an FMU: name it with -o FILE.fmu
 servocore export cars --wasm x.js -> cannot write x.js: the name of a WebAssembly module ends with
-servocore export cars --wasm no/x.wasm -> cannot write no/x.wasm: there is no folder no; make it first
-servocore export cars --c afile -> cannot write afile: it is a file, not a folder; name another
 servocore export cars --c '' -> write it as in --c DIR
 servocore export cars -o x.fmu --c x.fmu -> --c and --output both name x.fmu
-servocore export cars --plant -> name the file to write with -o FILE.fmu
-servocore export cars --trajectory -> name the file to write with -o FILE.fmu
-servocore export cars --trajectory -o x.fmu --from 0 -> a straight line also needs --to and --duration
-servocore export cars --trajectory -o x.fmu --from 0 --to 1 --duration 0 -> the duration of a path must be a positive
-servocore export cars --trajectory -o x.fmu --reference none.csv -> none.csv cannot be read: No such file or directory
 servocore cache clear now -> see servocore cache --help
 servocore cache '' -> write it as in clear
-servocore help -> see servocore --help
 servocore --verbose -> see servocore --help
-servocore version -> see servocore --help
 servocore sweep cars -o s --vary duration=1..2 --sample 100000000000 -> more than 1e+07 values or instants fill the
 servocore sweep cars -o s --vary duration=1..2:3 --instants 1000000000 -> more than 1e+07 values or instants fill the
 crane-fmu drive afile --set a=nan -> write it as in --set start.swing=0.1
 servocore export cars --limit u=3 -> see servocore export --help
+crane-fmu feedforward --from 1e308 0 -5 --to -1e308 1 -5 --duration 20 -> at t = 0 s
+crane-fmu feedforward --rtol 1e-3 --output-step 1e-9 -> makes more than 1e+07 rows: take a larger
+crane-fmu feedforward -o {NULL} -> is no ordinary file
+crane-fmu feedforward -o o.csv --limit F=17 -> rotary_crane: at t = 5.51236 s F goes beyond its lower limit of -17 N; it
+crane-fmu feedforward --limit M_w=..-98 -> goes beyond its upper limit of -98 N.m; it reaches -97.3419 N.m
+crane-fmu feedforward --limit 'swing = 1 deg' -> goes beyond its upper limit of 1 deg; it reaches 1.00332 deg
+crane-fmu feedforward --limit M_w=50 -> no duration helps
+crane-fmu plan {CRANE} --limit F=60 --free -> needs a limit of every input; M_b has none
+crane-fmu plan {CRANE} {ALL} --free --keep-out 'sphere 3 0 0 1' --clearance-of 'load, bridge' -> of load, bridge is 1 m
+servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit M_w=50 -> keeps the limit of M_w: even at rest at (0, -4)
+servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit F=1e-9 -> keeps them in no 1e+06 s are not planned
+servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit F=200 --robust load_mass=90..110 -> has to hold 1, its own
+servocore effects cars -> cars declares no effects
+servocore plan elastic_bar --from 0 --to 1 --limit u=20 --write-path x.csv -> of a path, but the inputs of elastic_bar
+servocore plan boom_crane {BOOM} -> height zero, nor a bridge: plan with --clearance-of load
+servocore plan boom_crane {BOOM} --clearance-of load -> at rest at (5, 0, 1) a point of load is 0.5 m inside
 """
-"""Command lines, {CRANE} for a line of the crane, and what the refusal says, behind an arrow."""
+"""Command lines, what the refusal says behind an arrow, and in braces what `WORDS` has."""
 
-ODD = [tuple(row.replace("{CRANE}", CRANE).split(" -> ")) for row in TABLE.strip().splitlines()]
+WAY = "--from 5 0 1 --to 4 3 1 --free --keep-out 'sphere 5 0 1 0.5'"
+WORDS = {
+    "CRANE": CRANE,
+    "NULL": os.devnull,
+    "ALL": "--limit M_b=1000 --limit F=60 --limit M_w=-108..-88",
+    "BOOM": f"{WAY} --limit M_s=3000 --limit M_l=-2e4..2e4 --limit M_w=-150..-50",
+}
+
+ODD = [tuple(row.format(**WORDS).split(" -> ")) for row in TABLE.strip().splitlines()]
 
 
-@pytest.mark.parametrize(("line", "said"), ODD, ids=[line for line, _ in ODD])
-def test_an_odd_command_line_is_refused_in_one_sentence(line: str, said: str) -> None:
+@pytest.mark.parametrize(("line", "said"), [*WRONG, *ODD], ids=[line for line, _ in (*WRONG, *ODD)])
+def test_a_wrong_command_line_is_refused_with_the_right_form(line: str, said: str) -> None:
     for name, text in FILES.items():
         Path(name).write_bytes(text.encode("latin-1"))
     command_line, result = run(line)
@@ -332,7 +211,6 @@ def test_an_odd_command_line_is_refused_in_one_sentence(line: str, said: str) ->
     assert all(Path(name).read_bytes() == text.encode("latin-1") for name, text in FILES.items())
 
 
-def test_there_are_many_others_than_in_the_table_of_wrong_lines() -> None:
-    lines = {line for line, _ in ODD}
-    assert len(lines) == len(ODD) >= 250
-    assert not lines & {line for line, _ in WRONG}
+def test_every_line_is_in_one_of_the_tables_once() -> None:
+    lines = [line for line, _ in (*ODD, *WRONG)]
+    assert len({*lines}) == len(lines)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,92 +110,6 @@ def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
     np.testing.assert_allclose(again["time"], planned["time"], rtol=1e-12)
     for name, most in (("F", 1e-3), ("M_w", 1e-3), ("x", 1e-9), ("z", 1e-9)):  # of 200 N: round-off, as above
         assert np.abs(again[name] - planned[name]).max() < most
-
-
-def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None:
-    run.assert_refused(
-        run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--write-path", "way.csv"),
-        "--write-path: a file holds 4 derivatives of a path, but the inputs of elastic_bar depend on 6",
-    )
-    assert not list(Path().iterdir())
-
-
-FREE = ["--limit", "M_b=1000", "--limit", "F=60", "--limit", "M_w=-108..-88", "--free"]
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--limit", "F=60", "--keep-out", "sphere 1 2 -3 1"], "--keep-out belongs to --free"),
-        (["--limit", "F=60", "--free"], "needs a limit of every input; M_b has none"),
-        (["--limit", "F=60", "--free", "--keep-out", "cone 1 2 -3 1"], "'cone 1 2 -3 1' is neither"),
-        (["--limit", "F=60", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),
-        (
-            [*FREE, "--keep-out", "sphere 3 0 0 1", "--clearance-of", "load,hook"],
-            "'hook' is no part that can keep clear",
-        ),
-        (
-            [*FREE, "--keep-out", "sphere 3 0 0 1", "--clearance-of", "load, bridge"],
-            "a point of load, bridge is 1 m inside",
-        ),
-        ([*FREE, "--keep-out", "sphere 5 0 -3 1"], "a point of load, rope is 1 m inside"),
-        (["--limit", "F=60", "-o", "way.csv", "--write-path", "way.csv"], "both name way.csv"),
-    ],
-)
-def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence: str) -> None:
-    crane.assert_refused(crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *options), sentence)
-    assert os.listdir() == []
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ([*LEVEL, "--limit", "M_w=50"], "no law keeps the limit of M_w: even at rest at (0, -4)"),
-        ([*LEVEL], "has no limits"),
-        (["--from", 0, -4, 1, "--to", 5, -4, "--limit", "F=200"], "--from 0 -4 1: it needs 2 numbers, x, z"),
-        (["--from", 0, -4, "--limit", "F=200"], "no path is given"),
-        ([*LEVEL, "--reference", "a.csv"], "not by both"),
-        ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=heavy"], "is no NAME=LOW..HIGH: write it as in --robust"),
-        ([*LEVEL, "--limit", "F=200", "--robust", "load=0.9..1.1"], "no parameter load"),
-        ([*LEVEL, "--limit", "F=200", "--plot", "p.txt"], "cannot draw p.txt"),
-        ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input; M_w has none"),
-        ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
-        ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
-        ([*LEVEL, "--limit", "F=200", "--free", "--clearance-of", "load"], "--clearance-of belongs to --keep-out"),
-        ([*LEVEL, "--via", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
-        ([*LEVEL, "--limit", "F=1e-9"], "keeps them in no 1e+06 s are not planned"),
-        ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step: the time is given as 'nan'"),
-        (["--from", 0, -4, "--to", 0, -4, "--limit", "F=200"], "the path does not move there"),
-        (
-            [*LEVEL, "--limit", "F=200", "--robust", "load_mass=1.1..0.9"],
-            "HIGH: write it as in --robust load_mass=0.9..1.1",
-        ),
-        (
-            [*LEVEL, "--limit", "F=200", "--robust", "load_mass=90..110"],
-            "has to hold 1, its own value",
-        ),
-        (
-            [*LEVEL, "--limit", "F=200", *("--robust", "load_mass=0.9..1.1") * 2],
-            "--robust gives load_mass twice",
-        ),
-    ],
-)
-def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Sequence[str], sentence: str) -> None:
-    run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
-    assert os.listdir() == []
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ([], "height zero, nor a bridge: plan with --clearance-of load"),
-        (["--clearance-of", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
-    ],
-)
-def test_the_load_alone_keeps_clear_where_no_rope_is_known(options: list[str], sentence: str) -> None:
-    limits = ["--limit", "M_s=3000", "--limit", "M_l=-2e4..2e4", "--limit", "M_w=-150..-50"]
-    way = ["--from", 5, 0, 1, "--to", 4, 3, 1, "--free", "--keep-out", "sphere 5 0 1 0.5"]
-    run.assert_refused(run("plan", "boom_crane", *way, *limits, *options), sentence)
 
 
 def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:

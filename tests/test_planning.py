@@ -5,24 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, ClassVar
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
 import servocore as sc
 from servocore.model.limits import Bounds
-from servocore.numerics.compiled_calls import Array
-from servocore.planning.integrator_chains import advanced, sampled_law
-from servocore.planning.limit_rows import rounded
+from servocore.planning.integrator_chains import advanced
 from servocore.planning.report import PlanReport
-from servocore.planning.tasks import corner_problems, curve_of, task_along
-from servocore.planning.time_laws import law_of, shape_of, shortest
-from servocore.planning.transcription import Transcription
-from servocore.references.timed_path import TimedPath
 
 CRANE = sc.scenes.rotary_crane()
 OVERHEAD = sc.scenes.overhead_crane()
@@ -66,6 +58,13 @@ class TestDefaultManoeuvre:
         assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
         assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
 
+    def test_is_near_a_limit_for_two_thirds_of_the_time(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
+        path, _ = default_plan  # on 80 intervals four fifths, as docs/planning says
+        exact = CRANE.with_reference(path).exact(np.linspace(0.0, path.duration, 2001))
+        bounds = {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}
+        nearest = np.max([np.abs(exact[name]) / bound for name, bound in bounds.items()], axis=0)
+        assert 0.6 < np.mean(nearest > 0.95) < 0.75
+
     def test_is_a_path_that_everything_takes(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         path, report = default_plan
         scene = CRANE.with_reference(path).with_limits(**DEFAULT)
@@ -97,33 +96,6 @@ class TestIndependentAnswers:
         level = math.hypot(7.0, 2.0)
         assert report.duration >= 2.0 * math.sqrt(level / (9.81 * math.tan(math.radians(3.0))))
         assert report.duration <= 1.05 * 7.811
-
-    def test_seven_starts_agree(self) -> None:
-        (problem,) = corner_problems(OVERHEAD.with_limits(F=200), None, {})
-        task = task_along(curve_of(LEVEL, 2, "crane"), [problem], 4)
-        polynomial = shortest(task, shape_of(sc.DEGREE9))
-        program = Transcription.of(task, QUICK, 3, 1.02 * polynomial)
-        shapes = [shape_of(sc.DEGREE9), shape_of(sc.three_phase()), shape_of(sc.DEGREE13), ramp, skewed]
-        begun = [(shapes[0], 0.5), (shapes[0], 3.0), *((shape, 1.0) for shape in shapes)]
-        free = np.zeros((len(task.upper), QUICK * 3))
-        found = [program.solve(law_of(task, shape, factor * polynomial, QUICK), free) for shape, factor in begun]
-        durations = [each.law.duration for each in found]
-        assert all(each.solved for each in found)
-        assert max(durations) <= 1.002 * min(durations)
-
-
-def ramp(parts: Array, order: int) -> Array:
-    """Return s = t/T, which does not even rest."""
-    found = np.zeros((len(parts), order + 1))
-    found[:, 0], found[:, 1] = parts, 1.0
-    return found
-
-
-def skewed(parts: Array, order: int) -> Array:
-    """Return a sum of two laws of which one is over before the other."""
-    whole, early = (shape_of(sc.DEGREE9)(np.minimum(parts * factor, 1.0), order) for factor in (1.0, 1.5))
-    early[:, 1:] *= (1.5 ** np.arange(1, order + 1)) * (parts < 1 / 1.5)[:, None]
-    return 0.5 * whole + 0.5 * early
 
 
 def linear_optimum(intervals: int) -> float:
@@ -157,36 +129,26 @@ def feasible(intervals: int, duration: float) -> bool:
     return found.status == 0
 
 
-class TestRefusals:
-    """What no law can keep, or nobody can plan, is said in a sentence."""
+CAR = sc.scenes.mass_on_car()
 
-    def test_a_limit_that_is_broken_at_rest_is_named_with_the_place(self) -> None:
-        with pytest.raises(sc.InvalidReference, match=re.escape("(5, 0, -5) it is -98.1 N.m")):
-            sc.fastest(CRANE, LINE, {"M_w": 90})
 
-    def test_a_rope_that_is_too_long_on_the_way_is_named(self) -> None:
-        with pytest.raises(sc.InvalidReference, match=r"limit of l: even at rest at .* it is 4\.\d+ m"):
-            sc.fastest(CRANE, [(5, 0, -4), (3, 3, -4.6), (-2, 3, -4)], {"l": 4.5, "F": 60})
-
-    def test_without_limits_there_is_no_fastest_law(self) -> None:
-        with pytest.raises(sc.InvalidSetting, match="has no limits"):
-            sc.fastest(CRANE, LINE)
-
-    def test_internal_dynamics_cannot_be_planned(self) -> None:
-        with pytest.raises(sc.InvalidModel, match="internal dynamics"):
-            sc.fastest(sc.scenes.mass_on_car(), [(0.0,), (1.0,)], {"u": 10})
-
-    def test_waypoints_need_as_many_numbers_as_outputs(self) -> None:
-        with pytest.raises(sc.InvalidReference, match="3 components, this one has 2"):
-            sc.fastest(CRANE, LEVEL, DEFAULT)
-
-    def test_an_odd_grid_is_refused(self) -> None:
-        with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
-            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
-
-    def test_a_progress_that_cannot_be_called_is_refused(self) -> None:
-        with pytest.raises(sc.InvalidSetting, match="progress must be a function of a text, not 4"):
-            sc.fastest(CRANE, LINE, DEFAULT, progress=4)  # type: ignore[arg-type]  # wrong on purpose
+@pytest.mark.parametrize(
+    ("scene", "way", "limits", "settings", "words"),
+    [
+        (CRANE, LINE, {"M_w": 90}, {}, r"\(5, 0, -5\) it is -98\.1 N\.m"),
+        (CRANE, [(5, 0, -4), (3, 3, -4.6), (-2, 3, -4)], {"l": 4.5, "F": 60}, {}, r"limit of l: .* it is 4\.\d+ m"),
+        (CRANE, LINE, None, {}, "has no limits"),
+        (CAR, [(0.0,), (1.0,)], {"u": 10}, {}, "internal dynamics"),
+        (CRANE, LEVEL, DEFAULT, {}, "3 components, this one has 2"),
+        (CRANE, LINE, DEFAULT, {"intervals": 7}, "even number of intervals"),
+        (CRANE, LINE, DEFAULT, {"progress": 4}, "progress must be a function of a text, not 4"),
+    ],
+)
+def test_what_no_law_keeps_or_nobody_can_plan_is_refused(
+    scene: sc.Scene, way: Any, limits: dict[str, Bounds] | None, settings: dict[str, Any], words: str
+) -> None:
+    with pytest.raises((sc.InvalidReference, sc.InvalidSetting, sc.InvalidModel), match=words):
+        sc.fastest(scene, way, limits, **settings)
 
 
 @pytest.mark.parametrize("smooth", [False, True, -1, 3, 0.0])
@@ -231,17 +193,6 @@ def test_a_curve_through_waypoints_is_followed_to_its_end() -> None:
     assert report.duration < 1.03 * 7.265
 
 
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 9])
-def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(count: int) -> None:
-    angle = np.linspace(0.0, 1.0, count)
-    points = np.column_stack([np.cos(angle), np.sin(angle), 0.1 * angle])
-    s = np.linspace(0.0, 1.0, 2001)
-    places = curve_of(points, 3, "crane").jet(s, 0)[:, 0]
-    assert max(np.linalg.norm(places - point, axis=1).min() for point in points) < 1e-3
-    length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-    assert length == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), rel=0.05)
-
-
 def test_the_way_of_a_reference_counts_and_not_its_times() -> None:
     slow = sc.fastest(OVERHEAD, sc.rest_to_rest(LEVEL[0], LEVEL[1], 50.0), {"F": 200}, intervals=QUICK)[1]
     assert slow.duration == pytest.approx(
@@ -262,43 +213,10 @@ def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner
         sc.fastest(CRANE, cornered, DEFAULT)
 
 
-def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path: Path) -> None:
-    points = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
-    unit = shape_of(sc.DEGREE9)(np.linspace(0.0, 1.0, 81), 4).T
-    law = sampled_law(unit[:, :, None] / 7.5 ** np.arange(5)[:, None, None], 7.5, 4)
-    path = TimedPath.of(curve_of(sc.through(points, duration=20), 3, "crane"), law.path())
-    (tmp_path / "way.csv").write_text(sc.path_to_csv(path), encoding="utf-8")
-    t = np.linspace(0.0, 7.5, 2001)
-    back, snap = (each.jet(t, 4)[:, 4] for each in (sc.from_csv(tmp_path / "way.csv"), path))
-    assert np.abs(back - snap).max() < 1e-4 * np.abs(snap).max()
-
-
-def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer() -> None:
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    smooth = rounded(ca.atan2(ca.norm_2(ca.vertcat(x, y)), 2.0))
-    slope = ca.Function("slope", [x, y], [ca.gradient(smooth, x), smooth])
-    assert float(slope(0.0, 0.0)[0]) == 0.0
-    assert 0.0 < float(slope(0.3, 0.4)[1]) - math.atan(0.25) < 1e-9
-
-
 class TestFreeWay:
     """Between two points a plan may choose its way, clear of what stands there."""
 
     LIMITS: ClassVar[dict[str, Bounds]] = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}
-
-    def test_is_faster_than_the_line_and_clear_of_a_box_with_load_and_rope(self) -> None:
-        box = sc.Box((2.5, -5.0), (0.3, 1.6))
-        way = [(0, -4), (5, -4)]
-        path, report = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space((box,)), intervals=QUICK)
-        jets = path.jet(np.linspace(0.0, path.duration, 5001), 2)
-        reach = -jets[:, 0, 1] / (9.81 + jets[:, 2, 1])
-        trolley = np.column_stack([jets[:, 0, 0] + reach * jets[:, 2, 0], 0.0 * reach])
-        for part in np.linspace(0.0, 1.0, 30):
-            place = (1.0 - part) * jets[:, 0] + part * trolley
-            assert (np.abs(place - (2.5, -5.0)) > (0.3, 1.6)).any(axis=1).all()
-        assert 0.0 <= report.clearance < 0.2
-        assert largest_excess(OVERHEAD, path, {"F": 200.0, "swing": math.radians(15.0)}) <= 0.0
-        assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
 
     def test_without_obstacles_is_faster_than_known_laws_on_the_line(self) -> None:
         way = [(0, -4), (5, -1.5)]
@@ -334,13 +252,6 @@ class TestFreeWay:
         for wrong in (lambda: sc.Sphere((1.0, math.nan), 1.0), lambda: sc.Box((1.0, 2.0), (1.0, math.inf))):
             with pytest.raises(sc.InvalidSetting, match="needs finite numbers"):
                 wrong()
-
-    def test_a_smooth_body_around_a_box_contains_it(self) -> None:
-        box, place = sc.Box((1.0, 2.0, 3.0), (0.4, 3.0, 1.2)), ca.SX.sym("place", 3)
-        row = ca.Function("row", [place], [box.row(place)])
-        corners = [(1.0 + 0.4 * i, 2.0 + 3.0 * j, 3.0 + 1.2 * k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
-        assert [float(row(each)) for each in corners] == pytest.approx([1.0] * 8, abs=1e-6)
-        assert box.distance(np.array([(1.0, 2.0, 5.0), (1.0, 2.0, 3.0)])).tolist() == pytest.approx([0.8, -0.4])
 
 
 def test_a_law_that_breaks_limits_between_the_points_is_looked_for_on_a_finer_grid(

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
-import casadi as ca
 import numpy as np
 import pytest
-from outside.systems import elbow_arm, named, symbols
+from outside.systems import elbow_arm
+from problems import car_chain, changed
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -18,10 +18,6 @@ from servocore.planning.tasks import corner_problems, curve_of, with_a_formula
 ARM = elbow_arm()
 WAY = [(1.2, 0.6), (1.0, 0.9)]
 TORQUES = {"T_1": 0.9, "T_2": 0.25}
-
-
-def unchanged(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
-    return system
 
 
 def exact(path: sc.Reference) -> Mapping[str, Array]:
@@ -51,28 +47,16 @@ def test_a_place_out_of_reach_is_named() -> None:
 
 def hardening_chain() -> sc.MechanicalSystem:
     """Three masses on springs that grow stiffer, driven at one end and tracked at the other: index 7."""
-    coordinates = sc.Coordinates(*named("a b c"))
-    a, b, c = ca.vertsplit(coordinates.q)
-    stretched = [b - a, c - b]
-    pulls = [400.0 * d + 4000.0 * d**3 for d in stretched]
-    return sc.MechanicalSystem(
-        name="hardening chain",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("u", "N"),
-        outputs=named("y"),
-        mass=ca.SX.eye(3),
-        force=ca.vertcat(pulls[0], pulls[1] - pulls[0], -pulls[1]),
-        output=c,
-        input_matrix=ca.SX([[-1.0, 0.0, 0.0]]),
-        gamma=symbols(1),
-        home=(0.0,),
+    cars = car_chain([1.0] * 3, [400.0] * 2, [0.0] * 2)
+    potential = sum(
+        200.0 * (cars.q[k] - cars.q[k + 1]) ** 2 + 1000.0 * (cars.q[k] - cars.q[k + 1]) ** 4 for k in (0, 1)
     )
+    return changed(cars, name="hardening chain", potential=potential)
 
 
 def test_a_chain_of_index_seven_is_planned_without_a_formula() -> None:
     scene = sc.Scene("chain", {"only": hardening_chain}, sc.rest_to_rest((0.0,), (1.0,), 3.0, sc.DEGREE13))
-    path, report = sc.fastest(scene, [(0.0,), (1.0,)], {"u": 20.0}, intervals=10)
+    path, report = sc.fastest(scene, [(0.0,), (1.0,)], {"F": 20.0}, intervals=10)
     peak = np.abs(sc.ExactInversion(scene.with_reference(path))(np.linspace(0.0, path.duration, 2001))).max()
     assert path.smoothness == 6
     assert 0.97 * 20.0 < peak <= 20.0
@@ -85,7 +69,7 @@ def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_s
     stronger = replace(crane.model("points"), input_matrix=2 * crane.model("points").input_matrix)
     curve = curve_of([(0, 0, -4), (4, 2, -3)], 3, "cranes")
     for points, same in ((crane.model("points"), True), (stronger, False)):
-        models: dict[str, Callable[[], sc.MechanicalSystem]] = {"points": partial(unchanged, points)}
+        models: dict[str, Callable[[], sc.MechanicalSystem]] = {"points": partial(replace, points)}
         models["generalized"] = crane.models["generalized"]
         scene = sc.Scene("cranes", models, crane.reference).with_limits(F_x=200.0)
         corners = corner_problems(scene, "generalized", {})

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from present import present
+from test_references import relative_errors
 
 import servocore as sc
 from servocore import (
@@ -20,7 +21,6 @@ from servocore import (
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.references.hermite import hermite
-from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -44,12 +44,6 @@ def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: lis
     return path
 
 
-def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int) -> Array:
-    t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
-    found, exact = path.jet(t, order), truth.jet(t, order)
-    return np.asarray(np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2)))
-
-
 @pytest.mark.parametrize("groups", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("truth", [LINE, CURVE], ids=["line", "curve"])
 def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
@@ -61,12 +55,6 @@ def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
     assert path.max_order == 9
     assert path.rests_before
     assert path.rests_after
-
-
-def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path: Path) -> None:
-    path = from_csv(write(tmp_path / "path.csv", table(LINE, 20.0, 5), 5))
-    assert relative_errors(path, LINE, 9).max() < 1e-13
-    assert path.fit_error is None
 
 
 @pytest.mark.parametrize("scene", [sc.scenes.overhead_crane(), sc.scenes.cars()], ids=lambda scene: scene.name)
@@ -163,17 +151,10 @@ def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups: int, t
         from_csv(write(tmp_path / "bad.csv", rows, groups))
 
 
-def test_a_single_wrong_velocity_is_named_by_line_and_column(tmp_path: Path) -> None:
-    rows = table(CURVE, 0.1, 2)
-    rows[123, 5] += 0.1
-    with pytest.raises(InvalidReference, match=r"bad\.csv, line 125 \(time 12.3 s\), column vy: "):
-        from_csv(write(tmp_path / "bad.csv", rows, 2))
-
-
 def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 1)
     rows[rows[:, 0] > 17.0, 3] += 0.01
-    with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17"):
+    with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17.* in position"):
         from_csv(write(tmp_path / "rough.csv", rows, 1))
 
 

@@ -394,24 +394,6 @@ def test_a_jump_in_one_of_the_first_three_derivatives_is_refused_however_dense_t
     assert min(abs(named - 4.0), abs(named - 20.0)) <= 2.0 * step
 
 
-def test_a_jump_of_one_millimetre_is_refused_and_found() -> None:
-    t = np.linspace(0.0, 40.0, 401)
-    positions = PATH.jet(t, 0)[:, 0]
-    positions[t > 17.0] += 1e-3
-    with pytest.raises(InvalidReference, match=r"too rough near t = 17.*limit .* in position"):
-        sampled(t, positions)
-
-
-def test_rounded_samples_are_refused_unless_a_tolerance_is_given() -> None:
-    t = np.linspace(0.0, 40.0, 401)
-    rounded = PATH.jet(t, 0)[:, 0].round(6)
-    with pytest.raises(InvalidReference, match="need a tolerance"):
-        sampled(t, rounded)
-    path = sampled(t, rounded, tolerance=1e-6)
-    assert relative_errors(path, PATH, 4)[4] < 1e-3
-    assert present(path.fit_error) < 2e-6
-
-
 @pytest.mark.parametrize(
     ("t", "positions", "tolerance", "sentence"),
     [

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import scene
+from problems import Rest, scene
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.solvers.adaptive import ToTolerance
 from servocore.solvers.exact_inversion import Pointwise
@@ -21,20 +19,6 @@ from servocore.solvers.solve import chosen_route
 from servocore.solvers.stable_inversion import StableInversion
 
 CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
-
-
-@dataclass(frozen=True)
-class Rest:
-    """A route of somebody's own: the inputs at rest, whatever the path does."""
-
-    def run(
-        self,
-        problem: sc.Problem,
-        times: Array,
-        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002 - there is nothing to tell
-    ) -> sc.Solution:
-        values = np.zeros((len(times), len(problem.system.inputs)))
-        return sc.Solution(times, problem.system.inputs, values, "rest")
 
 
 @pytest.mark.parametrize(

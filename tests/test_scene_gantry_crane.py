@@ -8,51 +8,11 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
-
-INPUTS = ("F_x", "F_y", "M_w")
 
 
 @cache
 def scene() -> sc.Scene:
     return sc.scenes.gantry_crane()
-
-
-def errors(solution: sc.Solution, names: tuple[str, ...] = INPUTS) -> Array:
-    """Largest errors, as fractions of the largest exact values."""
-    exact = scene().exact(solution.t)
-    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
-
-
-@pytest.mark.parametrize("model", scene().models)
-def test_the_reduced_form_returns_the_closed_form_at_any_step(model: str) -> None:
-    exact = scene().exact(np.zeros(1))
-    for step in (0.5, 0.1):
-        solution = sc.solve(scene(), sc.Reduced(), step=step, model=model)
-        assert set(exact) <= set(solution.names)
-        assert errors(solution, tuple(exact)).max() < 1e-12
-
-
-@pytest.mark.parametrize("model", scene().models)
-def test_the_projected_form_gives_the_motion_exactly_and_the_inputs_to_first_order(model: str) -> None:
-    coarse, fine = (sc.solve(scene(), sc.Projected(), sc.BackwardEuler(), step=h, model=model) for h in (0.01, 0.005))
-    assert errors(fine, ("s_x", "s_y", "l", "tension", "swing")).max() < 1e-12
-    np.testing.assert_allclose(errors(coarse) / errors(fine), 2.0, atol=0.1)
-    assert errors(fine).max() < 0.01
-
-
-def test_under_the_exact_inputs_the_load_returns_to_its_path() -> None:
-    inputs = sc.solve(scene(), sc.Reduced(), step=0.01)
-    for model in scene().models:
-        assert sc.simulate(scene(), inputs, model=model)["tracking_error"].max() < 1e-7
-
-
-def test_at_rest_the_winch_holds_the_load_and_the_axes_are_free_of_force() -> None:
-    weight = 70.0 * 9.81
-    exact = scene().with_parameters(load_mass=70.0, winch_radius=0.2).exact(np.array([0.0, 6.0]))
-    np.testing.assert_allclose(exact["M_w"], -0.2 * weight, rtol=1e-14)
-    np.testing.assert_allclose(exact["tension"], weight, rtol=1e-14)
-    np.testing.assert_allclose([exact["F_x"], exact["F_y"], exact["swing"]], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("along_x", [True, False])

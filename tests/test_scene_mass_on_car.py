@@ -6,12 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-from servocore.scenes.mass_on_car import internal_motion
 
 LEVEL = {"inclination": 0.0}
 FLAT = {"inclination": 0.0, "damping": 0.0}
@@ -43,34 +41,6 @@ def errors(
     solution = sc.solve(scene_of(kind), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
     exact = exact_on_grid(kind, steps)
     return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize(
-    ("kind", "index", "states", "classification"),
-    [
-        ("inclined", 3, 2, "minimum phase"),
-        ("undamped", 3, 2, "weakly minimum phase"),
-        ("level", 4, 1, "minimum phase"),
-        ("flat", 5, 0, "flat"),
-        ("unstable", 3, 2, "non-minimum phase"),
-    ],
-)
-def test_inclination_damper_and_spring_decide_what_kind_of_problem_it_is(
-    model: str, kind: str, index: int, states: int, classification: str
-) -> None:
-    report = sc.analyse(scene_of(kind), model=model)
-    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, classification)
-
-
-def test_the_eigenvalues_are_those_of_the_mass_on_its_spring() -> None:
-    p = scene_of("inclined").parameter_values()
-    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
-    expected = np.roots([inertia, p["damping"], p["stiffness"]])
-    found = sc.analyse(scene_of("inclined")).eigenvalues
-    np.testing.assert_allclose(np.sort_complex(np.array(found)), np.sort_complex(expected), rtol=1e-9)
-    (level,) = sc.analyse(scene_of("level")).eigenvalues
-    assert level == pytest.approx(-p["stiffness"] / p["damping"])
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -109,33 +79,6 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
     late = solution.t > 3.0
     slope = np.polyfit(solution.t[late], np.log(distance[late]), 1)[0]
     assert slope == pytest.approx(rate, rel=0.05)
-
-
-def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution() -> None:
-    this = scene_of("unstable")
-    solution = sc.solve(this)
-    assert "StableInversion" in solution.advice
-    exact = this.exact(solution.t)
-    for name in ("u", "s"):
-        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
-
-
-def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response() -> None:
-    this = scene_of("inclined")
-    p = this.parameter_values()
-    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
-    decay = p["damping"] / (2 * inertia)
-    frequency = np.sqrt(p["stiffness"] / inertia - decay**2)
-    nodes, weights = leggauss(60)
-    t = np.array([0.3, 1.0, 2.5, 4.0, 6.0])
-    expected = []
-    for time in t:
-        half = min(time, DURATION) / 2
-        past = half * (1 + nodes)
-        force = -p["mass"] * np.cos(p["inclination"]) * this.reference.jet(past, 2)[:, 2, 0]
-        response = np.exp(-decay * (time - past)) * np.sin(frequency * (time - past)) / (inertia * frequency)
-        expected.append(half * weights @ (force * response))
-    np.testing.assert_allclose(this.exact(t)["s"], expected, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["inclined", "level", "flat", "unstable"])
@@ -187,12 +130,3 @@ def test_without_inclination_spring_and_damper_nothing_determines_the_mass() -> 
     with pytest.raises(sc.InvalidModel, match="the path does not determine s"):
         loose.exact(np.zeros(1))
     assert sc.analyse(loose).classification == "singular here"
-
-
-def test_the_internal_motion_says_what_its_acceleration_is() -> None:
-    this = scene_of("level")
-    t = np.linspace(0.2, 3.8, 5)
-    h = 1e-3
-    before, at, after = (internal_motion(t + k * h, this.reference, this.parameter_values())[0] for k in (-1, 0, 1))
-    _, acceleration = internal_motion(t, this.reference, this.parameter_values())
-    np.testing.assert_allclose((before - 2 * at + after) / h**2, acceleration, atol=1e-5)

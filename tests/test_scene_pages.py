@@ -56,10 +56,13 @@ def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(
         ("overhead_crane", "points", "F", 0.9),
         ("gantry_crane", "points", "F_x", 1.1),
         ("boom_crane", "points", "M_s", 1.2),
+        ("inteco", "points", "u_x", 0.26),
         ("cars", "points", "u", 0.5),
         ("mass_on_car", "generalized", "u", 0.8),
         ("passive_joint_arm", "generalized", "u", 0.1),
+        ("loop_manipulator", "angles", "F_1", 1),
         ("elastic_bar", "points", "u", 0.6),
+        ("heavy_rope", "points", "F_x", 0.34),
         ("quadrotor_with_load", "points", "M", 12),
     ],
 )

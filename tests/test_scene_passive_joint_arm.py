@@ -10,7 +10,6 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 from servocore.scenes.passive_joint_arm import generalized, passive_joint_arm
 
 DURATION = 2.0
@@ -20,18 +19,6 @@ PERCUSSION = 2 / 3  # of a homogeneous rod of 1 m
 @cache
 def scene(tip: bool = False) -> sc.Scene:
     return passive_joint_arm(tip)
-
-
-@cache
-def exact_on_grid(steps: int) -> dict[str, Array]:
-    return scene().exact(np.linspace(0.0, DURATION, steps + 1))
-
-
-def errors(formulation: sc.Formulation, steps: int, model: str, names: tuple[str, str, str] = ("u", "a", "b")) -> Array:
-    """Largest errors of backward Euler, as fractions of the largest exact values."""
-    solution = sc.solve(scene(), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
-    exact = exact_on_grid(steps)
-    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
 
 
 @pytest.mark.parametrize("model", ["generalized", "points"])
@@ -64,32 +51,6 @@ def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook() -> Non
     bent = p["second_mass"] * p["first_length"] * p["second_centre"] * np.cos(b)
     first = p["first_inertia"] + p["second_mass"] * p["first_length"] ** 2 + J_2 + 2 * bent
     np.testing.assert_allclose(M, [[first, J_2 + bent], [J_2 + bent, J_2]], rtol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("formulation", "model"),
-    [(sc.Reduced(), "generalized"), (sc.Reduced(), "points"), (sc.Projected(), "generalized")],
-    ids=lambda each: getattr(each, "name", each),
-)
-def test_backward_euler_converges_at_first_order_where_it_is_of_minimum_phase(
-    formulation: sc.Formulation, model: str
-) -> None:
-    coarse, fine = (errors(formulation, steps, model) for steps in (1600, 3200))
-    np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
-    assert fine.max() < 0.005
-
-
-@pytest.mark.parametrize("model", ["generalized", "points"])
-def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(model: str) -> None:
-    solution = sc.solve(scene(), sc.Reduced(), sc.RadauIIA(3), step=DURATION / 400, model=model)
-    exact = exact_on_grid(400)
-    for name in ("u", "a", "b"):
-        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * np.abs(exact[name]).max())
-
-
-def test_the_projection_refuses_massless_angles_and_says_so() -> None:
-    with pytest.raises(sc.InvalidModel, match=r"the projection needs inertia .* the mass matrix is singular on a, b"):
-        sc.solve(scene(), sc.Projected(), model="points")
 
 
 @pytest.mark.parametrize("tip", [False, True])

@@ -44,12 +44,6 @@ def test_its_thrust_accelerates_both_masses(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", DRONE.models)
-def test_under_the_exact_inputs_the_load_returns_to_its_path(model: str) -> None:
-    inputs = sc.solve(DRONE, step=0.005)
-    assert sc.simulate(DRONE, inputs, model=model)["tracking_error"].max() < 1e-6
-
-
-@pytest.mark.parametrize("model", DRONE.models)
 def test_it_is_exact_where_the_quadrotor_turns_over(model: str) -> None:
     """So fast a start needs more than a right angle of pitch: the rotors pull downwards, and it turns once."""
     wild = flown((0.0, 1.0), (8.0, 1.0), 2.5)

@@ -124,21 +124,6 @@ def test_models_that_a_formulation_cannot_take_are_refused_with_the_reason(
 
 INPUTS = ("M_b", "F", "M_w")
 ROTARY_MODELS = tuple(scene("rotary_crane").models)
-STEPS = (200, 400, 800, 1600)  # of 0.1, 0.05, 0.025 and 0.0125 s
-
-
-@pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_errors_of_the_crane_s_inputs_halve_with_the_step(model: str) -> None:
-    errors = np.array([largest_errors(problem("rotary_crane", model), steps, INPUTS) for steps in STEPS])
-    ratios = errors[:-1] / errors[1:]
-    assert (ratios > 1.8).all()
-    assert (ratios < 2.2).all()
-
-
-@pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_the_crane_s_configuration_is_exact_at_a_step_of_a_tenth_of_a_second(model: str) -> None:
-    errors = largest_errors(problem("rotary_crane", model), 200, ("phi", "s", "l", "swing", "tension"))
-    assert (errors < [1e-12, 1e-12, 1e-12, 1e-12, 1e-9]).all()
 
 
 def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_and_the_rest_by_less_than_two() -> None:
@@ -149,19 +134,6 @@ def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_
         share = largest_errors(what, 200, INPUTS) / [np.abs(exact[name]).max() for name in INPUTS]
         assert 0.1 < share[0] < 0.3
         assert (share[1:] < 0.02).all()
-
-
-@pytest.mark.parametrize("other", ROTARY_MODELS[1:])
-def test_models_differ_by_an_amount_that_halves_with_the_step(other: str) -> None:
-    def distance(steps: int) -> float:
-        one, two = (solved(problem("rotary_crane", model), steps) for model in ("points", other))
-        return float(max(np.abs(one[name] - two[name]).max() / np.abs(one[name]).max() for name in INPUTS))
-
-    distances = np.array([distance(steps) for steps in STEPS])
-    assert 1e-4 < distances[0] < 0.2
-    ratios = distances[:-1] / distances[1:]
-    assert (ratios > 1.8).all()
-    assert (ratios < 2.2).all()
 
 
 def sane_cranes() -> SearchStrategy[dict[str, float]]:
@@ -207,24 +179,11 @@ def test_every_sane_crane_and_manoeuvre_is_solved_to_first_order_with_exact_conf
     assert 1.8 < errors[0] / errors[1] < 2.2
 
 
-@pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_every_model_listens_to_every_parameter(model: str) -> None:
-    """Other data than the defaults: inputs within the first-order error of the closed form, configuration exact."""
-    crane = scene("rotary_crane").with_parameters(
-        bridge_inertia=200.0, trolley_mass=25.0, load_mass=60.0, winch_inertia=2.0, winch_radius=0.2, gravity=5.0
-    )
-    found = [sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=h, model=model) for h in (0.1, 0.05)]
-    errors = np.array([[np.abs(each[name] - crane.exact(each.t)[name]).max() for name in INPUTS] for each in found])
-    np.testing.assert_allclose(errors[0] / errors[1], 2.0, rtol=0.1)
-    for name in ("phi", "s", "l", "tension", "swing"):
-        np.testing.assert_allclose(found[0][name], crane.exact(found[0].t)[name], rtol=1e-11, atol=1e-11)
-
-
 # Closed forms against what they do not know --------------------------------------------------------------------------
 
 
 def test_overhead_crane_s_closed_form_gives_the_published_instant() -> None:
-    """Independently computed values for (0, -4) m to (5, -1) m in 3 s, at t = 0.75 s: theory.md section 7."""
+    """Independently computed values for (0, -4) m to (5, -1) m in 3 s, at t = 0.75 s: docs/scenes.md."""
     found = scene("overhead_crane").exact(np.array([0.75]))
     expected = {"s": 1.6581329241, "l": 4.1042979426, "F": 417.51828439, "M_w": -139.21837745}
     for name, value in expected.items():

@@ -142,8 +142,7 @@ MISTAKES = [
             ("plant", "gravity", -1.0),
             ("plant", "start.position[1]", 4.0),
             ("plant", "hold", 2),
-            ("trajectory", "duration", 10.0),
-            ("trajectory", "profile", 1),
+            ("trajectory", "start[1]", 10.0),
         ]
     ),
     *(

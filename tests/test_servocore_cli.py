@@ -96,29 +96,6 @@ class TestAnalyse:
         assert " ".join(" ".join(lines).split()) == " ".join(report.split())
         assert all((line.startswith("  ") and line[2:22].strip()) or line.startswith(" " * 22) for line in lines[1:])
 
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("speed = 3.0", ("no parameter is called 'speed'", "there are mass_1, mass_2")),
-            ("mass_1 = 'heavy'", ("mass_1 must be a number, not a text",)),
-            ("mass_1 = true", ("mass_1 must be a number, not a boolean",)),
-            ("mass_1 = -1.0", ("mass_1 = -1 kg is outside its range",)),
-            ("mass_1 = nan", ("mass_1 = nan kg is outside its range",)),
-            ("mass_1 = ", ("is not a TOML file",)),
-            ("[mass_1]\nkg = 1", ("mass_1 must be a number, not a table",)),
-        ],
-    )
-    def test_a_bad_file_is_refused_with_its_name(self, text: str, words: tuple[str, ...]) -> None:
-        assert_refused(run("analyse", "cars", "--parameters", write("bad.toml", text)), "bad.toml", *words)
-
-    def test_files_that_cannot_be_read_scenes_and_models_that_do_not_exist_are_refused(self) -> None:
-        Path("binary.toml").write_bytes(b"\xff\xfe\x00")
-        assert_refused(run("analyse", "cars", "--parameters", "none.toml"), "none.toml cannot be read")
-        assert_refused(run("analyse", "cars", "--parameters", "binary.toml"), "not UTF-8 text")
-        assert_refused(run("analyse", "train"), "no scene is called train; there are rotary_crane, ")
-        assert_refused(run("analyse", "cars", "--model", "bodies"), "cars has no model bodies; it has points")
-        assert_refused(run("analyse"), "see servocore analyse --help")
-
 
 def test_a_help_is_as_wide_as_the_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "200")
@@ -135,18 +112,6 @@ def test_a_present_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(gone)
     gone.rmdir()
     assert_refused(run("analyse", "mine:scene"), "the current folder no longer exists: change into another")
-
-
-def test_an_unknown_command_is_refused_with_a_pointer_to_the_help() -> None:
-    assert_refused(run("solve"), "no such command 'solve'; see servocore --help")
-
-
-@pytest.mark.parametrize("command", ["scenes", "analyse"])
-def test_every_command_has_a_help_that_says_more_than_its_name(command: str) -> None:
-    result = run(command, "--help")
-    assert result.exit_code == 0
-    assert len(result.stdout.split()) > 20
-    assert command in run("--help").stdout
 
 
 @pytest.mark.parametrize(

@@ -7,40 +7,31 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from outside.writing import coordinates, lagrange
 from scipy.integrate import solve_ivp
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.solution import Statistics
 
-PARAMETERS = sc.Parameters(
-    sc.Parameter("gravity", 9.81, "m/s2", 0.0, 100.0), sc.Parameter("damping", 0.3, "kg/s", 0.0, 100.0)
-)
 DURATION = 2.0
 
 
 @cache
 def cart_with_pendulum() -> sc.MechanicalSystem:
     """A cart whose position is prescribed; the pendulum on it, x and y of its bob, swings as it likes."""
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in "sxy"))
-    (s, x, y), (v_s, v_x, v_y) = ca.vertsplit(coordinates.q), ca.vertsplit(coordinates.v)
-    gamma, d = ca.SX.sym("gamma", 1, 25), PARAMETERS["damping"]
-    input_matrix = ca.SX(1, 3)
-    input_matrix[0, 0] = -1
-    return sc.MechanicalSystem(
-        name="cart with pendulum",
-        coordinates=coordinates,
-        parameters=PARAMETERS,
-        inputs=(sc.Quantity("u", "N"),),
-        outputs=(sc.Quantity("position", "m"),),
-        mass=ca.SX.eye(3),
-        potential=PARAMETERS["gravity"] * y,
-        force=ca.vertcat(d * (v_x - v_s), -d * (v_x - v_s), -d * v_y),
+    q = coordinates("s x y")
+    (s, x, y), (v_s, v_x, v_y) = ca.vertsplit(q.q), ca.vertsplit(q.v)
+    return lagrange(
+        "cart with pendulum",
+        q,
+        ca.sumsqr(q.v) / 2,
+        {"position": s},
+        {"u": s},
+        potential=9.81 * y,
+        damping=0.3 * ((v_x - v_s) ** 2 + v_y**2) / 2,
         constraints=(x - s) ** 2 + y**2 - 1,
-        input_matrix=input_matrix,
-        output=s,
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], gamma[0, 0], -1.0),
+        guess=lambda at: (at[0], at[0], -1.0),
         home=(0.0,),
     )
 

@@ -6,11 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import (
-    actuated_chain,
     car_chain,
     changed,
-    driven_pendulum,
-    mass_on_car,
     redundant_pendulum,
     scene,
 )
@@ -29,13 +26,6 @@ def offsets(system: sc.MechanicalSystem) -> tuple[dict[str, int], dict[str, int]
     )
 
 
-@pytest.mark.parametrize("model", ["points", "bodies", "generalized"])
-def test_the_rotary_crane_has_index_five_and_nothing_to_integrate(model: str) -> None:
-    found = analyse_structure(scene("rotary_crane").model(model))
-    assert found.index == 5
-    assert found.degrees_of_freedom == 0
-
-
 def test_only_generalized_coordinates_need_a_remedy_and_it_is_named() -> None:
     """There, accelerations that cancel hide the index: the equations as they stand have a singular Jacobian."""
     models = {name: analyse_structure(scene("rotary_crane").model(name)) for name in scene("rotary_crane").models}
@@ -46,35 +36,10 @@ def test_only_generalized_coordinates_need_a_remedy_and_it_is_named() -> None:
     assert as_they_stand.index < 5
 
 
-@pytest.mark.parametrize(("cars", "index"), [(2, 5), (3, 7), (4, 9), (6, 13)])
-def test_a_row_of_cars_has_index_twice_their_number_plus_one(cars: int, index: int) -> None:
-    found = analyse_structure(car_chain([1.0] * cars, [50.0] * (cars - 1), [0.5] * (cars - 1)))
-    assert found.index == index
-    assert found.degrees_of_freedom == 0
-
-
-@pytest.mark.parametrize("system", [actuated_chain(), driven_pendulum()], ids=lambda each: each.name)
-def test_full_actuation_has_index_three(system: sc.MechanicalSystem) -> None:
-    found = analyse_structure(system)
-    assert (found.index, found.degrees_of_freedom) == (3, 0)
-
-
 @pytest.mark.parametrize("output", ["x", "theta"])
 def test_index_does_not_depend_on_redundant_coordinates(output: str) -> None:
     found = analyse_structure(redundant_pendulum(output))
     assert (found.index, found.degrees_of_freedom) == (3, 0)
-
-
-@pytest.mark.parametrize(
-    ("alpha", "damping", "index", "internal"),
-    [(np.pi / 4, 1.0, 3, 2), (np.pi / 2, 0.0, 3, 2), (0.0, 1.0, 4, 1), (0.0, 0.0, 5, 0)],
-)
-def test_a_mass_on_a_car_has_the_index_of_seifried_and_blajer(
-    alpha: float, damping: float, index: int, internal: int
-) -> None:
-    found = analyse_structure(mass_on_car(alpha, damping))
-    assert found.index == index
-    assert found.degrees_of_freedom == internal
 
 
 def test_offsets_of_two_cars_are_those_found_by_hand() -> None:
@@ -91,7 +56,7 @@ def test_the_signature_matrix_lists_highest_derivatives() -> None:
 
 def test_offsets_bound_every_entry_of_the_signature_matrix_and_are_tight_on_a_transversal() -> None:
     """d_j - c_i >= sigma_ij, equal on a full matching: else the Jacobian would have an empty row."""
-    for system in (scene("rotary_crane").model("points"), mass_on_car(0.0, 1.0), car_chain()):
+    for system in (scene("rotary_crane").model("points"), scene("mass_on_car").model(), car_chain()):
         found = analyse_structure(system)
         gap = np.subtract.outer(-np.array(found.equation_offsets), -np.array(found.variable_offsets))
         present = found.sigma != ABSENT

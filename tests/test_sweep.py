@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -28,7 +28,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
-from servocore.planning.sweep_settings import Grid, drawn
+from servocore.planning.sweep_settings import drawn
 from servocore.planning.sweep_store import Parquet, Zarr
 from servocore.references.rest_to_rest import RestToRest
 
@@ -163,27 +163,6 @@ def test_a_folder_of_tables_has_a_row_a_case_with_units_and_settings(tmp_path: P
     schema = parquet.read_schema(tmp_path / "s.parquet" / "part-000000.parquet")
     assert schema.field("peak_M_b").metadata[b"units"] == b"N.m"
     assert b'"scene": "rotary_crane"' in schema.metadata[b"settings"]
-
-
-class Interrupted(Exception):
-    pass
-
-
-@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
-def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path, name: str) -> None:
-    store, seen = tmp_path / name, []
-
-    def stop(done: int, _: object) -> None:
-        if done >= 9:
-            raise Interrupted
-
-    with pytest.raises(Interrupted):
-        sc.sweep(CRANE, VARIED, store=store, chunk=3, progress=stop)
-    found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda done, _: seen.append(done))
-    assert seen[0] >= 12
-    assert seen[-1] == 21
-    assert len(seen) <= 4
-    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
 DRIVER = """
@@ -398,21 +377,6 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
-@given(
-    st.lists(st.integers(1, 9), min_size=1, max_size=4),
-    st.integers(1, 60),
-)
-def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths: Sequence[int], most: int) -> None:
-    grid = Grid.of({f"p{k}": np.arange(n, dtype=float) for k, n in enumerate(lengths)}, 0)
-    shape, seen = grid.block(most), np.zeros(grid.shape, dtype=int)
-    assert np.prod(shape) <= most
-    for _, block in grid.blocks(shape):
-        seen[block] += 1
-        for k, name in enumerate(grid.columns):
-            assert set(grid.values(name, block)) == set(range(block[k].start, block[k].stop))
-    assert (seen == 1).all()
-
-
 def test_draws_fill_the_ranges_evenly_and_come_again() -> None:
     rows = drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
     assert rows == drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
@@ -485,27 +449,6 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
         assert {*found.coords} == {"case", "winch_radius", "load_mass"}
         assert found.load_mass.dims == ("case",)
     assert [str(each.message) for each in recwarn] == []
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("rotary_crane -o study", "nothing varies: use --vary"),
-        ("rotary_crane --vary load_mass=50..150 -o study", "is written load_mass=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=a..150:3 -o study", "is no NAME=LOW..HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=50..150:3 --vary load_mass=1..2:2 -o study", "--vary gives load_mass twice"),
-        ("rotary_crane --vary weight=1..2:2 -o study", "has no parameter weight"),
-        ("rotary_crane --vary load_mass=50..150 --sample 0 -o study", "--sample 0 is no whole number of 1 or more"),
-        ("rotary_crane --vary load_mass=50..150:3 --sample 5 -o study", "with --sample load_mass=LOW..HIGH"),
-    ],
-)
-def test_the_command_refuses_in_one_sentence(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = CommandLine(app, "servocore")
-    line.assert_refused(line("sweep", *words.split()), said)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

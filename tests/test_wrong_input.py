@@ -5,9 +5,7 @@ What is wrong is drawn at random where its kind leaves a choice: which entry, Na
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -176,41 +174,21 @@ def test_parameter_values_that_make_a_mass_negative_are_refused() -> None:
         refused(sc.InvalidModel, said, partial(look, rods))
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"mass": -1.0}, "its mass is -1 kg, it must be finite and must not be negative"),
-        ({"mass": np.nan}, "its mass is nan kg, it must be finite and must not be negative"),
-        ({"inertia": (1.0, np.inf, 1.0)}, "its inertia holds inf, which is no finite number"),
-        ({"inertia": (1.0, -1.0, 1.0)}, "the inertia tensor has the negative principal value -1 kg m^2"),
-        ({"inertia": (1.0, 1.0)}, "inertia needs three principal values or three rows of three numbers"),
-        ({"centre": (0.0, np.nan, 0.0)}, "its centre of mass holds nan, which is no finite number"),
-    ],
-)
-def test_bodies_that_cannot_be_are_refused_where_they_are_assembled(changes: dict[str, Any], said: str) -> None:
-    body = replace(rl.RigidBody("b", 1.0, (1.0, 1.0, 1.0)), **changes)
-    with pytest.raises(sc.InvalidModel, match=f"body b: {re.escape(said)}"):
-        rl.Assembly((body,), sc.Parameters(), (0.0, 0.0, -9.81))
-
-
 # Names ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["inputs", "outputs"])
-def test_two_of_a_kind_with_one_name_are_refused(kind: str) -> None:
-    said = f"actuated chain: two of the {kind} are called twin, one of them needs another name"
-    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), **{kind: (sc.Quantity("twin"),) * 2}))
-
-
-def test_two_observables_of_one_name_are_refused() -> None:
-    twins = {sc.Quantity("power", "W"): 1.0, sc.Quantity("power", "kW"): 2.0}
-    said = "actuated chain: two of the observables are called power, one of them needs another name"
-    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), observables=twins))
+TWINS = (sc.Quantity("twin"),) * 2
 
 
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
+        ({"inputs": TWINS}, "two of the inputs are called twin, one of them needs another name"),
+        ({"outputs": TWINS}, "two of the outputs are called twin, one of them needs another name"),
+        (
+            {"observables": {sc.Quantity("power", "W"): 1.0, sc.Quantity("power", "kW"): 2.0}},
+            "two of the observables are called power, one of them needs another name",
+        ),
         ({"inputs": (sc.Quantity("x1"), sc.Quantity("F"))}, "x1 is the name of two quantities, one of the inputs"),
         ({"outputs": (sc.Quantity("x2"), sc.Quantity("y"))}, "x2 is the name of two quantities, one of the outputs"),
         ({"observables": {sc.Quantity("F1"): 3.0}}, "F1 is the name of two quantities, one of the inputs"),
@@ -222,9 +200,7 @@ def test_two_observables_of_one_name_are_refused() -> None:
         ),
     ],
 )
-def test_one_name_for_quantities_of_two_kinds_is_refused(
-    fields: dict[str, tuple[sc.Quantity, sc.Quantity] | dict[sc.Quantity, float]], said: str
-) -> None:
+def test_one_name_for_two_quantities_is_refused(fields: dict[str, Any], said: str) -> None:
     refused(sc.InvalidModel, f"actuated chain: {said}...", lambda: changed(actuated_chain(), **fields))
 
 
@@ -281,7 +257,6 @@ def test_one_input_takes_a_row_as_a_list() -> None:
         ({"output": len}, "actuated chain: output must be a casadi.SX, an array or a real number, not a..."),
         ({"mass": [[1.0, 2.0], [3.0]]}, "the rows of actuated chain: mass have different lengths: 2, 1"),
         ({"mass": np.eye(2) * 1j}, "actuated chain: mass[0, 0] must be a casadi.SX, an array or a real number, not 1j"),
-        ({"mass": np.eye(3)}, "actuated chain: mass has shape (3, 3), expected (2, 2)"),
         ({"u": ca.SX.zeros(2)}, "actuated chain: u must be symbols of casadi.SX.sym, not expressions"),
         ({"inputs": "F"}, "actuated chain: inputs must be a sequence of Quantity, not the text 'F'"),
         (
@@ -292,7 +267,6 @@ def test_one_input_takes_a_row_as_a_list() -> None:
         ({"parameters": {"k": 1.0}}, "actuated chain: parameters must be a Parameters, not a dict"),
         ({"observables": [1]}, "actuated chain: observables must be a Mapping, not a list"),
         ({"home": (1.0,)}, "actuated chain: home has length 1, one number is needed for each of y1, y2"),
-        ({"home": (1.0, 2.0, 3.0)}, "actuated chain: home has length 3, one number is needed for each of y1, y2"),
         ({"home": "ab"}, "actuated chain: home must be a tuple of numbers, not the text 'ab'"),
         ({"home": 1.0}, "actuated chain: home must be a tuple of numbers, not 1.0"),
         ({"home": (1.0, "2")}, "actuated chain: home must hold a finite number for y2, not the text '2'"),
@@ -312,10 +286,6 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], sa
         (
             lambda: sc.Coordinates("x"),  # type: ignore[arg-type]  # wrong on purpose
             "Coordinates(...) must be made of Quantity, such as Quantity('x', 'm'), not the...",
-        ),
-        (
-            lambda: sc.Coordinates([sc.Quantity("x")]),  # type: ignore[arg-type]  # wrong on purpose
-            "Coordinates(...) must be made of Quantity, such as Quantity('x', ...",
         ),
         (
             lambda: sc.Parameters(sc.Quantity("m")),  # type: ignore[arg-type]  # wrong on purpose
@@ -399,10 +369,6 @@ def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
         (
             {"method": sc.Projected()},
             "the method must be one such as RadauIIA(3), not a Projected; it is a formulation:...",
-        ),
-        (
-            {"method": sc.StableInversion},
-            "the method must be one such as RadauIIA(3), not the class StableInversion; an...",
         ),
         ({"step": "0.1"}, "the step must be a time in s or Adaptive(...), not the text '0.1'"),
         ({"step": sc.Adaptive}, "the step must be a time in s or Adaptive(...), not the class Adaptive"),

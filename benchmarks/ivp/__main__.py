@@ -1,6 +1,6 @@
-"""Measure work and precision on the test set's index-3 problems, and write docs/ivp-test-set.md.
+"""Measure work and precision on problems of the test set of Bari, and write docs/ivp-test-set.md.
 
-.venv/peers/bin/python -m benchmarks.ivp        (some five minutes)
+.venv/peers/bin/python -m benchmarks.ivp [problem ...]        (some ten minutes)
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from pathlib import Path
 
 import servocore as sc
 from benchmarks.ivp import peer
+from benchmarks.ivp.long import LongProblem, long_problems
 from benchmarks.ivp.problems import IvpProblem, at_the_end, digits, problems
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "ivp-test-set.md"
 TEMPLATE, ROWS = (Path(__file__).parent / name for name in ("page.md", "rows.json"))
 LONGEST, LONG = 20, 4  # s of CPU time that a run may take, and that it may take to be run twice
+LONGEST_OF_LONG = 60  # s, of the problems of long duration
 
 
 @dataclass(frozen=True)
@@ -37,18 +39,18 @@ class Row:
     remark: str = ""
 
 
-def measured(route: str, setting: str, solve: Callable[[], dict[str, float]]) -> Row:
+def measured(route: str, setting: str, solve: Callable[[], dict[str, float]], longest: int = LONGEST) -> Row:
     """Run once to compile, and once more unless that took long."""
     seconds, found = 0.0, dict[str, float]()
     try:
         for _ in range(2):
-            signal.setitimer(signal.ITIMER_PROF, LONGEST)
+            signal.setitimer(signal.ITIMER_PROF, longest)
             begun = time.process_time()
             found = solve()
             seconds = time.process_time() - begun
             if seconds > LONG:
                 break
-    except (RuntimeError, ValueError, TimeoutError) as error:
+    except (RuntimeError, ValueError, TimeoutError, sc.ServocoreError) as error:
         return Row(route, setting, {}, 0.0, str(error) or type(error).__name__)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
@@ -76,6 +78,25 @@ def peer_rows(problem: IvpProblem) -> Iterator[Row]:
         for tolerance in peer.TOLERANCES:
             solve = partial(peer.run, problem, method, tolerance)
             yield measured(f"scipy_dae, {name}", f"rtol = {tolerance:g}", solve)
+
+
+def long_rows(problem: LongProblem) -> Iterator[Row]:
+    """Run a problem of long duration by all routes and solvers."""
+    runs = [*((*key, run) for key, run in problem.own.items()), *problem.peers()]
+    for route, setting, run in runs:
+        yield measured(route, setting, run, LONGEST_OF_LONG)
+
+
+def long_table(rows: list[Row]) -> str:
+    """Return the rows of a problem of long duration as a table of Markdown."""
+    lines = ["| route | setting | error at the end | constraints | CPU time, s |", "|---|---|---|---|---|"]
+    for row in rows:
+        if row.found:
+            found = f"{row.found['error']:.1e} | {row.found['constraints']:.1e} | {row.seconds:.1f}"
+        else:
+            found = f"- | - | fails: {row.remark.rstrip('.')}"
+        lines.append(f"| {row.route} | {row.setting} | {found} |")
+    return "\n".join(lines)
 
 
 def table(problem: IvpProblem, rows: list[Row]) -> str:
@@ -113,6 +134,8 @@ def render(rows: dict[str, list[Row]], machine: str) -> str:
         text = text.replace(
             f"{{{problem.name}}}", f"{published_digits(problem)}\n\n{table(problem, rows[problem.name])}"
         )
+    for long in long_problems():
+        text = text.replace(f"{{{long.name}}}", long_table(rows[long.name]))
     return text
 
 
@@ -129,13 +152,21 @@ def main(names: Sequence[str]) -> None:
             continue
         measured_now = [*own_rows(problem), *peer_rows(problem)]
         rows = record() | {problem.name: measured_now}
-        print(problem.title, *measured_now, sep="\n", flush=True)
-        ROWS.write_text(json.dumps({name: [astuple(row) for row in kept] for name, kept in rows.items()}, indent=0))
+        _keep(problem.title, rows, measured_now)
+    for long in long_problems():
+        if not names or long.name in names:
+            measured_now = list(long_rows(long))
+            _keep(long.title, record() | {long.name: measured_now}, measured_now)
     PAGE.write_text(render(record(), f"{platform.machine()}, Python {platform.python_version()}"))
 
 
+def _keep(title: str, rows: dict[str, list[Row]], new: list[Row]) -> None:
+    print(title, *new, sep="\n", flush=True)
+    ROWS.write_text(json.dumps({name: [astuple(row) for row in kept] for name, kept in rows.items()}, indent=0))
+
+
 def _too_long(*_: object) -> None:
-    raise TimeoutError(f"more than {LONGEST} s")
+    raise TimeoutError("too much processor time")
 
 
 if __name__ == "__main__":

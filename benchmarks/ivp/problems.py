@@ -16,7 +16,9 @@ from benchmarks.ivp import REFERENCES
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
-from outside import ivp, slider_crank
+from outside import fekete, ivp, slider_crank, wheelset
+
+__all__ = ["IvpProblem", "at_the_end", "digits", "fekete", "problems", "wheelset"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 
 
 def flat_motion() -> ca.Function:
-    """Return (jet of the load, p) -> (state, inputs) of the crane."""
+    """Return (jet of the load, p) -> (state, inputs, accelerations) of the crane."""
     jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
     flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
     bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
@@ -57,9 +57,8 @@ def flat_motion() -> ca.Function:
     )
     state = ca.vertcat(place, r, velocity, jet[:, 1])
     p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
-    return ca.Function(
-        "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
-    )
+    results = state, inputs, ca.vertcat(acceleration, jet[:, 2])
+    return ca.Function("flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in results], {"cse": True})
 
 
 def fastest_pendulum(path: ca.SX, length: ca.SX, p: ca.SX) -> ca.SX:

@@ -6,12 +6,14 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 import servocore as sc
 from crane_fmu.build.archive import Progress, packed
-from crane_fmu.build.native import native_fmu
+from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
@@ -31,6 +33,7 @@ def build_fmu(
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
     targets: str | None = None,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
 ) -> Path:
     """Build an FMU, check it in a separate process, and then rename it into place.
 
@@ -48,6 +51,8 @@ def build_fmu(
         Start values of variables that differ from the defaults, parameters of the crane among them.
     targets : str, optional
         Platforms of its libraries, as of `sc.export_fmu`; this machine and 64-bit Windows by default.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
 
     Returns
     -------
@@ -66,7 +71,7 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, deferred_refusals=True)
+        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, OF_PYTHONFMU, drives)
         progress(f"packing {kind.file_name}")
         archive = packed(native, kind)
         progress(f"checking {kind.file_name} in a separate process")
@@ -88,7 +93,7 @@ def page_of(kind: FmuKind) -> str:
     str
         The page.
     """
-    return user_page(kind, native_fmu(kind, targets="none", deferred_refusals=True))
+    return user_page(kind, native_fmu(kind, targets="none", host=OF_PYTHONFMU))
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -31,6 +32,9 @@ from crane_fmu.catalogue import (
 ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
 """Formulations and methods of RotaryCrane.fmu besides the exact inversion."""
 
+OF_PYTHONFMU = sc.HostRules(deferred_refusals=True)
+"""Its setters cannot fail."""
+
 _DISTANCE = 0.5  # m, from the path
 
 LARGEST_TURN = 1.0
@@ -43,7 +47,8 @@ def native_fmu(
     starts: Starts = NO_STARTS,
     targets: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
-    deferred_refusals: bool = False,
+    host: sc.HostRules | None = None,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
 ) -> bytes:
     """Return the archive of trajectory, inverse model or plant, FMI 2.
 
@@ -59,24 +64,25 @@ def native_fmu(
         Platforms, as `sc.export_fmu` takes them.
     progress : callable
         Called with a phrase for every stage.
-    deferred_refusals : bool
-        Whether values are checked when they are used: the setters of PythonFMU cannot fail.
+    host : HostRules, optional
+        Rules of its hosts: `OF_PYTHONFMU`, with which the inverse model has all formulations and methods.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
     """
-    crane = crane_with(starts)
-    common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress}
-    common["deferred_refusals"] = deferred_refusals
+    crane = crane_with(starts, drives)
+    common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress, "host": host}
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
             own = {name: value for name, value in starts.items() if name not in crane.parameter_values()}
-            sc.export_trajectory(crane, file, _trajectory(path, own, deferred_refusals), **common)
+            sc.export_trajectory(crane, file, _trajectory(path, own, host == OF_PYTHONFMU), **common)
         elif kind is CRANE_PLANT:
             sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
         else:
             along = crane if path is None else crane.with_reference(path)
             common |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
-            sc.export_fmu(along, file, start=starts, routes=ROUTES if deferred_refusals else None, **common)
+            sc.export_fmu(along, file, start=starts, routes=ROUTES if host == OF_PYTHONFMU else None, **common)
         return file.read_bytes()
 
 

@@ -33,6 +33,7 @@ from crane_fmu.catalogue import (
     Starts,
     at_rest,
     components,
+    crane_with,
 )
 from crane_fmu.files import filled_folder, put
 from crane_fmu.run import input_rows, nothing_left
@@ -67,6 +68,8 @@ class SystemOptions:
         Time law of the straight line, in place of a path.
     parameters : mapping of str to float
         Parameters of the crane.
+    drives : mapping of str to Drive
+        Its motors and transmissions.
     native : bool
         Whether the FMUs are native: in C, without Python.
     targets : str, optional
@@ -81,6 +84,7 @@ class SystemOptions:
     path: sc.Reference | None = None
     profile: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    drives: Mapping[str, sc.Drive] = field(default_factory=dict)
     native: bool = False
     targets: str | None = None
 
@@ -125,7 +129,7 @@ def build_ssp(
     ServocoreWarning
         If the path ends in motion.
     """
-    path, crane = options.path, sc.scenes.rotary_crane().with_parameters(**options.parameters)
+    path, crane = options.path, crane_with(options.parameters, options.drives)
     if path is not None:
         require_played(path)
     inverse = sc.ExactInversion(crane if path is None else crane.with_reference(path), native=False)
@@ -134,9 +138,9 @@ def build_ssp(
         for kind in KINDS.values():
             given = (kind, path, starts[kind.name], options.targets)
             if options.native:
-                put(draft, {kind.file_name: native_fmu(*given, progress)})
+                put(draft, {kind.file_name: native_fmu(*given, progress, drives=options.drives)})
             else:
-                build_fmu(draft, progress, *given)
+                build_fmu(draft, progress, *given, options.drives)
         if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():

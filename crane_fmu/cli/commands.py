@@ -30,8 +30,8 @@ CRANE: dict[str, object] = {
     "motor_inertia": None,
     "import_settings": None,
 }
-FMUS: dict[str, object] = {**CRANE, "model": None, "drives": None}
-"""Fixed options of commands of the crane, and of its FMUs, whose feedback is designed for the crane without drives."""
+FMUS: dict[str, object] = {**CRANE, "model": None}
+"""Fixed options of commands of the crane, and of its FMUs."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,20 @@ class Which:
 def build(subject: Subject, which: Which, place: Place, platforms: Platforms) -> None:
     """Build RotaryCrane.fmu, check it in a separate process and write it into a folder.
 
-    With --parameters the default crane of the FMU is that of the file. Without --targets the FMU has libraries for this
-    machine and 64-bit Windows. python build_fmu.py does the same. With --fmu it is another one of the system's FMUs.
+    With --parameters and --drives the default crane of the FMU is that of the files. Without --targets the FMU has
+    libraries for this machine and 64-bit Windows. python build_fmu.py does the same. With --fmu it is another one of
+    the system's FMUs.
     """
     from crane_fmu.build import build_fmu, page_of  # noqa: PLC0415
 
-    changed = subject.changes(sc.scenes.rotary_crane())
+    crane = subject.driven()
+    changed = subject.changes(crane)
     if which.page is not None:
         write_together({which.page: page_of(which.fmu).encode()})
         return
     with PatientProgress("building the FMU") as progress:
         file = build_fmu(
-            place.output or Path(), progress.describe, which.fmu, starts=changed, targets=platforms.targets
+            place.output or Path(), progress.describe, which.fmu, None, changed, platforms.targets, crane.drives
         )
     print(file)
 
@@ -83,18 +85,18 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms, c
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s. The load follows the given path, with --profile alone the
-    default line by that time law; with --parameters the crane is that of the file. Nothing has to be set in the tool.
-    With --native the FMUs are in C. Without --targets they have libraries for this machine and 64-bit Windows, with
-    --native for all platforms if the package ziglang is installed, else for this machine. The verdict of the
-    certificate, a proof that the inputs hold at all times of the path, is printed on the error stream.
+    default line by that time law; with --parameters and --drives the crane is that of the files. Nothing has to be set
+    in the tool. With --native the FMUs are in C. Without --targets they have libraries for this machine and 64-bit
+    Windows, with --native for all platforms if the package ziglang is installed, else for this machine. The verdict of
+    the certificate, a proof that the inputs hold at all times of the path, is printed on the error stream.
     """
-    crane = sc.scenes.rotary_crane()
+    crane = subject.driven()
     law = path.profile if path.options() == ["--profile"] else None
     line = path.path(crane) if law is None else None
     from crane_fmu.build import SystemOptions, build_ssp  # noqa: PLC0415
 
     profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
-    options = SystemOptions(line, profile, subject.changes(crane), place.native, platforms.targets)
+    options = SystemOptions(line, profile, subject.changes(crane), crane.drives, place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
         files = build_ssp(place.output or Path("system"), progress.describe, options)
         moved = crane.with_parameters(**options.parameters).with_reference(line or _default_line(crane, law))

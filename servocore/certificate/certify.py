@@ -19,6 +19,7 @@ from servocore.certificate.statements import (
     Statement,
     Verdict,
     claims_of,
+    run_statements,
     statements_of,
 )
 from servocore.errors import InvalidSetting, require_kind
@@ -73,7 +74,7 @@ class Certificate:
 
     @property
     def summary(self) -> str:
-        """The verdict in one line: what is proved, or what fails first."""
+        """The verdict in one line: the proved statements, or the first that fails."""
         bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
         failing = [each for each in self.statements if each.verdict == self.verdict]
         if self.verdict != "proved":
@@ -195,6 +196,8 @@ def certify(
         algebraic = [at_states(problem, solution)] if solution is not None else []
         return _certificate(problem, [Statement("one motion", "undecided", text), *algebraic])
     extra = tuple(limit_named(problem.system, name, bounds) for name, bounds in (limits or {}).items())
+    run_limits = (*problem.run_limits, *(limit for limit in extra if limit.over_run))
+    extra = tuple(limit for limit in extra if not limit.over_run)
     wanted = tuple(limit for limit in (*problem.limits, *extra) if not limit.at_instants_only)
     boxed, rates = _boxes(problem, parameters or {}), any(limit.rate for limit in wanted)
     if path.max_order < problem.array.reference_order + rates:
@@ -208,6 +211,7 @@ def certify(
         bounds, of_instants, claims = compared(proofs, solution, tolerance)
     claims += [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
     statements = _motion_statements(proofs) + of_instants + statements_of(proofs, claims, jumps)
+    statements += run_statements(proofs, run_limits)
     return _certificate(problem, statements + _step_statement(problem.system), bounds, proofs, jumps)
 
 

@@ -30,6 +30,7 @@ LIMIT = "limit of "
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
+_HALVED_RUNS = 0, 4, 7  # how often intervals are halved for integrals, the next number where one is undecided
 _POSITIVE = 1e-300  # a pivot that is not zero
 
 
@@ -286,6 +287,51 @@ def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Colle
         if before is None or before.verdict == "proved" or (before.verdict, verdict) == ("undecided", "refuted"):
             found[each.what] = Statement(each.what, verdict, sentence, time)
     return list(found.values())
+
+
+def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Statement]:
+    """Decide limits of what the run adds up, from enclosures of the integrals over all intervals."""
+    proof, path, statements = proofs[0], proofs[0].problem.reference, list[Statement]()
+    for limit in limits:
+        assert limit.over_run is not None
+        low, high, kept, refuted = -np.inf, np.inf, False, False
+        # Halves of parameters have no common time: boxes with parameters stay whole.
+        for halvings in _HALVED_RUNS if not proof.boxed and not proof.unproved else (0,):
+            sums = [_integral(each, walk_of_limits(each.equations, (limit,)), halvings) for each in proofs]
+            bounds = [[float(limit.over_run.of_sum(each, path.duration)) for each in ends] for ends in sums]
+            low, high = min(least for least, _ in bounds), max(most for _, most in bounds)
+            refuted = any(least > limit.upper or most < limit.bound for least, most in bounds)
+            kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
+            if refuted or kept:
+                break
+        verdict: Verdict = "refuted" if refuted else "proved" if kept else "undecided"
+        between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+        text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+        statements.append(Statement(f"{LIMIT}{limit.quantity}", verdict, text))
+    return statements
+
+
+def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
+    """Return bounds of the integral of a quantity over the run, for all parameters of the box.
+
+    The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
+    change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
+    """
+    if proof.unproved:
+        return -np.inf, np.inf
+    boxes = boxes_of([proof])
+    for _ in range(halvings):
+        boxes = boxes.halved(boxes.c)
+    orders = np.indices([d + 1 for d in boxes.ring.degrees]).reshape(len(boxes.ring.degrees), -1)
+    k, alone = orders[0], (orders[1:] == 0).all(axis=0)
+    means = np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    (c, r), widths = walk(boxes.ring, (boxes.c, boxes.r)), boxes.high[:, 0] - boxes.low[:, 0]
+    c = c[:, 0]
+    middle = (means * alone) @ c
+    radius = r[0] + np.abs(c[~alone]).sum(axis=0) + (len(c) + 8) * UNIT * norm(c)
+    total, slack = float(middle @ widths), 4.0 * len(widths) * UNIT * float(np.abs(middle) @ widths)
+    off = float(radius @ widths) * (1.0 + 1e-9) + slack
+    return total - off, total + off
 
 
 def _failure(claim: Claim, decision: Decision, names: Sequence[str]) -> str:

@@ -72,6 +72,8 @@ def limited_values(problem: Problem, states: States, t: Array) -> Array:
 
     `states` is its exact inversion at any instants of the path.
     """
+    if not motion_limits(problem):
+        return np.zeros((0, len(t)))
     watched = watched_limits(problem)
     values = watched.values(problem, t, states(t))
     angles = np.array(watched.wraps, dtype=bool)
@@ -281,6 +283,28 @@ def require_reported(problem: Problem, solution: Solution) -> None:
                 raise LimitBroken(
                     f"{broken_limit(solution.route, limit, first, first, value)}; the exact motion keeps that limit"
                 )
+
+
+# Runs as a whole -----------------------------------------------------------------------------------------------------
+
+
+def run_values(problem: Problem, states: States, t: Array) -> Array:
+    """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
+    values, found = limited_values(replace(problem, limits=problem.run_limits), states, t), []
+    for limit, each in zip(problem.run_limits, values, strict=True):
+        assert limit.over_run is not None
+        total = np.trapezoid(limit.over_run.integrand(each), t)
+        found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
+    return np.array(found)
+
+
+def require_run_limits(problem: Problem, solution: Solution) -> None:
+    """Raise `LimitBroken` if what a run adds up is beyond a limit at its end."""
+    for limit in problem.run_limits:
+        value = float(solution[limit.quantity][-1])
+        if not margin_within(limit, np.array([value]), size_of_bounds(limit, np.array([value])))[0] >= 0.0:
+            end = float(solution.t[-1])
+            raise LimitBroken(f"{broken_limit(problem.name, limit, end, end, value)}, over the whole run")
 
 
 def _first_at(limit: Limit, t: Array, values: Array) -> list[tuple[float, float, Limit]]:

@@ -14,7 +14,6 @@ from servocore.cli.options import GivenPath, Rows, Subject
 from servocore.errors import InvalidSetting
 from servocore.model.drives import Drive
 from servocore.solution import Solution
-from servocore.solvers.results import integrated
 from servocore.solvers.solve import solve
 
 EXAMPLES = (
@@ -65,7 +64,7 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
             yield _row(
                 f"{quantity.replace('_', ' ')}, peak", float(values.max()), float(t[values.argmax()]), limit, unit
             )
-    effective = rms(solution, f"{name}.motor_torque")
+    effective = float(solution[f"{name}.rms_torque"][-1])
     yield _row("motor torque, rms", effective, math.nan, rated.get("rated_torque", math.nan), "N.m")
     if drive.corners:
         reserve = solution[f"{name}.torque_reserve"]
@@ -73,12 +72,6 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
         share = f"{100.0 * reserve[k] / most:.0f} %"
         yield "torque reserve, least", _shown(float(reserve[k]), "N.m"), f"{t[k]:.4g} s", _shown(0.0, "N.m"), share
     yield _row("energy", float(solution[f"{name}.energy"][-1]), math.nan, math.nan, "J")
-
-
-def rms(solution: Solution, name: str) -> float:
-    """Return the root mean square of a trajectory over the run, in its unit."""
-    t = solution.t
-    return math.sqrt(float(integrated(t, solution[name] ** 2)[-1]) / float(t[-1] - t[0]))
 
 
 def _row(quantity: str, value: float, time: float, limit: float, unit: str) -> tuple[str, str, str, str, str]:

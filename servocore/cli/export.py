@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress
-from servocore.cli.kinds import FILE, FILE_READ, FOLDER, Kind
+from servocore.cli.kinds import COUNT, FILE, FILE_READ, FOLDER, Kind
 from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
 from servocore.errors import InvalidSetting, install, require_package
 from servocore.export.about import About
@@ -19,6 +20,7 @@ from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_trajectory, require_built, require_version
+from servocore.export.native_model import HostRules
 from servocore.export.targets import zig
 from servocore.export.trajectory_model import TrajectoryOptions
 from servocore.export.wasm import export_wasm, loader_beside, require_module
@@ -41,15 +43,48 @@ _FMI = Kind("version of FMI", str(NEWEST), lambda text: require_version(int(text
 
 
 @dataclass(frozen=True)
+class Component:
+    """The standard of FMUs, their maker, and the rules of their hosts."""
+
+    title = "FMUs"
+
+    fmi: int | None = option(
+        "--fmi", kind=_FMI, metavar="2|3", help=f"Version of FMI. Default: {NEWEST}, in a system 2, with SSP 1.0."
+    )
+    about: Path | None = option(
+        "--about", kind=FILE_READ, metavar="FILE.toml",
+        help="Version, author, licence, icon and more of the FMU's maker, by the keys of servocore.About.",
+    )  # fmt: skip
+    no_stdio: bool = option("--no-stdio", help="Call no function of <stdio.h>: messages have ? in place of numbers.")
+    max_internal_steps: int | None = option(
+        "--max-internal-steps", kind=COUNT, metavar="N",
+        help=f"Refuse a communication step of more internal ones. Default: {HostRules.internal_steps}.",
+    )  # fmt: skip
+
+    def told(self) -> About | None:
+        """Return the content of the file of the maker."""
+        return About.from_toml(self.about) if self.about is not None else None
+
+    def host(self) -> HostRules:
+        """Return the rules of the hosts."""
+        return HostRules(stdio=not self.no_stdio, internal_steps=self.max_internal_steps or HostRules.internal_steps)
+
+    def given(self) -> Mapping[str, object]:
+        """Return the options that are for FMUs only."""
+        return {"--fmi": self.fmi, "--about": self.about, "--no-stdio": self.no_stdio,
+                "--max-internal-steps": self.max_internal_steps}  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Products:
     """Files to export."""
 
     title = "Results"
 
     output: Path | None = output("FILE.fmu", "The FMU to write.")
-    fmi: int | None = option("--fmi", kind=_FMI, metavar="2|3", help=f"Version of FMI. Default: {NEWEST}.")
     cross_check: bool = option(
-        "--cross-check", help="Write a run along the path, or that of the scene, beside the FMU: _in.csv, _ref.csv."
+        "--cross-check",
+        help="Write a run along the path, or that of the scene, beside the FMU and into it: _in.csv, _ref.csv.",
     )
     c: Path | None = option("--c", kind=FOLDER, metavar="DIR", help="Write C source into this new folder as well.")
     wasm: Path | None = option(
@@ -59,12 +94,7 @@ class Products:
     plant: bool = option("--plant", help="Export the forward dynamics of the scene instead.")
     trajectory: bool = option("--trajectory", help="Export a trajectory generator for the scene instead.")
 
-    about: Path | None = option(
-        "--about", kind=FILE_READ, metavar="FILE.toml",
-        help="Version, author, licence, icon and more of the FMU's maker, by the keys of servocore.About.",
-    )  # fmt: skip
-
-    def require_consistent(self, path: GivenPath, targets: str | None) -> None:
+    def require_consistent(self, path: GivenPath, of_fmu: Mapping[str, object]) -> None:
         """Raise `InvalidSetting` if options exclude each other, or there is nothing to write."""
         if self.plant and self.trajectory:
             raise InvalidSetting("--plant and --trajectory are separate FMUs: export one at a time")
@@ -74,19 +104,18 @@ class Products:
         inverse = _first({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check})
         if inverse and other:
             raise InvalidSetting(f"{inverse} is for inverse models: not with {other}")
-        of_fmu = _first(
-            {"--fmi": self.fmi, "--targets": targets, "--cross-check": self.cross_check, "--about": self.about}
-        )
-        if self.output is None and of_fmu:
-            raise InvalidSetting(f"{of_fmu} belongs to an FMU: name it with -o FILE.fmu")
+        named = _first({**of_fmu, "--cross-check": self.cross_check})
+        if self.output is None and named:
+            raise InvalidSetting(f"{named} belongs to an FMU: name it with -o FILE.fmu")
         if not (self.output or inverse):
             more = "" if other else ", a folder for C source with --c DIR, or a module with --wasm FILE"
             raise InvalidSetting(f"name the file to write with -o FILE.fmu{more}")
 
 
 def export_scene(
-    subject: Subject, path: GivenPath, products: Products, platforms: Platforms, certified: Certified
-) -> None:
+    subject: Subject, path: GivenPath, products: Products, component: Component, platforms: Platforms,
+    certified: Certified,
+) -> None:  # fmt: skip
     """Export the inverse model of a scene for tools without Python.
 
     The FMU is native: it needs no Python and no other library. Its inputs are the path and its derivatives up to the
@@ -99,11 +128,10 @@ def export_scene(
     machine.
     """
     targets = platforms.targets
-    products.require_consistent(path, targets)
+    products.require_consistent(path, {**component.given(), "--targets": targets})
     require_package("jinja2")
-    file, fmi = products.output, NEWEST if products.fmi is None else products.fmi
+    file, fmi = products.output, NEWEST if component.fmi is None else component.fmi
     scene, model, kind = subject.chosen(), subject.model, ""
-    about = About.from_toml(products.about) if products.about is not None else None
     if file is not None:
         require_built(file, targets, fmi)
     if products.wasm is not None:
@@ -112,16 +140,16 @@ def export_scene(
         require_folder(scene, products.c)
     with PatientProgress("exporting") as shown:
         progress = shown.describe
+        common: dict[str, Any] = {"fmi": fmi, "model": model, "targets": targets, "host": component.host(),
+                                  "about": component.told(), "progress": progress}  # fmt: skip
         if file is not None and products.plant:
             kind = "plant of "
-            export_plant(scene, file, fmi=fmi, model=model, targets=targets, about=about, progress=progress)
+            export_plant(scene, file, **common)
         elif file is not None and products.trajectory:
-            kind, options = "trajectory of ", TrajectoryOptions(path.path(scene, model))
-            export_trajectory(
-                scene, file, options, fmi=fmi, model=model, targets=targets, about=about, progress=progress
-            )
+            kind = "trajectory of "
+            export_trajectory(scene, file, TrajectoryOptions(path.path(scene, model)), **common)
         else:
-            _export_inverse(path.along(scene, model), model, products, fmi, targets, about, progress)
+            _export_inverse(path.along(scene, model), products, common)
         progress("proving the inputs")
         told = [] if products.plant else certified.line(path.along(scene, model), model)
     if file is not None:
@@ -134,24 +162,21 @@ def export_scene(
     print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
 
 
-def _export_inverse(
-    scene: Scene, model: str | None, products: Products, fmi: int, targets: str | None, about: About | None,
-    progress: Callable[[str], None],
-) -> None:  # fmt: skip
+def _export_inverse(scene: Scene, products: Products, common: Mapping[str, Any]) -> None:
     """Export an inverse model; no file is moved into its place before all are complete."""
+    model, progress = common["model"], common["progress"]
     file, c, wasm = products.output, products.c, products.wasm
     results = dict[Path, str | bytes]()
     with ExitStack() as folders:
         made = Path(folders.enter_context(TemporaryDirectory(prefix="servocore_")))
+        texts = dict[str, str]()
         if file is not None and products.cross_check:
             progress("solving")
             solution = solve(scene, Reduced(), METHOD, step=scene.reference.duration / STEPS, model=model)
-            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem, fmi)
+            texts = cross_check_files(scene, inverse_model(scene, model), solution, file.stem, common["fmi"])
             results |= {file.parent / name: text for name, text in texts.items()}
         if file is not None:
-            fmu = export_fmu(
-                scene, made / file.name, fmi=fmi, model=model, targets=targets, about=about, progress=progress
-            )
+            fmu = export_fmu(scene, made / file.name, cross_check=texts, **common)
             results[file] = fmu.read_bytes()
         if c is not None:
             sources = export_c(scene, made / "c", model=model)

@@ -52,6 +52,21 @@ class Gains:
         return cls(np.zeros(inputs), np.zeros(inputs))
 
 
+def reported(system: MechanicalSystem) -> dict[str, tuple[Quantity, ca.SX]]:
+    """Return observables, outputs and coordinates by name, with their expressions."""
+    known = [
+        *system.observables.items(),
+        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
+        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
+    ]
+    return {each.name: (each, expression) for each, expression in known}
+
+
+def is_position(system: MechanicalSystem, expression: ca.SX) -> bool:
+    """Whether an expression depends on the configuration alone."""
+    return not ca.depends_on(expression, ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma)))
+
+
 def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple[Quantity, ...], ca.SX]:
     """Return the measured quantities and their expressions of q, by the names of reported quantities.
 
@@ -60,12 +75,7 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
     InvalidModel
         If the system reports nothing of a name, or something that is no position, or there are not as many as inputs.
     """
-    known = [
-        *system.observables.items(),
-        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
-        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
-    ]
-    by_name = {each.name: (each, expression) for each, expression in known}
+    by_name = reported(system)
     missing = [name for name in names if name not in by_name]
     if missing:
         raise InvalidModel(
@@ -77,7 +87,7 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
         )
     expressions = [by_name[name] for name in names]
     column = ca.vertcat(*(each for _, each in expressions))
-    if ca.depends_on(column, ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))):
+    if not is_position(system, column):
         raise InvalidModel(f"{system.name}: {', '.join(names)} are not all positions, which drives measure")
     return tuple(each for each, _ in expressions), column
 

@@ -33,6 +33,7 @@ from servocore.export.variables import INPUT_TIME, Variable
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import instantaneous
 from servocore.methods.collocation import RadauIIA
+from servocore.model.drives import motors
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -98,6 +99,7 @@ def inverse_model(
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
     variables = rows.placed(_variables(problem, compiled, scene.tracked, home, feedback))
+    moved = bool(feedback and scene.drives)  # motors, by inputs that are not those of the path alone
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
@@ -111,11 +113,12 @@ def inverse_model(
         " follow a path",
         kernel="inverse",
         own=_own(compiled, len(system.outputs), scene.tracked, feedback)
-        | {"estimates": estimates.own() if estimates else None},
+        | {"estimates": estimates.own() if estimates else None, "has_motors": int(moved)},
         functions={
             **compiled.functions,
             **(named_in_c({**feedback.laws, "judge": feedback.judge}, identifier) if feedback else {}),
             **(named_in_c(estimates.functions, identifier) if estimates else {}),
+            **(named_in_c({"motors": motors(system, scene.drives, compiled.outputs)}, identifier) if moved else {}),
         },
         variables=variables,
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
@@ -187,11 +190,12 @@ def _own(compiled: Mathematics, components: int, tracked: str, feedback: Sampled
 
 
 def _with_measured(compiled: Mathematics, feedback: SampledFeedback | None) -> npt.NDArray[np.bool_]:
-    """Return which outputs depend on which inputs; those of the drives also depend on measured values."""
+    """Return which outputs depend on which inputs; inputs of the system and their motors also on measured values."""
     if feedback is None:
         return compiled.depends
     drives, measured = feedback.laws["feedback_start"].numel_out(1), feedback.numbers
-    rows = np.arange(len(compiled.outputs)) < drives
+    inputs = [each.name for each in compiled.outputs[:drives]]
+    rows = np.array([each.name.partition(".")[0] in inputs for each in compiled.outputs])
     return np.hstack([compiled.depends, np.repeat(rows[:, None], measured, axis=1)])
 
 

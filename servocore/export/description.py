@@ -27,8 +27,7 @@ _CATEGORIES = {
     "logStatusError": "Invalid calls: unknown variables, values outside bounds, inconsistent times.",
 }
 _ABILITIES = {
-    2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
-        "canNotUseMemoryManagementFunctions"),
+    2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"),
     3: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"),
 }  # fmt: skip
 _DERIVATIVES = {
@@ -93,7 +92,7 @@ def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
     count = sum(len(each.scalar_names) for each in model.variables)
     for k, choice in enumerate(model.choices):
         row = _add(table, "ScalarVariable", name=choice.name, valueReference=str(count + k),
-                   description=choice.description, causality="parameter", variability="fixed")  # fmt: skip
+                   description=choice.description, causality="parameter", variability=choice.variability)  # fmt: skip
         _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
 
 
@@ -128,7 +127,8 @@ def _fmi3_variables(table: ET.Element, model: NativeModel) -> None:
     for reference, choice in enumerate(model.choices, start=len(model.variables)):
         _add(
             table, "Enumeration", name=choice.name, valueReference=str(reference), description=choice.description,
-            causality="parameter", variability="fixed", declaredType=choice.type_name, start=str(choice.start),
+            causality="parameter", variability=choice.variability, declaredType=choice.type_name,
+            start=str(choice.start),
         )  # fmt: skip
     _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
                   variability="continuous", unit="s")  # fmt: skip

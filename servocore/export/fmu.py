@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from servocore.errors import InvalidSetting
 from servocore.export.about import About
@@ -12,8 +13,9 @@ from servocore.export.building import inverse_model
 from servocore.export.description import build_description, model_description, terminals
 from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.operations import operations
+from servocore.export.parameter_sets import related_files
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
@@ -38,8 +40,9 @@ def export_fmu(
     estimates: SampledEstimates | None = None,
     routes: SteppedRoutes | None = None,
     start: Mapping[str, float | str] | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
+    cross_check: Mapping[str, str] | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -65,10 +68,12 @@ def export_fmu(
         Formulations and methods that may be chosen in place of the exact inversion of every instant.
     start : mapping of str to float or str, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
-    deferred_refusals : bool, optional
-        Whether values are checked when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
+    host : HostRules, optional
+        Rules of the hosts: no ``<stdio.h>``, a bound of internal steps.
     about : About, optional
         Origin and rights of the component, and default items of choices.
+    cross_check : mapping of str to str, optional
+        Files of a run, by their names, that become a smoke test inside the FMU: see `cross_check_files`.
     progress : callable
         Called with a phrase for every stage.
 
@@ -98,8 +103,8 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    made = replace(made.with_starts(start or {}), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    complete = described(made.with_starts(start or {}), host, about)
+    return written(complete, path, fmi, targets, progress, cross_check or {})
 
 
 def export_plant(
@@ -110,7 +115,7 @@ def export_plant(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
@@ -130,7 +135,7 @@ def export_plant(
         Model of the scene; when not given the first without constraints, or its smallest.
     targets : str, optional
         As of `export_fmu`.
-    deferred_refusals : bool, optional
+    host : HostRules, optional
         As of `export_fmu`.
     about : About, optional
         As of `export_fmu`.
@@ -152,8 +157,8 @@ def export_plant(
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
     progress("compiling the forward dynamics")
-    made = replace(plant_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    made = plant_model(scene, model, options)
+    return written(described(made, host, about), path, fmi, targets, progress)
 
 
 def export_trajectory(
@@ -164,7 +169,7 @@ def export_trajectory(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
-    deferred_refusals: bool = False,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
@@ -184,7 +189,7 @@ def export_trajectory(
         Model of the scene, which determines the number of derivatives; its smallest when not given.
     targets : str, optional
         As of `export_fmu`.
-    deferred_refusals : bool, optional
+    host : HostRules, optional
         As of `export_fmu`.
     about : About, optional
         As of `export_fmu`.
@@ -205,13 +210,14 @@ def export_trajectory(
     """
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
-    made = replace(trajectory_model(scene, model, options), deferred_refusals=deferred_refusals)
-    return written(_described(made, about), path, fmi, targets, progress)
+    made = trajectory_model(scene, model, options)
+    return written(described(made, host, about), path, fmi, targets, progress)
 
 
-def _described(model: NativeModel, about: About | None) -> NativeModel:
+def described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
+    """Return a model with the rules of its hosts, and with its origin and default items."""
     about = about or About()
-    return replace(model.with_starts(about.defaults), about=about)
+    return replace(model.with_run_quantities().with_starts(about.defaults), host=host or HostRules(), about=about)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
@@ -222,18 +228,24 @@ def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
     require_places({"the FMU": Path(path)})
 
 
-def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
+def written(
+    model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress,
+    cross_check: Mapping[str, str] = MappingProxyType({}),
+) -> Path:  # fmt: skip
     """Compile and write an FMU, and return its file."""
-    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress)})
+    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress, cross_check)})
     return Path(path)
 
 
-def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
+def archive(
+    model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress,
+    cross_check: Mapping[str, str] = MappingProxyType({}),
+) -> bytes:  # fmt: skip
     """Return a compiled FMU."""
     model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
-    return zipped(contents(model, fmi, sources, built, targets))
+    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi, cross_check))
 
 
 def require_version(fmi: int) -> int:

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from servocore.errors import InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
-from servocore.export.variables import Causality, Choice, Variable, with_item, with_start
-from servocore.model.quantity import Quantity
+from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
+from servocore.model.quantity import Quantity, run_quantities
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,35 @@ class Bound:
         return f"{why}{self.quantity} must stay {which} {self.bound:g} {self.unit}"
 
 
+@dataclass(frozen=True)
+class HostRules:
+    """Rules of the hosts of an FMU.
+
+    Attributes
+    ----------
+    deferred_refusals : bool
+        Whether values are checked when they are used, since the host's setters cannot fail: a slave of PythonFMU.
+    stdio : bool
+        Whether the C library has ``<stdio.h>``; without it messages have a question mark in the place of each number.
+    internal_steps : int
+        Largest number of steps of a method in a communication step; one with more is refused.
+
+    Raises
+    ------
+    InvalidSetting
+        If the number is not positive.
+    """
+
+    deferred_refusals: bool = False
+    stdio: bool = True
+    internal_steps: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Refuse an impossible number."""
+        if self.internal_steps < 1:
+            raise InvalidSetting(f"there must be at least 1 internal step, not {self.internal_steps}")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NativeModel:
     """An exported model, ready to be written as an FMU.
@@ -76,6 +105,9 @@ class NativeModel:
         Parameters with a list of named items.
     outputs : tuple of Quantity
         Computed quantities, in the order of the outputs' numbers.
+    added_up : tuple of (int, bool)
+        Of each of the last outputs: the output of which it is the integral over the run, or, where marked, the root of
+        the mean square.
     limits : tuple of Bound
         Bounds of its validity.
     depends : ndarray of bool, shape (outputs, numbers of the inputs)
@@ -92,8 +124,8 @@ class NativeModel:
         Functions that are called besides `functions`.
     more_sources : mapping of str to str
         Further C sources to compile, with their headers, by file name.
-    deferred_refusals : bool
-        Whether values are checked when they are used, since the host's setters cannot fail.
+    host : HostRules
+        Rules of its hosts.
     about : About
         Origin and rights.
     """
@@ -115,9 +147,10 @@ class NativeModel:
     duration: float
     differentiable: bool
     terminals: Mapping[str, tuple[str, str]]
+    added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
-    deferred_refusals: bool = False
+    host: HostRules = HostRules()
     about: About = field(default_factory=About)
 
     @property
@@ -164,13 +197,25 @@ class NativeModel:
                 )
         return replace(self, variables=tuple(variables), choices=tuple(choices))
 
+    def with_run_quantities(self) -> Self:
+        """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
+        found, names = run_quantities(self.outputs), [each.name for each in self.outputs]
+        of, quantities = [names.index(each.of) for each in found], tuple(each.quantity for each in found)
+        return replace(
+            self,
+            outputs=(*self.outputs, *quantities),
+            variables=placed([*self.variables, *output_variables(quantities)]),
+            depends=np.vstack([self.depends, self.depends[of]]),
+            added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
+        )
+
     def source(self) -> tuple[str, str]:
         """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.deferred_refusals)).encode())
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.host)).encode())
         for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr(self.limits), *more):
             digest.update(text.encode())
         code = digest.hexdigest()

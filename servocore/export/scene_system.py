@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export.about import About
 from servocore.export.building import inverse_model
-from servocore.export.fmu import archive
-from servocore.export.native_model import NativeModel
+from servocore.export.fmu import archive, described, require_version
+from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.system import Element, packed_system, require_played, wires_by_name
 from servocore.export.targets import Progress, chosen_targets
@@ -18,21 +17,22 @@ from servocore.files import require_places, write_together
 from servocore.model.scene import Scene, require_scene
 from servocore.solvers.exact_inversion import ExactInversion
 
-_FMI = 2  # connectors of SSP 1.0 are scalars
-
 
 def export_ssp(
     scene: Scene,
     path: str | Path,
     *,
+    fmi: int = 2,
     model: str | None = None,
     targets: str | None = None,
+    host: HostRules | None = None,
     about: About | None = None,
     progress: Progress = lambda _: None,
 ) -> Path:
-    """Write trajectory, inverse model and plant of a scene as native FMUs, connected in a system of SSP 1.0.
+    """Write trajectory, inverse model and plant of a scene as native FMUs, connected in a system of SSP.
 
-    Nothing has to be set in the tool: the trajectory plays the scene's own path, and the plant starts on it.
+    Nothing has to be set in the tool: the trajectory plays the scene's own path, and the plant starts on it. The
+    parameters of the scene are a set (SSV) that inverse model and plant share.
 
     Parameters
     ----------
@@ -40,10 +40,14 @@ def export_ssp(
         With its path and parameter values.
     path : str or Path
         The file; its name ends with ``.ssp``.
+    fmi : int, optional
+        Version of FMI: 2 with SSP 1.0, which most tools read, or 3 with SSP 2.0, whose connectors may be arrays.
     model : str, optional
         Model of trajectory and inverse model, as of `export_fmu`.
     targets : str, optional
-        Platforms, as of `export_fmu`, of those that FMI 2 has.
+        Platforms, as of `export_fmu`.
+    host : HostRules, optional
+        Rules of the hosts, as of `export_fmu`.
     about : About, optional
         Origin and rights of the FMUs.
     progress : callable, optional
@@ -65,7 +69,7 @@ def export_ssp(
         If the path ends in motion.
     """
     require_scene(scene, "export_ssp")
-    file, names = Path(path), chosen_targets(targets, _FMI)
+    file, names = Path(path), chosen_targets(targets, require_version(fmi))
     if file.suffix.lower() != ".ssp":
         raise InvalidSetting(f"cannot write {file}: the name of a system ends with .ssp, or tools do not open it")
     require_places({"the system": file})
@@ -87,9 +91,11 @@ def export_ssp(
     plant = plant_model(scene, None, PlantOptions(start=start))
     elements = []
     for name, made in {"trajectory": trajectory, "inverse": inverse, "plant": plant}.items():
-        fmu = archive(replace(made, about=about or About()), _FMI, names, progress)
+        fmu = archive(described(made, host, about), fmi, names, progress)
         elements.append(Element(name, made.identifier, fmu))
-    write_together({file: packed_system(scene.name, elements, wires_by_name(elements), scene.reference.end_time)})
+    shared = [each for each in inverse.of("parameter") if each.name in scene.parameter_values()]
+    wires, end = wires_by_name(elements), scene.reference.end_time
+    write_together({file: packed_system(scene.name, elements, wires, end, shared)})
     return file
 
 

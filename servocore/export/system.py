@@ -1,7 +1,7 @@
-"""Systems of connected FMUs as SSP 1.0, in the subset that all masters read.
+"""Systems of connected FMUs as SSP: 1.0 with FMI 2, in the subset that all masters read, or 2.0 with arrays of FMI 3.
 
 A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; the system has no connectors, and start values in place of
-defaults are bound inline. FMUs are of FMI 2: connectors of SSP 1.0 are scalars.
+defaults are bound inline. Parameters that components have in common are a set (SSV) with a mapping (SSM) for each.
 """
 
 from __future__ import annotations
@@ -17,30 +17,26 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning
-from servocore.export.units import base_units
-from servocore.export.variables import order_name
+from servocore.export.parameter_sets import NUMBER, SPACES, SSP, add, declare_units, parameter_mapping, parameter_set
+from servocore.export.variables import Variable, order_name
 from servocore.files import xml_document, zipped
 from servocore.references.base import Reference
 
-_STRUCTURE = "SystemStructure.ssd"
+_STRUCTURE, _SET = "SystemStructure.ssd", "resources/parameters.ssv"
 _INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
 _HIGHEST = 4
-_SPACES = {
-    f"xmlns:{prefix}": f"http://ssp-standard.org/SSP1/SystemStructure{part}"
-    for prefix, part in (("ssd", "Description"), ("ssc", "Common"), ("ssv", "ParameterValues"))
-}
-
 Wire = tuple[tuple[str, str], tuple[str, str]]
 """A connection as ((element, output), (element, input))."""
 
 
 @dataclass(frozen=True)
 class Port:
-    """A number among the variables of an FMU: its name, causality and unit."""
+    """A number, or with a size a vector, among the variables of an FMU: its name, causality and unit."""
 
     name: str
     causality: str
     unit: str
+    size: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ class Element:
     model : str
         Name of the FMU's file, without its ending.
     fmu : bytes
-        The archive, of FMI 2.
+        The archive.
     starts : mapping of str to float or str
         Start values with which the FMU was built; numbers are also bound in the system, where tools show them.
     """
@@ -65,15 +61,28 @@ class Element:
     starts: Mapping[str, float | str] = field(default_factory=dict)
 
     @cached_property
+    def fmi(self) -> int:
+        """Version of FMI."""
+        return int(self._description.get("fmiVersion", "2")[0])
+
+    @cached_property
     def ports(self) -> tuple[Port, ...]:
         """The numbers in the model description."""
-        with zipfile.ZipFile(io.BytesIO(self.fmu)) as archive:
-            root = ET.fromstring(archive.read("modelDescription.xml"))
+        if self.fmi == 2:
+            rows = [
+                (each.attrib, each[0]) for each in self._description.iter("ScalarVariable") if each[0].tag == "Real"
+            ]
+        else:
+            rows = [(each.attrib, each) for each in self._description.iter("Float64")]
         return tuple(
-            Port(each.attrib["name"], each.attrib["causality"], each[0].get("unit", "1"))
-            for each in root.iter("ScalarVariable")
-            if each[0].tag == "Real"
+            Port(each["name"], each["causality"], number.get("unit", "1"), "".join(d.get("start", "") for d in number))
+            for each, number in rows
         )
+
+    @cached_property
+    def _description(self) -> ET.Element:
+        with zipfile.ZipFile(io.BytesIO(self.fmu)) as archive:
+            return ET.fromstring(archive.read("modelDescription.xml"))
 
     def named(self, causality: str) -> list[str]:
         """Return the names of its numbers of one causality."""
@@ -90,7 +99,9 @@ def wires_by_name(elements: Sequence[Element]) -> list[Wire]:
     return wires
 
 
-def packed_system(title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float) -> bytes:
+def packed_system(
+    title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float, shared: Sequence[Variable] = ()
+) -> bytes:
     """Return the archive of a system.
 
     Parameters
@@ -103,34 +114,54 @@ def packed_system(title: str, elements: Sequence[Element], wires: Sequence[Wire]
         The connections.
     duration : float
         Time to simulate in s.
+    shared : sequence of Variable, optional
+        Parameters with their values for all components that have them: to be changed in one place.
     """
     members = {f"resources/{each.model}.fmu": each.fmu for each in elements}
-    return zipped(members | {_STRUCTURE: structure(title, elements, wires, duration)}, _STRUCTURE)
+    if shared:
+        members[_SET] = parameter_set(title, shared, elements[0].fmi)
+    for each in elements:
+        if names := _common(each, shared):
+            members[_mapping(each)] = parameter_mapping(names, each.fmi)
+    return zipped(members | {_STRUCTURE: structure(title, elements, wires, duration, shared)}, _STRUCTURE)
 
 
-def structure(title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float) -> bytes:
+def _mapping(element: Element) -> str:
+    return f"resources/{element.name}.ssm"
+
+
+def _common(element: Element, shared: Sequence[Variable]) -> list[str]:
+    return [each.name for each in shared if each.name in element.named("parameter")]
+
+
+def structure(
+    title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float, shared: Sequence[Variable] = ()
+) -> bytes:
     """Return the description of a system; arguments as of `packed_system`."""
-    root = ET.Element("ssd:SystemStructureDescription", {**_SPACES, "version": "1.0", "name": title})
-    system = _add(root, "ssd:System", name=title)
-    parts, fed, units = _add(system, "ssd:Elements"), {sink for _, sink in wires}, {"s"}
+    fmi = elements[0].fmi
+    root = ET.Element("ssd:SystemStructureDescription", {**SPACES, "version": SSP[fmi], "name": title})
+    system = add(root, "ssd:System", name=title)
+    parts, fed, units = add(system, "ssd:Elements"), {sink for _, sink in wires}, {"s"}
     for element in elements:
         source = f"resources/{element.model}.fmu"
-        part = _add(parts, "ssd:Component", name=element.name, type="application/x-fmu-sharedlibrary", source=source)
-        connectors = _add(part, "ssd:Connectors")
+        part = add(parts, "ssd:Component", name=element.name, type="application/x-fmu-sharedlibrary", source=source)
+        connectors = add(part, "ssd:Connectors")
         for port in element.ports:  # connected inputs, and all outputs
             if port.causality == "output" or (element.name, port.name) in fed:
-                place = _add(connectors, "ssd:Connector", name=port.name, kind=port.causality)
-                _add(place, "ssc:Real", unit=port.unit)
+                place = add(connectors, "ssd:Connector", name=port.name, kind=port.causality)
+                add(place, f"ssc:{NUMBER[fmi]}", unit=port.unit)
+                if port.size:
+                    add(place, "ssc:Dimension", size=port.size)
                 units.add(port.unit)
+        if _common(element, shared):
+            binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
+            add(binding, "ssd:ParameterMapping", source=_mapping(element))
         _bind(part, {name: element.starts[name] for name in element.named("parameter") if name in element.starts})
-    joints = _add(system, "ssd:Connections")
+    joints = add(system, "ssd:Connections")
     for (begin, output), (end, given) in wires:
-        _add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
-    declared = _add(root, "ssd:Units")  # a unit must be the name of one of these
-    for unit in sorted(units):
-        exponents = {base: str(n) for base, n in (base_units(unit) or {}).items()}
-        _add(_add(declared, "ssc:Unit", name=unit), "ssc:BaseUnit", **exponents)
-    _add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
+        add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
+    declare_units(root, "ssd:Units", units)
+    add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
     return xml_document(root)
 
 
@@ -140,14 +171,10 @@ def _bind(part: ET.Element, bound: Mapping[str, float | str]) -> None:
         return
     values = part
     for tag in ("ParameterBindings", "ParameterBinding", "ParameterValues"):
-        values = _add(values, f"ssd:{tag}")
-    rows = _add(_add(values, "ssv:ParameterSet", version="1.0", name="own"), "ssv:Parameters")
+        values = add(values, f"ssd:{tag}")
+    rows = add(add(values, "ssv:ParameterSet", version="1.0", name="own"), "ssv:Parameters")
     for name, value in bound.items():
-        _add(_add(rows, "ssv:Parameter", name=name), "ssv:Real", value=repr(value))
-
-
-def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, tag, attributes)
+        add(add(rows, "ssv:Parameter", name=name), "ssv:Real", value=repr(value))
 
 
 # Paths of systems ----------------------------------------------------------------------------------------------------

@@ -164,7 +164,7 @@ def _choice(has_path: bool, profile: str) -> Choice:
     names = [name for name, _ in items]
     if profile not in names:
         raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    return Choice("profile", "time law along the line, or a path", tuple(items), names.index(profile) + 1)
+    return Choice("profile", "time law along the line, or a path", tuple(items), names.index(profile) + 1, fixed=False)
 
 
 def _variables(

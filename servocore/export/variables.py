@@ -108,12 +108,20 @@ class Choice:
         Descriptions by name.
     start : int
         Number of the default item.
+    fixed : bool
+        Whether it is constant after the initialization.
     """
 
     name: str
     description: str
     items: tuple[tuple[str, str], ...]
     start: int = 1
+    fixed: bool = True
+
+    @property
+    def variability(self) -> str:
+        """As FMI has it."""
+        return "fixed" if self.fixed else "tunable"
 
     @property
     def type_name(self) -> str:
@@ -356,11 +364,15 @@ def line_settings(
     variables, (start_time, duration, ramp) = [], times
     for name, values in zip(("start", "end"), ends, strict=True):
         form, text = _setting("", "", "", (), role=name.upper()), f"{name} of the path"
+        form = replace(form, fixed=name == "start")
         variables += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), (text, f"{text}, {{name}}"), values)
     rests, usual = "start time of the motion; the path is at rest before", "0: a quarter of the duration"
     variables += [
         _setting("duration", "s", "duration of the motion", (duration,), 1e-3, 1e9, "DURATION"),
         _setting("start_time", "s", rests, (start_time,), -1e9, 1e9, "START_TIME"),
         _setting("ramp", "s", f"duration of the acceleration, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
+        _setting(
+            "trigger", "1", "another value begins a new motion with these settings, from rest", (0.0,), role="TRIGGER"
+        ),
     ]
-    return [replace(each, fixed=True) for each in variables]
+    return variables

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
 from servocore.checks.motion_limits import limited_values, motion_limits
-from servocore.errors import InvalidReference, InvalidSetting, PlanningFailed, require_real
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
 from servocore.identification.information import information
 from servocore.identification.prediction import Prediction
@@ -27,7 +28,7 @@ _SPACING, _GRID = 0.5, 0.1  # s between waypoints, and between instants of the s
 _WINDOW = 2.0  # s in which the harmonics grow from rest
 _STARTS, _TRIALS = 30, 1000
 _MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
-_SAMPLE = 0.005  # s between samples of the log that is predicted
+_SAMPLE, _NOISE = 0.005, 0.01  # s between samples of the log that is predicted, its noise by the inputs
 _SHRUNK, _SHRINKS = 0.97, 20
 
 
@@ -45,28 +46,17 @@ class ExcitationReport:
         Geometric mean of their ratios.
     limits : KeptLimits
         How far the limits are kept, and whether that is proved for all times.
-    trials : int
-        Paths that were tried.
     """
 
     standard_errors: Mapping[str, float]
     of_scene: Mapping[str, float]
     gain: float
     limits: KeptLimits
-    trials: int
 
     def __str__(self) -> str:
-        width = max(map(len, self.standard_errors))
-        rows = [
-            f"{name:<{width}}  {100 * error:8.3g} %  {100 * self.of_scene[name]:8.3g} %"
-            for name, error in self.standard_errors.items()
-        ]
-        return "\n".join([
-            f"{'standard error':<{width}}  {'this path':>10}  {'scene':>10}",
-            *rows,
-            f"geometric mean  {self.gain:.3g} times less",
-            f"limits          {self.limits.evidence}",
-        ])  # fmt: skip
+        rows = [f"{name:<24}{error:>12.3%}{self.of_scene[name]:>12.3%}" for name, error in self.standard_errors.items()]
+        head = f"{'standard error':<24}{'this path':>12}{'scene':>12}"
+        return "\n".join([head, *rows, f"{self.gain:.3g} times less; {self.limits.evidence}"])
 
 
 def excitation(
@@ -76,7 +66,6 @@ def excitation(
     *,
     duration: float = 20.0,
     effects: Sequence[str] = (),
-    noise: float = 0.01,
     believed: Mapping[str, float] | float = UNCERTAINTY,
     seed: int = 0,
 ) -> tuple[Reference, ExcitationReport]:
@@ -97,8 +86,6 @@ def excitation(
         In s.
     effects : sequence of str
         Effects that the model has beside those of the scene.
-    noise : float
-        Standard deviation of the measured inputs every 5 ms, relative to that of the inputs along the scene's own path.
     believed : mapping of str to float, or float
         See `identify`.
     seed : int
@@ -121,24 +108,23 @@ def excitation(
         If no path about home keeps the limits.
     """
     require_scene(scene, "excitation")
-    for what, value in (("duration", duration), ("noise", noise)):
-        require_real(value, f"the {what} of an excitation", "a positive number", InvalidSetting)
-        if not 0.0 < value < np.inf or (what == "duration" and value < 4 * _WINDOW):
-            raise InvalidSetting(
-                f"the {what} of an excitation is {value:g}: it must be positive, a duration 8 s or more"
-            )
+    require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
+    if not 4 * _WINDOW <= duration < np.inf:
+        raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
+    if not problem.flat:
+        raise InvalidModel(f"{scene.name} has internal dynamics: an excitation needs a flat output")
     if not motion_limits(problem):
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
     names = chosen_parameters(parameters, problem)
-    search = _Search.of(problem, names, spreads_of(names, believed), float(duration), noise)
-    best, trials = search.improved(np.random.default_rng(seed))
+    search = _Search.of(problem, names, spreads_of(names, believed), float(duration))
+    best = search.improved(np.random.default_rng(seed))
     path, kept = search.certified(extended, best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
-    return path, ExcitationReport(named[0], named[1], gain, kept, trials)
+    return path, ExcitationReport(named[0], named[1], gain, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +153,11 @@ class _Search:
     noise: Array
 
     @classmethod
-    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float, noise: float) -> _Search:
+    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
         columns = tuple(problem.system.parameters.names.index(name) for name in names)
-        prediction = Prediction(problem.resolved, (), columns)
+        prediction = Prediction(problem.resolved, (), columns, len(problem.system.inputs))
         t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
         basis = through(np.eye(len(t)), t, rest_order=order)
         count = int(np.clip(round(_FASTEST * duration), 2, _MOST))
@@ -180,9 +166,9 @@ class _Search:
         harmonics = np.hstack([np.sin(phases), np.cos(phases)]) * (grown**3 * (10 - 15 * grown + 6 * grown**2))[:, None]
         own = problem.reference
         jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
-        size = prediction.values(jets, problem.p).std(axis=0)
+        size = prediction(jets, problem.p).values.std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
-        per_instant = noise * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
+        per_instant = _NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
         return cls(problem, prediction, basis, harmonics, spreads, per_instant)
 
     def path(self, x: Array) -> PiecewisePolynomial:
@@ -193,8 +179,7 @@ class _Search:
 
     def errors(self, path: Reference) -> Array:
         """Return the predicted relative standard errors of a path."""
-        errors: Array = np.sqrt(np.diag(np.linalg.inv(self._information(path))))
-        return errors
+        return np.sqrt(np.diag(np.linalg.inv(self._information(path))))
 
     def _information(self, path: Reference) -> Array:
         t = np.arange(path.start_time, path.end_time + _GRID / 2, _GRID)
@@ -203,52 +188,44 @@ class _Search:
         scales = np.where(scales > 0.0, scales, 1.0)
         return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, scales, self.noise)
 
-    def score(self, x: Array) -> float:
-        """Return how good amplitudes are, the more the better; minus infinity where the model has no solution."""
-        total = self._information(self.path(x))
-        return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf
-
     def excess(self, x: Array) -> float:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
         problem = replace(self.problem, reference=self.path(x))
         t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
         values = limited_values(problem, lambda at: exact_unknowns(problem, at)[0], t)
-        over = [
-            each for limit, row in zip(motion_limits(problem), values, strict=True) for _, each in sides(limit, row)
-        ]
+        pairs = zip(motion_limits(problem), values, strict=True)
+        over = [each for limit, row in pairs for _, each in sides(limit, row)]
         return max(0.0, float(np.nan_to_num(np.array(over), nan=10.0).max()) + _MARGIN)
 
-    def within(self, x: Array) -> Array | None:
-        """Return amplitudes shrunk until they keep the limits; None if that does not help."""
+    def tried(self, x: Array) -> tuple[float, Array]:
+        """Return how good amplitudes are, shrunk until they keep the limits, and these; minus infinity for no use."""
         for _ in range(4):
             excess = self.excess(x)
             if excess == 0.0:
-                return x
+                total = self._information(self.path(x))
+                return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf, x
             x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
-        return None
+        return -np.inf, x
 
-    def improved(self, random: np.random.Generator) -> tuple[Array, int]:
-        """Return the best amplitudes that were found, and the number of trials; raises `PlanningFailed` without any."""
+    def improved(self, random: np.random.Generator) -> Array:
+        """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
         shape = self.harmonics.shape[1], len(self.problem.system.outputs)
-        best, score = np.zeros(shape), -np.inf
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
-        for k in range(_STARTS):
-            x = self.within(random.standard_normal(shape) * slow * (1.0 + k % 3))
-            if x is not None and (found := self.score(x)) > score:
-                best, score = x, found
+        first = [self.tried(random.standard_normal(shape) * slow * (1.0 + k % 3)) for k in range(_STARTS)]
+        score, best = max(first, key=itemgetter(0))
         if not np.isfinite(score):
             raise PlanningFailed(
                 f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
             )
         size = 0.3
         for _ in range(_TRIALS):
-            x = self.within(best + size * float(np.sqrt(np.mean(best**2))) * random.standard_normal(shape) * slow**0.5)
-            found = -np.inf if x is None else self.score(x)
-            if x is not None and found > score:
+            spread = size * float(np.sqrt(np.mean(best**2)))
+            found, x = self.tried(best + spread * random.standard_normal(shape) * slow**0.5)
+            if found > score:
                 best, score, size = x, found, 1.3 * size
             else:
                 size = max(0.94 * size, 0.01)
-        return best, _STARTS + _TRIALS
+        return best
 
     def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
         """Return a path that keeps the limits at all times, and whether that is proved."""

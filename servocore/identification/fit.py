@@ -11,12 +11,13 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from servocore.identification.blocks import Blocks
+from servocore.identification.blocks import MOVES, Blocks
 from servocore.identification.prediction import Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array
@@ -48,8 +49,7 @@ class State:
     paths: tuple[Array, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
+class Weights(NamedTuple):
     """Weights of one stretch: standard deviations by channel (channels,), and factors of single values."""
 
     scales: Array
@@ -70,6 +70,8 @@ class Fit:
         Units of the estimates, and their standard deviations before anything is measured.
     center : ndarray, shape (parameters,)
         Their believed values.
+    biases : ndarray, shape (inputs,)
+        Standard deviations of the biases of the inputs before anything is measured.
     stretches : tuple of Blocks
         Data.
     splines : tuple of PathSpline
@@ -81,12 +83,13 @@ class Fit:
     center: Array
     scales: Array
     spread: Array
+    biases: Array
     stretches: tuple[Blocks, ...]
     splines: tuple[PathSpline, ...]
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
+        """Number of inputs, with forces that are known to be zero."""
         return len(self.prediction.resolved.system.inputs)
 
     @property
@@ -107,16 +110,13 @@ class Fit:
         places = [old.jets(path)[:, 0] for old, path in zip(self.splines, state.paths, strict=True)]
         return finer, replace(state, paths=start(finer, places).paths)
 
-    def values(self, state: State, k: int) -> Array:
-        """Return the channels of a stretch (N, channels) without derivatives."""
-        return self.prediction.values(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
-
     def predicted(self, state: State, k: int) -> Predicted:
         """Return the channels of a stretch."""
         return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
 
-    def residuals(self, state: State, k: int, values: Array) -> tuple[Array, Array]:
+    def residuals(self, state: State, k: int, predicted: Predicted | None = None) -> tuple[Array, Array]:
         """Return measured less predicted channels of a stretch (N, channels), and the rates of its inputs (N, m)."""
+        values = (predicted or self.predicted(state, k)).values
         data, m = self.stretches[k], self.inputs
         bias, delay = state.offsets[data.log]
         u = values[:, :m]
@@ -124,17 +124,12 @@ class Fit:
         rate -= delay * np.gradient(rate, data.t, axis=0)
         expected = values.copy()
         expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)
-        residual = data.values - expected
-        for channel, quantity in enumerate(self.prediction.quantities):
-            if quantity.wraps:
-                residual[:, channel] = np.angle(np.exp(1j * residual[:, channel]))
-        return residual, rate
+        return self.prediction.wrapped(data.values - expected), rate
 
     def prior(self) -> tuple[Array, Array]:
         """Return center and precision of parameters, biases and delays before anything is measured."""
         m = self.inputs
-        sizes = np.ones(m) * np.max([np.abs(each.values[:, :m]).max(axis=0) for each in self.stretches], axis=0)
-        offsets = np.concatenate([1.0 / np.maximum(sizes, 1e-12) ** 2, np.full(m, 1.0 / DELAY**2)])
+        offsets = np.concatenate([self.biases**-2, np.full(m, DELAY**-2)])
         center = np.concatenate([self.center / self.scales, np.zeros(2 * m * self.logs)])
         return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
 
@@ -143,7 +138,7 @@ class Fit:
         center, precision = self.prior()
         total = float(precision @ (_all(state) - center) ** 2)
         for k, weight in enumerate(weights):
-            residual, _ = self.residuals(state, k, self.values(state, k))
+            residual, _ = self.residuals(state, k)
             total += float(np.sum((weight.factors * residual / weight.scales) ** 2))
         return total if np.isfinite(total) else np.inf
 
@@ -155,7 +150,7 @@ class Fit:
         count, m = len(self.scales), self.inputs
         for k, weight in enumerate(weights):
             predicted, data = self.predicted(state, k), self.stretches[k]
-            residual, rate = self.residuals(state, k, predicted.values)
+            residual, rate = self.residuals(state, k, predicted)
             w = weight.factors / weight.scales
             nuisance = np.zeros((*residual.shape, count + 2 * m))
             nuisance[:, :, :count] = predicted.by_parameter * self.scales
@@ -172,7 +167,7 @@ class Fit:
             right[places] += flat.T @ (residual * w).ravel() - sides[:, 1:].T @ answer[:, 0]
             solved.append((answer, places))
         damped = information + damping * np.diag(np.diag(information))
-        change = np.linalg.solve(damped, right)
+        change = np.asarray(np.linalg.solve(damped, right), dtype=np.float64)
         moved = [
             (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
             for answer, places in solved
@@ -181,17 +176,22 @@ class Fit:
 
     def weights(self, state: State, first: bool) -> list[Weights]:
         """Return weights by the residuals of a state, or by the noise of the data alone at first."""
-        raw = []
+        from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
+
+        raw, m = [], self.prediction.inputs
         for k, data in enumerate(self.stretches):
             predicted = self.predicted(state, k)
             factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
-            slope = np.linalg.norm(predicted.by_path[:, : self.inputs, 1], axis=2)
-            creeping = _near(slope > _CREEP * np.quantile(slope, 0.25, axis=0))
-            factors[:, : self.inputs] *= np.where(creeping, _LEFT, 1.0)
+            slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
+            # Beside creep too: the path bends there faster than its spline.
+            near = np.ones((2 * _BESIDE + 1, 1), dtype=bool)
+            still = np.ptp(data.values[:, self.inputs : self.inputs + m], axis=0) < MOVES
+            creeping = binary_dilation(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), near)
+            factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
             if not first:
                 # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
-                factors[:, self.inputs : 2 * self.inputs] *= np.where(creeping, _BLURRED, 1.0)
-            raw.append((factors, factors * self.residuals(state, k, predicted.values)[0]))
+                factors[:, self.inputs : self.inputs + m] *= np.where(creeping, _BLURRED, 1.0)
+            raw.append((factors, factors * self.residuals(state, k, predicted)[0]))
         ones = [Weights(np.ones(factors.shape[1]), factors) for factors, _ in raw]
         if first:
             return ones
@@ -220,21 +220,12 @@ def used(data: Blocks, factors: Array) -> npt.NDArray[np.bool_]:
     return finite & (factors * np.where(finite, data.noise, 0.0) > _COUNTED)
 
 
-def _near(creeping: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return which blocks are near to one of some (N, inputs): the path bends there faster than its spline."""
-    from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    return np.asarray(binary_dilation(creeping, np.ones((2 * _BESIDE + 1, 1), dtype=bool)))
-
-
 def _scale(parts: list[Array]) -> float:
     """Return the standard deviation of residuals, raised where they stay on one side."""
     every = np.concatenate(parts)
-    size = (
-        float(np.sqrt(np.mean(np.minimum(every**2, (3.0 * 1.4826 * np.median(np.abs(every))) ** 2))))
-        if len(every)
-        else 1.0
-    )
+    if not len(every):
+        return 1.0
+    size = float(np.sqrt(np.mean(np.minimum(every**2, (3.0 * 1.4826 * np.median(np.abs(every))) ** 2))))
     return float(max(size * persistence(parts) ** 0.5, 0.1))
 
 
@@ -254,9 +245,8 @@ def _all(state: State) -> Array:
     return np.concatenate([state.theta, state.offsets.ravel()])
 
 
-def _state(x: npt.ArrayLike, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
-    flat: Array = np.array(x, dtype=np.float64)
-    return State(flat[:count], flat[count:].reshape(shape), paths)
+def _state(x: Array, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
+    return State(x[:count], x[count:].reshape(shape), paths)
 
 
 def _moved(state: State, change: State, share: float) -> State:
@@ -280,20 +270,17 @@ def start(problem: Fit, places: list[Array]) -> State:
     return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
 
 
-@dataclass(frozen=True, eq=False)
-class Converged:
+class Converged(NamedTuple):
     """An estimate: state, weights, information, and whether the steps have settled."""
 
     state: State
     weights: list[Weights]
     information: Array
     settled: bool
-    steps: int
 
 
 def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
     """Return the maximum likelihood estimate from a start; from a `fresh` one by stages, with loose data at first."""
-    steps = 0
     if fresh:
         loose = []
         for data in problem.stretches:
@@ -302,23 +289,20 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
             scales = np.maximum(1.0, share * data.values.std(axis=0) / np.median(data.noise, axis=0))
             loose.append(Weights(scales, factors))
         for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
-            state, taken = _descent(stage, state, loose, _ROUGHLY)
-            steps += taken
-        state, taken = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
-        steps += taken
+            state = _descent(stage, state, loose, _ROUGHLY)
+        state = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
     for _ in range(_ROUNDS):
         weights = problem.weights(state, False)
-        state, taken = _descent(problem, state, weights, _SETTLED)
-        steps += taken
+        state = _descent(problem, state, weights, _SETTLED)
     change, information = problem.step(state, weights, 0.0)
     sizes = np.sqrt(np.diag(np.linalg.inv(information)))
-    return Converged(state, weights, information, bool((np.abs(_all(change)) < _NEAR * sizes).all()), steps)
+    return Converged(state, weights, information, bool((np.abs(_all(change)) < _NEAR * sizes).all()))
 
 
-def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> tuple[State, int]:
-    """Return the state after Gauss-Newton steps under given weights, and their number."""
+def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> State:
+    """Return the state after Gauss-Newton steps under given weights."""
     damping, cost = 0.0, problem.cost(state, weights)
-    for taken in range(1, _STEPS + 1):
+    for _ in range(_STEPS):
         change, information = problem.step(state, weights, damping)
         small = float(np.max(np.abs(_all(change)) * np.sqrt(np.diag(information)))) < tolerance
         share = full = min(1.0, _FARTHEST / max(float(np.abs(change.theta).max()), 1e-12))
@@ -326,13 +310,17 @@ def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: floa
         while (better := problem.cost(candidate, weights)) > cost * (1 + 1e-9) and share > 0.02 * full:
             share /= 2
             candidate = _moved(state, change, share)
+        # Where friction bends within the residuals Gauss-Newton steps are far too short, all in one direction.
+        while share >= full and (longer := problem.cost(_moved(state, change, 2 * share), weights)) < better:
+            share *= 2
+            candidate, better = _moved(state, change, share), longer
         if better <= cost * (1 + 1e-9):
             gained, state, cost = cost - better, candidate, better
             damping = damping / 10 if share == full and damping > 1e-6 else 0.0 if share == full else damping
             if (small and share == 1.0) or gained < _GAINED * tolerance * cost:
-                return state, taken
+                return state
         elif small or damping > 1e2:
-            return state, taken
+            return state
         else:
             damping = max(10 * damping, 1e-5)
-    return state, _STEPS
+    return state

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
 
 from servocore.effects.position_loops import PositionLoops
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind, require_real
+from servocore.errors import (
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    ServocoreWarning,
+    require_kind,
+    require_real,
+)
 from servocore.identification.blocks import Blocks, stretches
 from servocore.identification.fit import Converged, Fit, minimized, start
 from servocore.identification.logs import Log, Record, records
-from servocore.identification.prediction import Prediction, positions_of
+from servocore.identification.prediction import Prediction, positions_of, released
 from servocore.identification.result import Identified
 from servocore.identification.splines import PathSpline
 from servocore.model.scene import Scene, require_scene
@@ -28,6 +37,9 @@ _BENT = 1.3  # times the noise of a position
 _EXPLAINED = 0.3  # of the changes of an input: beyond, its unit or its clock is doubtful
 _UNITS, _LAG, _ALIKE = 30.0, 0.05, 0.03  # factor, s, and s between the lags of inputs with one clock
 _EVERY, _SMOOTH = 0.05, 6.0  # s between equilibria, and standard deviation of their low-pass in these
+_FORCE = 1e-3  # noise of forces that are known to be zero, by the largest input
+_NONE = 1e-9  # relative standard deviation of a bias that there is not
+_ROUNDS, _AT_REST = 30, 1e-6  # of Newton's method, and its last step
 
 
 def identify(
@@ -37,19 +49,20 @@ def identify(
     *,
     effects: Sequence[str] = (),
     believed: Mapping[str, float] | float = UNCERTAINTY,
+    bias: float = 1.0,
     jobs: Sequence[Reference] = (),
     loops: PositionLoops = PositionLoops(),  # noqa: B008 - a frozen value
 ) -> Identified:
     """Estimate parameters of a scene from logs of its inputs and measured positions, with standard errors.
 
     Maximum likelihood on the flat output: the path of the output is a spline, all channels follow from its jet by exact
-    inversion, and path, parameters, biases of the inputs and their delays are estimated together. What the scene has
-    is one more measurement, with its uncertainty: what the logs do not show stays as believed.
+    inversion, and path, parameters, biases of the inputs and their delays are estimated together. Values of the
+    scene are one more measurement, with its uncertainty: parameters that the logs do not show keep them.
 
     Parameters
     ----------
     scene : Scene
-        With the believed values of its parameters. Without internal dynamics.
+        With the believed values of its parameters.
     log : path, mapping of arrays, or a sequence of these
         CSV files with the columns ``time``, the inputs and the measured quantities by name, units in brackets, or
         arrays by these names, NaN where a sample is missing. Beside the positions of drives the outputs may be
@@ -60,6 +73,9 @@ def identify(
         Effects that the model has beside those of the scene.
     believed : mapping of str to float, or float
         Relative standard uncertainties of the scene's values by names or patterns; 0.3 where none is given.
+    bias : float
+        Standard deviation of the bias of a measured input before anything is measured, relative to its peak; 0 for
+        sensors without any, as where an offset is a parameter of the model.
     jobs : sequence of Reference
         Paths that the load shall follow: how far it will go off enters the verdict.
     loops : PositionLoops
@@ -75,7 +91,7 @@ def identify(
     InvalidReference
         If a log cannot be used; one sentence says why.
     InvalidModel
-        If the scene has internal dynamics, or no such parameter.
+        If the equations of the scene depend on time, or it has no such parameter.
     InvalidSetting
         If an uncertainty is invalid.
 
@@ -96,19 +112,23 @@ def identify(
     require_scene(scene, "identify")
     extended = scene.with_effects(*effects) if effects else scene
     problem = Problem.of(extended)
-    if not problem.flat or problem.system.time.numel():
-        raise InvalidModel(f"{scene.name} has internal dynamics or depends on time: identification needs a flat output")
+    if problem.system.time.numel():
+        raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
+    require_real(bias, "the bias of the inputs", "a fraction, such as 0.01", InvalidSetting)
+    if not 0.0 <= bias < np.inf:
+        raise InvalidSetting(f"the bias of the inputs must be finite and not negative, not {bias:g}")
     names = chosen_parameters(parameters, problem)
     read = records(log, extended, positions_of(problem.resolved))
-    fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed))
-    state = start(fit, [_equilibria(fit, problem, data) for data in fit.stretches])
-    found = minimized(fit, state)
-    if _bent(fit, found):
+    fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
+    found = minimized(fit, start(fit, [_equilibria(fit, data) for data in fit.stretches]))
+    bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
+    if bent or not found.settled:  # measured positions bend faster than the splines can
         fit, state = fit.refined(found.state, _SPACINGS[1])
         found = minimized(fit, state, fresh=False)
     _require_explained(fit, found, [record.name for record in read])
     result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), extended, fit, found)
-    result.warn()
+    if result.doubts:
+        warnings.warn("; ".join(result.doubts), ServocoreWarning, stacklevel=2)
     return result
 
 
@@ -134,49 +154,51 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
             raise InvalidSetting(f"the uncertainty of {pattern} must be positive and finite, not {value:g}")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
-    return np.array(
-        [
-            next((float(value) for pattern, value in given.items() if fnmatchcase(name, pattern)), UNCERTAINTY)
-            for name in names
-        ]
-    )
+    own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)
+    return np.array([float([*values, UNCERTAINTY][0]) for values in own])
 
 
 def _fit(
-    problem: Problem, read: Sequence[Record], drives: Sequence[str], names: tuple[str, ...], spreads: Array
+    problem: Problem, read: Sequence[Record], drives: Sequence[str], names: tuple[str, ...], spreads: Array, bias: float
 ) -> Fit:
     """Return the maximum likelihood problem of logs; positions of drives come first, as their inputs do."""
-    system = problem.system
-    inputs = [quantity.name for quantity in system.inputs]
+    resolved, inputs = released(problem.resolved), [quantity.name for quantity in problem.system.inputs]
     measured = sorted(set(read[0].columns) - set(inputs), key=lambda label: [*drives, label].index(label))
     for record in read[1:]:
         if {*record.columns} != {*read[0].columns}:
             raise InvalidReference(f"{record.name} has other columns than {read[0].name}: one fit needs the same")
-    columns = tuple(system.parameters.names.index(name) for name in names)
-    prediction = Prediction(problem.resolved, tuple(measured), columns)
-    parts = tuple(
-        part
-        for k, record in enumerate(read)
+    columns = tuple(problem.system.parameters.names.index(name) for name in names)
+    prediction = Prediction(resolved, tuple(measured), columns, len(inputs))
+    peaks = np.max([[np.nanmax(np.abs(record.columns[label])) for label in inputs] for record in read], axis=0)
+    known_forces = np.zeros(len(resolved.system.inputs) - len(inputs))
+    parts = []
+    for k, record in enumerate(read):
         for part in stretches(
-            record.t, np.column_stack([record.columns[label] for label in [*inputs, *measured]]), len(inputs), k
-        )
-    )
+            record.t, np.column_stack([record.columns[each] for each in inputs + measured]), len(inputs), k
+        ):
+            values, noise = (
+                np.insert(each, [len(inputs)] * len(known_forces), given, axis=1)
+                for each, given in ((part.values, 0.0), (part.noise, _FORCE * peaks.max()))
+            )
+            parts.append(replace(part, values=values, noise=noise))
     if {part.log for part in parts} != set(range(len(read))):
         raise InvalidReference("a log has so many gaps that no second of it is left")
-    order, center = problem.array.reference_order, problem.p[list(columns)]
+    order, center = resolved.array.reference_order, problem.p[list(columns)]
     scales = np.where(center != 0.0, np.abs(center), 1.0)
-    splines = tuple(PathSpline(part.t, order + 2, order + 1, len(system.outputs), _SPACINGS[0]) for part in parts)
+    outputs = len(resolved.system.outputs)
+    splines = tuple(PathSpline(part.t, order + 2, order + 1, outputs, _SPACINGS[0]) for part in parts)
     spread = np.where(center != 0.0, spreads * scales, 1e6)  # relative to zero nothing is known
-    return Fit(prediction, problem.p, center, scales, spread, parts, splines)
+    biases = np.concatenate([np.maximum(bias, _NONE) * np.maximum(peaks, _NONE), known_forces + _NONE * peaks.max()])
+    return Fit(prediction, problem.p, center, scales, spread, biases, tuple(parts), splines)
 
 
 def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:
     """Raise `InvalidReference` where inputs are hardly explained because of units or clocks."""
     for k, data in enumerate(fit.stretches):
-        model, name = fit.prediction.values(fit.splines[k].jets(found.state.paths[k]), fit.p), names[data.log]
-        residual, _ = fit.residuals(found.state, k, fit.values(found.state, k))
+        model, name = fit.prediction(fit.splines[k].jets(found.state.paths[k]), fit.p).values, names[data.log]
+        residual, _ = fit.residuals(found.state, k)
         lags, explained = list[float](), True
-        for channel, quantity in enumerate(fit.prediction.quantities[: fit.inputs]):
+        for channel, quantity in enumerate(fit.prediction.quantities[: fit.prediction.inputs]):
             a, b = (each - each.mean() for each in (data.values[:, channel], model[:, channel]))
             noisy = a.std() < 5.0 * float(np.median(data.noise[:, channel]))
             if noisy or not np.isfinite(b).all():
@@ -197,32 +219,23 @@ def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None
             )
 
 
-def _bent(fit: Fit, found: Converged) -> bool:
-    """Whether measured positions bend faster than the splines can."""
-    return not found.settled or any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
-
-
-def _equilibria(fit: Fit, problem: Problem, data: Blocks) -> Array:
+def _equilibria(fit: Fit, data: Blocks) -> Array:
     """Return low-passed outputs (N, outputs) at which the model would rest with the positions that were measured."""
     from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    m, order = fit.inputs, problem.array.reference_order
+    m, prediction, system = fit.prediction.inputs, fit.prediction, fit.prediction.resolved.system
     every = max(1, round(_EVERY / float(np.median(np.diff(data.t)))))
-    place, found = np.array(problem.reference.jet(problem.reference.start_time, 0)[0]), []
-    jets = np.zeros((1, order + 1, len(place)))
-    for row in data.values[::every, m:]:
-        for _ in range(30):
-            jets[0, 0] = place
-            predicted = fit.prediction(jets, problem.p)
-            lacking = row - predicted.values[0, m:]
-            for k, quantity in enumerate(fit.prediction.quantities[m:]):
-                lacking[k] = np.angle(np.exp(1j * lacking[k])) if quantity.wraps else lacking[k]
-            if not np.isfinite(predicted.by_path).all():
-                raise InvalidReference(f"{problem.name} cannot rest at the positions of the log: are its units right?")
-            change = np.linalg.lstsq(predicted.by_path[0, m:, 0], lacking, rcond=None)[0]
-            place = place + change * min(1.0, 1.0 / max(float(np.abs(change).max()), 1e-12))
-            if np.abs(change).max() < 1e-6:
-                break
-        found.append(place)
-    smooth = gaussian_filter1d(np.array(found), _SMOOTH, axis=0, mode="nearest")
+    rows = data.values[::every, m:]
+    jets = np.zeros((len(rows), fit.splines[0].orders, len(system.outputs)))
+    jets[:, 0] = system.home
+    for _ in range(_ROUNDS):
+        predicted = prediction(jets, fit.p)
+        if not np.isfinite(predicted.by_path).all():
+            raise InvalidReference(f"{system.name} cannot rest at the positions of the log: are its units right?")
+        lacking = prediction.wrapped(rows - predicted.values[:, m:], m)
+        change = (np.linalg.pinv(predicted.by_path[:, m:, 0]) @ lacking[:, :, None])[:, :, 0]
+        jets[:, 0] += change / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1.0)
+        if np.abs(change).max() < _AT_REST:
+            break
+    smooth = gaussian_filter1d(jets[:, 0], _SMOOTH, axis=0, mode="nearest")
     return np.column_stack([np.interp(data.t, data.t[::every], column) for column in smooth.T])

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described
+from servocore.identification.blocks import MOVES
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.units import in_unit
@@ -23,13 +24,12 @@ Log = str | PathLike[str] | Mapping[str, npt.ArrayLike]
 _SHORTEST, _FEWEST = 2.0, 100  # s and samples of a log
 _SLOWEST = 0.05  # s between samples: the swing of a load, its friction and its spline need more
 _TURNS = 12.6  # rad: an angle that goes farther without a unit is probably in degrees
-_FAR = 300.0  # times the reach of the scene: probably millimetres
+_FAR = 30.0  # times the reach of the scene: probably millimetres
 _SATURATED = 0.05  # of the samples at the same extreme
 _TIME = "time"
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+class Record(NamedTuple):
     """A log that was checked.
 
     Attributes
@@ -40,11 +40,14 @@ class Record:
         Times in s.
     columns : mapping of str to ndarray, shape (N,)
         In SI units; NaN where a value is missing.
+    declared : set of str
+        Names of the columns whose unit is known.
     """
 
     name: str
     t: Array
     columns: Mapping[str, Array]
+    declared: set[str]
 
 
 def records(logs: Log | Sequence[Log], scene: Scene, positions: Mapping[str, Quantity]) -> list[Record]:
@@ -88,8 +91,7 @@ def _record(log: Log, name: str, scene: Scene, positions: Mapping[str, Quantity]
         name = str(Path(log))
         t, columns, declared = read_columns(log, known, _factor)
     elif isinstance(log, Mapping) and _TIME in log:
-        t, *rows = _arrays(name, {key: log[key] for key in log if key == _TIME or key in known})
-        columns = dict(zip([key for key in log if key != _TIME and key in known], rows, strict=True))
+        t, columns = _arrays(name, {key: log[key] for key in log if key == _TIME or key in known})
     else:
         raise InvalidSetting(f"{name} must be a CSV file or a mapping of arrays with time, not {described(log)}")
     columns = {renamed[key] if renamed.get(key, key) not in columns and key in renamed else key: column
@@ -106,25 +108,23 @@ def _record(log: Log, name: str, scene: Scene, positions: Mapping[str, Quantity]
             f"{name} measures {', '.join(measured) or 'no position'}: as many positions as inputs are needed, of"
             f" {', '.join(positions)}"
         )
-    _require_units(name, columns, declared, scene, positions)
-    return Record(name, t, columns)
+    return Record(name, t, columns, declared)
 
 
-def _arrays(name: str, columns: Mapping[str, npt.ArrayLike]) -> list[Array]:
-    """Return columns as arrays of one length, the time first."""
+def _arrays(name: str, given: Mapping[str, npt.ArrayLike]) -> tuple[Array, dict[str, Array]]:
+    """Return the time and the other columns as arrays of one length."""
     try:
-        arrays = [np.array(columns[key], dtype=float) for key in sorted(columns, key=lambda key: key != _TIME)]
+        columns = {key: np.array(column, dtype=float) for key, column in given.items()}
     except (TypeError, ValueError):
         raise InvalidReference(f"{name} has a column that is not made of numbers") from None
-    t = arrays[0]
-    if any(each.ndim != 1 or len(each) != len(t) for each in arrays):
+    t = columns.pop(_TIME)
+    if any(each.ndim != 1 or len(each) != len(t) for each in (t, *columns.values())):
         raise InvalidReference(f"{name} needs one-dimensional columns of one length")
-    bad = np.flatnonzero(~np.isfinite(t))
-    stuck = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(bad) or len(stuck):
-        k = int(bad[0]) if len(bad) else int(stuck[0]) + 1
-        raise InvalidReference(f"{name}, row {k}: its time {t[k]:g} s is not finite, or not later than the one before")
-    return arrays
+    bad = np.flatnonzero(~np.isfinite(t) | (np.diff(t, prepend=-np.inf) <= 0.0))
+    if len(bad):
+        at = f"{name}, row {bad[0]}: its time {t[bad[0]]:g} s"
+        raise InvalidReference(f"{at} is not finite, or not later than the one before")
+    return t, columns
 
 
 def _factor(unit: str, si: str) -> float:
@@ -133,20 +133,6 @@ def _factor(unit: str, si: str) -> float:
         return 1.0 / in_unit(f"1 {unit}", si, "it")
     except InvalidSetting as error:
         raise ValueError(str(error)) from None
-
-
-def _require_units(
-    name: str, columns: Mapping[str, Array], declared: set[str], scene: Scene, positions: Mapping[str, Quantity]
-) -> None:
-    """Raise `InvalidReference` where positions look like degrees or millimetres."""
-    reach = float(np.abs(scene.reference.jet(scene.reference.start_time, 0)).max()) + np.abs(scene.model().home).max()
-    for label, column in columns.items():
-        unit = positions[label].unit if label in positions else ""
-        size = float(np.nanmax(np.abs(column - np.nanmedian(column)), initial=0.0))
-        likely = {"rad": ("deg", _TURNS), "m": ("mm", _FAR * reach)}.get(unit)
-        if likely and size > likely[1]:
-            hint = f"; write {label} [{likely[0]}] into the header if that is meant" if label not in declared else ""
-            raise InvalidReference(f"{name}: {label} changes by {size:.3g} {unit}, which looks like {likely[0]}{hint}")
 
 
 def _require_sampling(record: Record) -> None:
@@ -166,15 +152,25 @@ def _require_sampling(record: Record) -> None:
 
 
 def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quantity]) -> None:
-    """Raise `InvalidReference` for columns that are empty, constant or saturated."""
-    moving = False
+    """Raise `InvalidReference` for columns that are empty, constant, saturated, or in degrees or millimetres."""
+    reach = float(np.abs(scene.reference.jet(scene.reference.start_time, 0)).max()) + np.abs(scene.model().home).max()
+    usual = {"rad": ("deg", _TURNS), "m": ("mm", _FAR * reach)}
+    moving, units = False, {quantity.name: quantity.unit for quantity in scene.model().inputs}
     for label, column in record.columns.items():
         known = column[np.isfinite(column)]
         if len(known) < len(column) / 2:
             raise InvalidReference(f"{record.name}: {label} has no value in {1 - len(known) / len(column):.0%} of rows")
         span = float(np.ptp(known))
         if label in positions:
-            moving |= span > 1e-3
+            unit, size = positions[label].unit, float(np.abs(known - np.median(known)).max())
+            likely, most = usual.get(unit, ("", np.inf))
+            if size > most:
+                hint = f"; write {label} [{likely}] into the header if that is meant"
+                raise InvalidReference(
+                    f"{record.name}: {label} changes by {size:.3g} {unit}, which looks like {likely}"
+                    + (hint if label not in record.declared else "")
+                )
+            moving |= span > MOVES
             continue
         if span == 0.0:
             raise InvalidReference(
@@ -184,12 +180,8 @@ def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quant
             share = float(np.mean(known == extreme))
             if share > _SATURATED:
                 raise InvalidReference(
-                    f"{record.name}: {label} stays at {extreme:g} {_unit(scene, label)} in {share:.0%} of its rows: it"
-                    " is saturated, and the real one may be larger; log a slower motion"
+                    f"{record.name}: {label} stays at {extreme:g} {units[label]} in {share:.0%} of its rows: it is"
+                    " saturated, and the real one may be larger; log a slower motion"
                 )
     if not moving:
         raise InvalidReference(f"{record.name}: no position changes by a millimetre or a milliradian: nothing moves")
-
-
-def _unit(scene: Scene, label: str) -> str:
-    return next(quantity.unit for quantity in scene.model().inputs if quantity.name == label)

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.effects.position_loops import is_position, reported
 from servocore.model.quantity import Quantity
+from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
-from servocore.problem import ResolvedSystem
+from servocore.numerics.vectorized import Vectorized
+from servocore.problem import ResolvedSystem, resolve
 from servocore.stepping.exact_evaluation import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
+FORCE = "force on "
+"""Begin of the name of a force that `released` adds along a coordinate."""
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
+
+class Predicted(NamedTuple):
     """Channels at N instants: inputs, then positions.
 
     Attributes
@@ -43,65 +48,80 @@ class Prediction:
     Attributes
     ----------
     resolved : ResolvedSystem
-        Without internal dynamics.
+        Without internal dynamics, as `released` returns it.
     measured : tuple of str
         Quantities that depend on the configuration alone.
     columns : tuple of int
         Of the parameters by which it is differentiated.
+    inputs : int
+        Number of inputs that a log has; the other ones of the system are forces of `released`, which are zero.
     """
 
     resolved: ResolvedSystem
     measured: tuple[str, ...]
     columns: tuple[int, ...]
+    inputs: int
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Inputs, then measured quantities."""
-        known = _positions(self.resolved)
+        known = reported(self.resolved.system)
         return (*self.resolved.system.inputs, *(known[name][0] for name in self.measured))
+
+    def wrapped(self, differences: Array, first: int = 0) -> Array:
+        """Return differences (N, channels from `first`) with those of angles between half a turn to both sides."""
+        turns = [quantity.wraps for quantity in self.quantities[first:]]
+        return np.where(turns, np.angle(np.exp(1j * differences)), differences)
 
     def __call__(self, jets: Array, p: Array) -> Predicted:
         """Return the channels for jets (N, orders, outputs) and all parameters."""
-        results = at_instants(_explicit(self.resolved, self.measured, True), jets=jets, p=p)
-        if not (results[3] < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
+        flat = jets.reshape(len(jets), -1).T
+        values, slopes, residual = _explicit(self.resolved, self.measured, self.columns)(flat, p)
+        if not (residual < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
             unknowns = at_instants(inversion(self.resolved.array).function, jets=jets, p=p)[0]
-            results = at_instants(_implicit(self.resolved, self.measured), unknowns, jets=jets, p=p)
-        count, channels = len(jets), len(self.quantities)
-        values, by_path, by_parameter = (each.reshape(channels, count, -1).transpose(1, 0, 2) for each in results[:3])
-        shaped = by_path.reshape(count, channels, jets.shape[1], jets.shape[2])
-        return Predicted(values[:, :, 0], shaped, by_parameter[:, :, list(self.columns)])
-
-    def values(self, jets: Array, p: Array) -> Array:
-        """Return the values alone (N, channels), at a fifth of the cost."""
-        results = at_instants(_explicit(self.resolved, self.measured, False), jets=jets, p=p)
-        if not (results[1] < LARGEST_RESIDUAL).all():
-            return self(jets, p).values
-        return results[0].T
+            values, slopes = _implicit(self.resolved, self.measured, self.columns)(unknowns, flat, p)
+        by_path, by_parameter = np.split(slopes.T.reshape(len(jets), -1, len(values)), [jets[0].size], axis=1)
+        shaped = by_path.reshape(*jets.shape, -1)
+        return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
 
 
 def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
     """Return the quantities that a log may measure beside the inputs, by name: those of the configuration alone."""
-    return {name: quantity for name, (quantity, _) in _positions(resolved).items()}
-
-
-def _positions(resolved: ResolvedSystem) -> dict[str, tuple[Quantity, ca.SX]]:
-    system = resolved.system
-    known = [
-        *system.observables.items(),
-        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
-        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
-    ]
-    others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
-    return {quantity.name: (quantity, each) for quantity, each in known if not ca.depends_on(each, others)}
+    known = reported(resolved.system)
+    return {name: quantity for name, (quantity, each) in known.items() if is_position(resolved.system, each)}
 
 
 def _channels(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
-    known = _positions(resolved)
+    known = reported(resolved.system)
     return reading(resolved, [resolved.system.u, *(known[name][1] for name in measured)])
 
 
 @made_once
-def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], derivatives: bool) -> ca.Function:
+def released(resolved: ResolvedSystem) -> ResolvedSystem:
+    """Return a system without internal dynamics: coordinates that the output leaves free are outputs of their own.
+
+    A force acts along each of them, which a log knows to be zero. So the equations of the internal dynamics are
+    channels as the inputs are, and their states are on the path: no initial values, no stability.
+    """
+    system, n = resolved.system, len(resolved.system.coordinates)
+    free = sorted({k for k, _ in resolved.array.states if k < n})
+    if not free:
+        return resolved
+    known = [system.coordinates.quantities[k] for k in free]
+    forces = tuple(Quantity(f"{FORCE}{each.name}") for each in known)
+    paths, guess, start = reference_symbols(len(free)), ca.SX(system.guess), system.home_configuration()[0][free]
+    guess[free] = paths[:, 0]
+    extended = replace(
+        system, inputs=(*system.inputs, *forces), u=ca.vertcat(system.u, ca.SX.sym("force", len(free))),
+        outputs=(*system.outputs, *known), output=ca.vertcat(system.output, system.q[free]),
+        input_matrix=ca.vertcat(system.input_matrix, -ca.SX.eye(n)[free, :]), guess=guess,
+        gamma=ca.vertcat(system.gamma, paths), home=(*system.home, *start.tolist()),
+    )  # fmt: skip
+    return resolve(extended, extended.home_parameters)
+
+
+@made_once
+def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
     """Compile (gamma, p) -> channels, derivatives and the residual, by the guess of the model where that is exact.
 
     The residual is infinite for a model whose inversion is no expression.
@@ -115,20 +135,19 @@ def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], derivatives: 
     else:
         unknowns, _, residual = expression(gamma, p)
         channels = read(unknowns, gamma, p)
-    slopes = [ca.jacobian(channels, by) for by in (ca.vec(gamma), p)] if derivatives else []
-    results = [channels, *slopes, residual]
-    return ca.Function("sc_channels", [gamma, p], [ca.densify(each) for each in results], {"cse": True})
+    slopes = ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))
+    results = [ca.densify(each) for each in (channels, slopes, residual)]
+    function = ca.Function("sc_channels", [gamma, p], results, {"cse": True})
+    return Vectorized(function, (True, False), None, system.name)
 
 
 @made_once
-def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Function:
+def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
     """Compile (unknowns of the derivative array, gamma, p) -> the same, by the implicit function theorem."""
     array, system = resolved.array, resolved.system
-    if array.states:
-        raise InvalidModel(f"{system.name} has internal dynamics: its inputs do not follow from its path alone")
     read = _channels(resolved, measured)
     column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
-    given = ca.vertcat(ca.vec(gamma), system.p)
+    given = ca.vertcat(ca.vec(gamma), system.p[list(columns)])
     channels = read(column, gamma, system.p)
     terms = ca.Function(
         "sc_terms",
@@ -138,7 +157,5 @@ def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...]) -> ca.Functio
     symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
     values, by_unknowns, by_given, J, right = terms(*symbols)
     total = by_given - ca.mtimes(by_unknowns, ca.solve(J, right, "qr"))
-    count = gamma.numel()
-    return ca.Function(
-        "sc_channels", symbols, [ca.densify(each) for each in (values, total[:, :count], total[:, count:])]
-    )
+    function = ca.Function("sc_channels", symbols, [ca.densify(each) for each in (values, total)])
+    return Vectorized(function, (True, True, False), False, system.name)

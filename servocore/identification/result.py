@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -10,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.effects.position_loops import PositionLoops
-from servocore.errors import InvalidSetting, ServocoreWarning, require_kind
+from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import csv_text
 from servocore.identification.fit import Converged, Fit, persistence, used
 from servocore.identification.information import showing
 from servocore.identification.stray import Stray, strayed
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.references.base import Reference
 
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
@@ -69,8 +69,7 @@ class Identified:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the values, shape (parameters, parameters)."""
-        scales = self.fit.scales
-        return self._relative * np.outer(scales, scales)
+        return self._relative * np.outer(self.fit.scales, self.fit.scales)
 
     @property
     def _relative(self) -> Array:
@@ -80,19 +79,8 @@ class Identified:
     @property
     def correlation(self) -> Array:
         """Correlation of the values, shape (parameters, parameters)."""
-        sizes = np.sqrt(np.diag(self.covariance))
-        correlation: Array = np.asarray(self.covariance / np.outer(sizes, sizes), dtype=np.float64)
-        return correlation
-
-    @property
-    def believed(self) -> dict[str, float]:
-        """Values that the scene had, by name."""
-        return dict(zip(self.names, self.fit.center.tolist(), strict=True))
-
-    @property
-    def uncertainties(self) -> dict[str, float]:
-        """Their relative standard uncertainties by name."""
-        return dict(zip(self.names, (self.fit.spread / self.fit.scales).tolist(), strict=True))
+        sizes = list(self.standard_errors.values())
+        return self.covariance / np.outer(sizes, sizes)
 
     @property
     def prior_share(self) -> dict[str, float]:
@@ -116,14 +104,14 @@ class Identified:
 
     @property
     def _inputs(self) -> tuple[str, ...]:
-        return tuple(quantity.name for quantity in self.fit.prediction.resolved.system.inputs)
+        return tuple(quantity.name for quantity in self.based_on.model().inputs)
 
     @cached_property
     def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
         """Of each stretch: residuals, which of them count, and their weights."""
         parts = []
         for k, (data, weight) in enumerate(zip(self.fit.stretches, self.estimate.weights, strict=True)):
-            residual, _ = self.fit.residuals(self.estimate.state, k, self.fit.values(self.estimate.state, k))
+            residual, _ = self.fit.residuals(self.estimate.state, k)
             parts.append((residual, used(data, weight.factors), weight.factors))
         return parts
 
@@ -180,21 +168,16 @@ class Identified:
 
         Parameters of effects that vanish where the effect does; beyond 2.8 the logs ask for the effect.
         """
-        found = {}
+        found, theta, declared = {}, self.estimate.state.theta, self.based_on.effects.parameters
         precision = np.diag((self.fit.scales / self.fit.spread) ** 2)
-        count = len(self.names)
-        information = np.linalg.inv(self._relative) - precision
-        declared = self.based_on.effects.parameters
-        center = self.fit.center / self.fit.scales
         for k, name in enumerate(self.names):
             if name not in declared or declared[name].lower != 0.0:
                 continue
-            free = information + precision * (np.arange(count) != k)
-            free[k, k] = max(free[k, k], 1e-12)
+            free = np.linalg.inv(self._relative)
+            free[k, k] = max(free[k, k] - precision[k, k], 1e-12)
             inverse = np.linalg.inv(free)
-            theta = self.estimate.state.theta
-            alone = theta + inverse[:, k] * precision[k, k] * (theta[k] - center[k])
-            found[name] = float(alone[k] / np.sqrt(inverse[k, k]))
+            alone = theta[k] + inverse[k, k] * precision[k, k] * (theta[k] - self.fit.center[k] / self.fit.scales[k])
+            found[name] = float(alone / np.sqrt(inverse[k, k]))
         return found
 
     def scene(self) -> Scene:
@@ -223,10 +206,19 @@ class Identified:
         -------
         Stray
             ``total``, and ``by_parameters``, what their uncertainty contributes.
+
+        Raises
+        ------
+        InvalidModel
+            If the scene has internal dynamics.
         """
         require_kind(path, Reference, "the path of stray", "a Reference", InvalidSetting)
-        m, parts = self.fit.inputs, self.residuals
-        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs[:m]])
+        if not Problem.of(self.based_on).flat:
+            raise InvalidModel(
+                f"{self.based_on.name} has internal dynamics: how far it goes off a path is not computed"
+            )
+        parts = self.residuals
+        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs])
         return strayed(self.scene(), self.names, self.covariance, path, self.loops, (parts["time"], slow))
 
     @cached_property
@@ -234,28 +226,21 @@ class Identified:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
         for name, (persistent, correlated) in self.whiteness.items():
-            residual = self.residuals[name]
-            size = float(np.sqrt(np.nanmean(residual**2)))
             if persistent > _PERSISTENT or correlated > _CORRELATED:
+                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
                 found.append(
                     f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
                     f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
                 )
-        for name, value, center, spread, error in zip(
-            self.names,
-            self.values.values(),
-            self.fit.center,
-            self.fit.spread,
-            self.standard_errors.values(),
-            strict=True,
-        ):
-            if abs(value - center) > _FAR * float(np.hypot(spread, error)):
-                found.append(f"{name} = {value:.4g} is far from the believed {center:.4g}")
+        spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
+        for k in np.flatnonzero(np.abs(list(self.values.values()) - self.fit.center) > _FAR * spreads):
+            name = self.names[k]
+            found.append(f"{name} = {self.values[name]:.4g} is far from the believed {self.fit.center[k]:.4g}")
         return tuple(found)
 
     @cached_property
     def verdict(self) -> str:
-        """What the result is good for, in sentences."""
+        """Quality of the result, in sentences."""
         lines = list(self.doubts) or ["the model explains the logs: the residuals of the inputs are noise"]
         lines += [f"not shown by the logs: {each}" for each in self.unidentifiable]
         for k, job in enumerate(self.jobs):
@@ -265,11 +250,6 @@ class Identified:
                 f" {stray.by_parameters:.2g} mm are due to parameters"
             )
         return "; ".join(lines)
-
-    def warn(self) -> None:
-        """Issue the doubts as a warning."""
-        if self.doubts:
-            warnings.warn("; ".join(self.doubts), ServocoreWarning, stacklevel=3)
 
     def parameter_file(self) -> str:
         """Return the estimates as a TOML file that commands read with ``--parameters``; standard errors as comments.
@@ -297,15 +277,24 @@ class Identified:
         """
         return csv_text(list(self.names), [self.covariance])
 
-    def __str__(self) -> str:
-        width = max(map(len, self.names))
-        lines = [f"{'parameter':<{width}}  {'believed':>10}  {'identified':>10}  {'±':>8}  prior"]
-        rows = zip(self.names, self.fit.center, self.values.values(), self.standard_errors.values(), strict=True)
-        for name, center, value, error in rows:
-            lines.append(
-                f"{name:<{width}}  {center:>10.4g}  {value:>10.4g}  {error:>8.2g}  {self.prior_share[name]:.0%}"
+    @property
+    def table(self) -> list[tuple[str, ...]]:
+        """Rows of texts with a header: values before and after with standard errors, and the share of the former."""
+        before, after = (
+            [f"{value:.4g} ± {error:.2g}" for value, error in zip(values, errors, strict=True)]
+            for values, errors in (
+                (self.fit.center, self.fit.spread),
+                (self.values.values(), self.standard_errors.values()),
             )
-        return "\n".join([*lines, f"verdict: {self.verdict}"])
+        )
+        shares = [f"{share:.0%}" for share in self.prior_share.values()]
+        head = ("parameter", "believed", "identified", "from what was believed")
+        return [head, *zip(self.names, before, after, shares, strict=True)]
+
+    def __str__(self) -> str:
+        widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
+        rows = ("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)) for row in self.table)
+        return "\n".join([*map(str.rstrip, rows), f"verdict: {self.verdict}"])
 
 
 def _combined(names: tuple[str, ...], direction: Array) -> str:
@@ -318,5 +307,4 @@ def _combined(names: tuple[str, ...], direction: Array) -> str:
 
 
 def _smoothed(residual: Array) -> Array:
-    known = np.nan_to_num(residual)
-    return np.convolve(known, np.ones(_SLOW) / _SLOW, mode="same")
+    return np.convolve(np.nan_to_num(residual), np.ones(_SLOW) / _SLOW, mode="same")

@@ -63,8 +63,7 @@ class PathSpline:
     def jets(self, coefficients: Array) -> Array:
         """Return the path and its derivatives (N, orders, components) from coefficients (count, components)."""
         local = coefficients[self.interval[:, None] + np.arange(self.degree + 1)]
-        jets: Array = self.basis @ local
-        return jets
+        return np.asarray(self.basis @ local, dtype=np.float64)
 
     def normal(self, by_path: Array, residual: Array, nuisance: Array) -> tuple[Array, Array]:
         """Return the normal equations of the coefficients: bands, and right-hand sides of residual and nuisance.
@@ -86,13 +85,16 @@ class PathSpline:
             Products of the Jacobian with the residual and with the nuisance.
         """
         local = np.einsum("ncko,nkj->ncjo", by_path, self.basis).reshape(*residual.shape, -1)
-        other = np.concatenate([residual[:, :, None], nuisance], axis=2)
-        first = np.unique(self.interval, return_index=True)
-        products = np.add.reduceat(local.transpose(0, 2, 1) @ np.concatenate([local, other], axis=2), first[1])
+        rows = np.concatenate([local, residual[:, :, None], nuisance], axis=2)
+        # All instants of an interval act on the same coefficients: one product an interval.
+        used, first, own = np.unique(self.interval, return_index=True, return_inverse=True)
+        blocks = np.zeros((len(used), int(np.bincount(own).max()), *rows.shape[1:]))
+        blocks[own, np.arange(len(rows)) - first[own]] = rows
+        blocks = blocks.reshape(len(used), -1, rows.shape[2])
         size, unknowns = local.shape[2], self.count * self.components
-        band, right = np.zeros((size, unknowns)), np.zeros((unknowns, other.shape[2]))
-        begin = first[0] * self.components
-        i, k = np.tril_indices(size)
-        np.add.at(band, (np.broadcast_to(i - k, (len(begin), len(i))), begin[:, None] + k), products[:, i, k])
-        np.add.at(right, begin[:, None] + np.arange(size), products[:, :, size:])
+        products = blocks[:, :, :size].transpose(0, 2, 1) @ blocks
+        band, right = np.zeros((size, unknowns)), np.zeros((unknowns, rows.shape[2] - size))
+        begin, (i, k) = used[:, None] * self.components, np.tril_indices(size)
+        np.add.at(band, (np.broadcast_to(i - k, (len(used), len(i))), begin + k), products[:, i, k])
+        np.add.at(right, begin + np.arange(size), products[:, :, size:])
         return band, right

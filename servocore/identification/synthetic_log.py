@@ -12,11 +12,10 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, chained
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.forward_dynamics import forward_rate
+from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
 
 _CYCLE = 1e-3  # s: of the drives
 _FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
-_CHUNK = 500  # cycles in one call
 _HELD = 0.01  # of the unit of a position: the input that the loop adds for it is within the range of its sensor
 
 
@@ -95,7 +94,8 @@ def measured(
         late = np.interp(t[at] - delay, t, u)
         columns[name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
     for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
-        columns[name] = _quantized(np.unwrap(y[at]) if name in wrapping else y[at], resolution)
+        seen = np.unwrap(y[at]) if name in wrapping else y[at]
+        columns[name] = np.round(seen / resolution) * resolution if resolution else seen.copy()
     for name in names:
         _spoil(columns[name], outliers, missing, random)
     return columns
@@ -109,32 +109,21 @@ def _spoil(column: Array, outliers: float, missing: float, random: np.random.Gen
     column[random.random(len(column)) < missing] = np.nan
 
 
-def _quantized(y: Array, resolution: float) -> Array:
-    return np.round(y / resolution) * resolution if resolution else y.copy()
-
-
 def _driven(
     scene: Scene, plant: Scene, loops: PositionLoops, drives: tuple[str, ...], resolution: float
 ) -> tuple[Array, Array, Array, tuple[str, ...], Array]:
     """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, the names of both, and gains."""
     problem, moved = Problem.of(scene), Problem.of(plant.with_reference(scene.reference))
     of_model, of_plant = drives or scene.effects.measured, drives or plant.effects.measured
-    duration = problem.reference.duration
-    count = int(np.ceil(duration / _CYCLE)) + 1
+    count = int(np.ceil(problem.reference.duration / _CYCLE)) + 1
     motion, still = inverted(problem, of_model, count), at_rest(moved, of_plant)
     gains = gains_of(problem.system, of_model, motion.end, problem.p, loops)
     cycle, read = _cycle(moved.resolved, of_plant)
     zero = np.asarray(read(still.start)).ravel()
     given = np.column_stack([motion.inputs, motion.positions + zero, motion.rates])
-    given = np.concatenate([given, np.repeat(given[-1:], -count % _CHUNK, axis=0)])
     held = [moved.p, np.concatenate([gains.position, gains.rate]), np.array([max(resolution, 1e-12)])]
-    state, logged = np.concatenate([still.start, zero]), []
-    for k in range(0, len(given), _CHUNK):
-        block = [np.tile(argument[:, None], _CHUNK) for argument in held]
-        states, values = chained(cycle, _CHUNK)(state, given[k : k + _CHUNK].T, *block)
-        state = states[:, -1]
-        logged.append(values.T)
-    rows = np.concatenate(logged)[:count]
+    tiled = (np.tile(argument[:, None], count) for argument in held)
+    rows = chained(cycle, count)(np.concatenate([still.start, zero]), given.T, *tiled)[1].T
     if not np.isfinite(rows).all():
         raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")
     m = len(problem.system.inputs)
@@ -160,20 +149,12 @@ def _cycle(resolved: ResolvedSystem, measured_: tuple[str, ...]) -> tuple[ca.Fun
     position = read(x)
     seen = quantum * ca.floor(position / quantum + 0.5)
     ahead, moved = wanted[m : 2 * m] - seen, seen - slow
-    turn = [quantity.wraps for quantity in quantities]
-    ahead, moved = (
-        ca.vertcat(*(ca.atan2(ca.sin(d[k]), ca.cos(d[k])) if turn[k] else d[k] for k in range(m)))
-        for d in (ahead, moved)
-    )
+    for k in (k for k, quantity in enumerate(quantities) if quantity.wraps):
+        ahead[k], moved[k] = (ca.atan2(ca.sin(d[k]), ca.cos(d[k])) for d in (ahead, moved))
     u = wanted[:m] + gains[:m] * ahead + gains[m:] * (wanted[2 * m :] - _FILTER * moved / _CYCLE)
     after = x
     for _ in range(2):
-        h = _CYCLE / 2
-        first = rate(after, u, ca.DM.zeros(m), p)[0]
-        second = rate(after + h / 2 * first, u, ca.DM.zeros(m), p)[0]
-        third = rate(after + h / 2 * second, u, ca.DM.zeros(m), p)[0]
-        fourth = rate(after + h * third, u, ca.DM.zeros(m), p)[0]
-        after = after + h / 6 * (first + 2 * second + 2 * third + fourth)
+        after = runge_kutta(lambda at, _: rate(at, u, ca.DM.zeros(m), p)[0], after, ca.MX(_CYCLE / 2))
     logged = ca.vertcat(u, position)
     return ca.Function(
         "sc_cycle", [state, wanted, p, gains, quantum], [ca.vertcat(after, slow + _FILTER * moved), logged]

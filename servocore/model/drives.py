@@ -31,7 +31,7 @@ _BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls
 _SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
 
 _MOST = 1e9
-_DATA = (  # neutral values as defaults: what is not given is no parameter of the model
+_DATA = (  # neutral values as defaults: data that are not given are no parameters of the model
     Parameter("ratio", 1.0, "1", 1e-6, _MOST, "speed of the motor by that of the drum, wheel or bridge"),
     Parameter("rope_falls", 1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum"),
     Parameter("drum_radius", 1.0, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force"),
@@ -205,7 +205,7 @@ def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalS
     for name, drive in drives.items():
         k = _place(system, name, drive)
         B, p = system.input_matrix[k, :], _Data(name, parameters)
-        rate, n = -ca.mtimes(B, v), p["ratio"] * p["rope_falls"] / p["drum_radius"]
+        rate, n = -ca.mtimes(B, v), p.transmission
         taken = ca.SX(0)
         if p.gives("motor_inertia"):
             # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
@@ -218,7 +218,7 @@ def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalS
             force += B.T * friction
             taken += friction
         left[k] -= taken
-        observables |= _observed(name, drive, p, system.u[k] / n, n * rate, ca.tanh(rate / CREEP))
+        observables |= _observed(name, drive, p, system.u[k], n * rate)
     # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
     known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
     return replace(
@@ -264,16 +264,22 @@ class _Data:
         """Whether it is given."""
         return f"{self._name}.{data}" in self._parameters.names
 
+    @property
+    def transmission(self) -> ca.SX:
+        """n, the speed of the motor by the rate of the input."""
+        return self["ratio"] * self["rope_falls"] / self["drum_radius"]
+
     def __getitem__(self, data: str) -> ca.SX:
         if self.gives(data):
             return self._parameters[f"{self._name}.{data}"]
         return ca.SX(next(each.default for each in _DATA if each.name == data))
 
 
-def _observed(name: str, drive: Drive, p: _Data, torque: ca.SX, speed: ca.SX, driving: ca.SX) -> dict[Quantity, ca.SX]:
-    """Return what the motor does; `driving` is the smooth sign of the speed."""
+def _observed(name: str, drive: Drive, p: _Data, u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
+    """Return torque, speed, power and reserve of the motor under an input, by its speed."""
+    torque = u / p.transmission
     if p.gives("efficiency"):  # tau / eta where the motor drives, tau eta where the load does
-        more, less = 1 / p["efficiency"], p["efficiency"]
+        more, less, driving = 1 / p["efficiency"], p["efficiency"], ca.tanh(speed / p.transmission / CREEP)
         torque = (more + less) / 2 * torque + (more - less) / 2 * _size(torque, _SLIGHT) * driving
     known = {
         Quantity(f"{name}.motor_torque", "N.m", f"torque of the motor of {name}"): torque,
@@ -287,6 +293,19 @@ def _observed(name: str, drive: Drive, p: _Data, torque: ca.SX, speed: ca.SX, dr
         used = _size(torque, _SMOOTH * max(most for _, most in drive.corners))
         known[Quantity(f"{name}.torque_reserve", "N.m", about)] = largest_torque(drive, speed) - used
     return known
+
+
+def motors(system: MechanicalSystem, drives: Mapping[str, Drive], outputs: Sequence[Quantity]) -> ca.Function:
+    """Return (outputs, p) -> outputs, the quantities of the motors being those of the inputs among them.
+
+    For inputs that a feedback has changed: speeds are those of the motion that it follows.
+    """
+    given = ca.SX.sym("outputs", len(outputs))
+    known = dict(zip((each.name for each in outputs), ca.vertsplit(given), strict=True))
+    for name, drive in drives.items():
+        found = _observed(name, drive, _Data(name, system.parameters), known[name], known[f"{name}.motor_speed"])
+        known |= {quantity.name: expression for quantity, expression in found.items()}
+    return ca.Function("motors", [given, system.p], [ca.vertcat(*known.values())], {"cse": True})
 
 
 def _size(value: ca.SX, rounding: float) -> ca.SX:

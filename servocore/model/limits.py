@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidSetting
-from servocore.model.quantity import Quantity
+from servocore.model.quantity import Quantity, RunQuantity, run_quantities
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.model.units import in_unit, unit_of
@@ -54,6 +54,8 @@ class Limit:
         Whether the limit is one of the expression's rate of change; `unit` is then that of the rate.
     given_in : str
         Unit of values in messages, such as ``deg``; `unit` when empty.
+    over_run : RunQuantity, optional
+        What a whole run adds up, if the limit is on that; the expression is then the one that is integrated.
     """
 
     quantity: str
@@ -65,6 +67,7 @@ class Limit:
     upper: float = math.inf
     rate: bool = False
     given_in: str = ""
+    over_run: RunQuantity | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.expression):
@@ -122,7 +125,7 @@ class Limit:
         expression = as_expression(evaluate(*arguments), whose)
         if expression.shape != (1, 1):
             raise InvalidModel(f"{whose} has shape {expression.shape}, not (1, 1)")
-        return expression
+        return expression if self.over_run is None else self.over_run.integrand(expression)
 
 
 def _arguments(function: Callable[..., Any]) -> int:
@@ -168,9 +171,11 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
     InvalidSetting
         If no quantity has that name, or the bounds are invalid.
     """
-    known = reported_quantities(system)
+    known = dict(reported_quantities(system))
+    of_run = {each.quantity.name: each for each in run_quantities(known.values())}
+    known |= {each: of_run[each].quantity for each in of_run}
     of = name if name in known else name.removesuffix(RATE)
-    if of not in known:
+    if of not in known or (of in of_run and of != name):
         raise InvalidSetting(
             f"{system.name} reports nothing called {name} that could have a limit; there are {', '.join(known)}, and"
             f" the rate of each with {RATE} behind its name"
@@ -200,7 +205,9 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
     texts = [each for each in (bounds if isinstance(bounds, tuple | list) else [bounds]) if isinstance(each, str)]
     given_in = next(filter(None, map(unit_of, texts)), "")
-    return Limit(name, unit, lower, "", Named(of), upper=upper, rate=rate, given_in=given_in)
+    over_run = of_run.get(of)
+    expression = Named(over_run.of if over_run else of)
+    return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in, over_run=over_run)
 
 
 def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:

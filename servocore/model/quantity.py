@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-_POWER = ".power"
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,43 @@ class Quantity:
         return "on another branch of the equations than the one wanted"
 
 
-def energies_of(quantities: Iterable[Quantity]) -> dict[str, Quantity]:
-    """Return the energies (J) that solutions report beside powers (W), by the names of the latter.
+@dataclass(frozen=True)
+class RunQuantity:
+    """A quantity of a whole run: the integral of a reported quantity from the start on, or the root of its mean square.
 
-    That of ``NAME.power`` is ``NAME.energy``.
+    Parameters
+    ----------
+    quantity : Quantity
+        Name and unit.
+    of : str
+        Name of the reported quantity.
+    rms : bool
+        Whether it is the root of the mean square.
     """
-    return {
-        each.name: Quantity(f"{each.name.removesuffix(_POWER)}.energy", "J", f"integral of {each.name} over the time")
-        for each in quantities
-        if each.name.endswith(_POWER) and each.unit == "W"
-    }
+
+    quantity: Quantity
+    of: str
+    rms: bool
+
+    def integrand(self, value: Any) -> Any:
+        """Return the integrand, from the reported quantity."""
+        return value**2 if self.rms else value
+
+    def of_sum(self, total: Any, duration: float) -> Any:
+        """Return it from the integral of the quantity, or of its square, over a duration in s."""
+        return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
+
+
+def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
+    """Return the energy ``NAME.energy`` (J) of every power and ``NAME.rms_torque`` of every torque of a motor."""
+    found = []
+    for each in quantities:
+        name, _, kind = each.name.rpartition(".")
+        if (kind, each.unit) == ("power", "W"):
+            energy = Quantity(f"{name}.energy", "J", f"integral of {each.name} over the time")
+            found.append(RunQuantity(energy, each.name, rms=False))
+        elif (kind, each.unit) == ("motor_torque", "N.m"):
+            text = f"root of the mean square of {each.name} since the start"
+            torque = Quantity(f"{name}.rms_torque", "N.m", text, nonnegative=True)
+            found.append(RunQuantity(torque, each.name, rms=True))
+    return tuple(found)

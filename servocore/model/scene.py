@@ -252,7 +252,8 @@ class Scene:
 
         Reflected inertia and friction join the equations; inputs keep name, place and unit, and are the motor's torque
         times its transmission. Observables ``NAME.motor_torque``, ``.motor_speed``, ``.power``, ``.current`` and
-        ``.torque_reserve`` are reported beside them, and the data of the drives are parameters, ``NAME.motor_inertia``.
+        ``.torque_reserve`` are reported beside them, and ``.energy`` and ``.rms_torque`` of the run up to each instant;
+        the data of the drives are parameters, ``NAME.motor_inertia``.
         The scene has no closed form then.
 
         Parameters
@@ -308,7 +309,8 @@ class Scene:
         **bounds : float, str or pair
             By the name of an input, an observable, an output or a coordinate, or that name and ``.rate``. One number is
             the largest magnitude, an upper bound if the quantity is never negative; a pair is a lower and an upper
-            bound, None for none. A text has its unit, ``5 deg``. None removes the limit.
+            bound, None for none. A text has its unit, ``5 deg``. None removes the limit. Those of ``M_b.energy`` and
+            ``M_b.rms_torque``, of drives, are on their values at the end of a run.
 
         Returns
         -------
@@ -331,7 +333,7 @@ class Scene:
         model = self.model()
         new_limits = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
         same = {
-            limit.expression.name + RATE * limit.rate: limit
+            limit.over_run.quantity.name if limit.over_run else limit.expression.name + RATE * limit.rate: limit
             for limit in self.limits
             if isinstance(limit.expression, Named)
         }

@@ -42,7 +42,9 @@ class Rows:
     moving : tuple of bool
         Whether each may depend on more than the place.
     local : casadi.Function
-        (gamma, unknowns, p) -> rows, equations that are zero.
+        (gamma, unknowns, p) -> rows, equations that are zero, integrands of `totals`.
+    totals : tuple of Limit
+        Those of what the whole law adds up.
     start : casadi.Function
         (gamma, p) -> these unknowns; none where a formula gives the motion from the path.
     """
@@ -54,6 +56,7 @@ class Rows:
     lower: Array
     moving: tuple[bool, ...]
     local: ca.Function
+    totals: tuple[Limit, ...]
     start: ca.Function
 
     @property
@@ -101,7 +104,8 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     InvalidModel
         If a limit is on the rate of something that is differentiated already.
     """
-    return _compile_rows(problem.resolved, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
+    limits = problem.limits, problem.run_limits
+    return _compile_rows(problem.resolved, *limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
 
 def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0.0) -> None:
@@ -203,9 +207,13 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
 
 @made_once
 def _compile_rows(
-    resolved: ResolvedSystem, limits: tuple[Limit, ...], rest: tuple[float, ...], p: tuple[float, ...]
+    resolved: ResolvedSystem,
+    local: tuple[Limit, ...],
+    totals: tuple[Limit, ...],
+    rest: tuple[float, ...],
+    p: tuple[float, ...],
 ) -> Rows:
-    system, gamma = resolved.system, resolved.system.gamma
+    system, gamma, limits = resolved.system, resolved.system.gamma, (*local, *totals)
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     by_formula = _is_explicit(resolved, np.array(rest), np.array(p))
@@ -214,23 +222,25 @@ def _compile_rows(
     still = np.zeros((len(rest), order + 1))
     still[:, 0] = rest
     given = [gamma[:, : order + 1], system.p]
-    values = _of_path(given, motion.values, motion)
+    own, integrands = motion.values[: len(local)], motion.values[len(local) :]
+    values = _of_path(given, own, motion)
     at_rest = np.asarray(values(still, p)).ravel()
     rows, lower = [], []
-    for limit, value, here, tip in zip(limits, motion.values, at_rest, tips, strict=True):
+    for limit, value, here, tip in zip(local, own, at_rest, tips[: len(local)], strict=True):
         row, low = _row(limit, value, float(here), tip)
         rows.append(row)
         lower.append(low)
-    arguments, results = [given[0], motion.unknowns, given[1]], [ca.densify(ca.vertcat(*rows)), motion.equations]
-    local = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
-    moving = tuple(not by_formula or highest_derivative(value, gamma) > 0 for value in motion.values)
+    arguments = [given[0], motion.unknowns, given[1]]
+    results = [ca.vertcat(ca.SX(0, 1), *rows), motion.equations, ca.vertcat(ca.SX(0, 1), *integrands)]
+    rows_here = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
+    moving = tuple(not by_formula or highest_derivative(value, gamma) > 0 for value in own)
     function, start = _of_path(given, rows, motion), _start(given, motion)
-    return Rows(limits, function, values, order, np.array(lower), moving, local, start)
+    return Rows(local, function, values, order, np.array(lower), moving, rows_here, totals, start)
 
 
 def _of_path(given: list[ca.SX], expressions: Sequence[ca.SX], motion: _Motion) -> ca.Function:
     """Compile (gamma, p) -> expressions, of unknowns as well that are searched for."""
-    values = [ca.densify(ca.vertcat(*expressions))]
+    values = [ca.densify(ca.vertcat(ca.SX(0, 1), *expressions))]
     if not motion.unknowns.numel():
         return ca.Function("sc_rows", given, values, {"cse": True})
     gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))

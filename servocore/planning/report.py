@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from servocore.certificate.certify import certify
 from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import limited_values, motion_limits
+from servocore.checks.motion_limits import limited_values, motion_limits, run_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
@@ -221,7 +221,11 @@ def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]
     """Return the largest excess over a limit at instants, that limit, and the active constraints."""
     limits, path = motion_limits(problem), problem.reference
     t = np.linspace(path.start_time, path.end_time, instants)
-    values = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
+    states = exact_states(problem, prepared_table(problem))
+    values = limited_values(problem, states, t)
+    if problem.run_limits:
+        limits += problem.run_limits
+        values = np.vstack([values, np.repeat(run_values(problem, states, t)[:, None], len(t), axis=1)])
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):

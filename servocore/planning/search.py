@@ -62,10 +62,10 @@ def planned(
         If no start leads to one, with the status of the solver from each.
     """
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
-    free = np.zeros((len(task.upper), half.intervals * _CHECKS))
+    free = np.zeros((len(task.upper), half.intervals * _CHECKS)), np.full(len(task.totals), EXCESS)
     failures = []
     for name, start in begun:
-        coarse = half.solve(start, free, progress)
+        coarse = half.solve(start, *free, progress)
         if not coarse.solved:
             failures.append(f"{in_words(coarse.status)}, from the {name}")
             continue
@@ -97,15 +97,19 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
     task, m = program.task, program.checks
     finer = max(_FINER, -(-_FINEST // (program.intervals * m)))
     narrowed = np.zeros((len(task.upper), program.intervals * m))
+    less = np.full(len(task.totals), EXCESS)
     iterations, outcome = 0, Outcome(start, "not run", 0)
     for rounds in range(_ROUNDS):
-        outcome = program.solve(start, narrowed, progress)
+        outcome = program.solve(start, narrowed, less, progress)
         iterations += outcome.iterations
         if not outcome.solved:
             return outcome, iterations, rounds
         parts = np.linspace(0.0, 1.0, finer * m + 1)
-        over = task.excess(outcome.law.jets(parts)).reshape(len(task.upper), program.intervals, -1)
-        if over.max() <= EXCESS:
+        jets = outcome.law.jets(parts)
+        over = task.excess(jets).reshape(len(task.upper), program.intervals, len(parts))
+        once = np.append(np.arange(jets.shape[2] - 1) % len(parts) < len(parts) - 1, True)  # ends of intervals
+        beyond = task.over_all(jets[:, :, once], outcome.law.duration)
+        if over.max(initial=0.0) <= EXCESS and beyond.max(initial=0.0) <= 0.0:
             return outcome, iterations, rounds
         spans = np.stack([over[:, :, finer * j : finer * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)
         after = spans.reshape(len(task.upper), -1)
@@ -113,5 +117,6 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
         worst = np.maximum(after, before)
         # More would leave nothing between two bounds.
         narrowed = np.minimum(narrowed + np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0), _NARROWEST)
+        less = less + np.maximum(1.05 * beyond, 0.0)
         start = outcome.law
     return replace(outcome, status=_BETWEEN), iterations, _ROUNDS

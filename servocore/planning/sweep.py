@@ -18,17 +18,20 @@ import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import limited_values
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
+from servocore.model.quantity import run_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
 from servocore.planning.sweep_settings import DURATION, Slices, SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
+from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import prepared_table
+from servocore.solvers.branch_continuation import exact_states, prepared_table
 from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
@@ -94,9 +97,10 @@ def sweep(
     Returns
     -------
     xarray.Dataset
-        ``peak_NAME`` of every input and quantity of drives, ``margin_NAME`` of every limit (negative where it is
-        broken), ``swing`` where the model has it, and ``failure``: the message of a case that is not solved, with NaN
-        as its numbers. Units are attributes of the variables, settings those of the dataset.
+        ``peak_NAME`` of every input and quantity of drives, their energies and effective torques, ``margin_NAME`` of
+        every limit (negative where it is broken), ``swing`` where the model has it, and ``failure``: the message of a
+        case that is not solved, with NaN as its numbers. Units are attributes of the variables, settings those of the
+        dataset.
 
     Raises
     ------
@@ -175,7 +179,7 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
         if table is None:
             return work_of(problem, swept.limits, swept.inputs, native)
     rates = [limit.quantity for limit in swept.limits if limit.rate]
-    if rates:
+    if rates and not problem.flat:
         raise InvalidSetting(
             f"the cases of {problem.name} are solved one by one, where rates have no margin: {rates[0]}"
         )
@@ -227,7 +231,7 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
         own_path = swept.references[path]
         at = own_path.jet(np.linspace(own_path.start_time, own_path.end_time, swept.instants), order)
         jets[path] = np.ascontiguousarray(at.reshape(len(at), -1).T)
-    return Cases(jets, which, numbers)
+    return Cases(jets, which, numbers, np.array([reference.duration for reference in swept.references]))
 
 
 # Cases that fail, and cases one by one -------------------------------------------------------------------------------
@@ -277,11 +281,24 @@ def _one_by_one(swept: SweepSettings, blank: Any, block: Slices) -> dict[str, An
 def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
     """Return the results of a case from its solution, by variable."""
     peaks = {name: np.abs(solution[name]).max() for name in solution.names}
-    limits = [limit for limit in swept.limits if limit.quantity in solution]
+    values = {name: solution[name] for name in solution.names}
+    values |= {each.quantity.name: values[each.quantity.name][-1:] for each in run_quantities(solution.channels)}
+    if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
+        assert isinstance(solution.origin, Problem)
+        problem = replace(solution.origin, limits=tuple(limit for limit in swept.limits if not limit.over_run))
+        exact = limited_values(problem, exact_states(problem, prepared_table(problem)), solution.t)
+        values |= {limit.quantity: row for limit, row in zip(problem.limits, exact, strict=True)}
+    limits = [limit for limit in swept.limits if limit.quantity in values]
     margins = {
-        f"margin_{e.quantity}": min((solution[e.quantity] - e.bound).min(), (e.upper - solution[e.quantity]).min())
+        f"margin_{e.quantity}": min((values[e.quantity] - e.bound).min(), (e.upper - values[e.quantity]).min())
         for e in limits
     }
     inputs = {quantity.name: solution[quantity.name] for quantity in swept.problem.system.inputs}
     swing = {SWING: peaks[SWING]} if SWING in peaks else {}
-    return {**inputs, **{f"peak_{name}": peak for name, peak in peaks.items()}, **margins, **swing}
+    return {
+        **inputs,
+        **{name: each[-1] for name, each in values.items() if len(each) == 1},
+        **{f"peak_{name}": peak for name, peak in peaks.items()},
+        **margins,
+        **swing,
+    }

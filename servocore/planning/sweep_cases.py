@@ -17,7 +17,7 @@ import numpy.typing as npt
 from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit
-from servocore.model.quantity import Quantity
+from servocore.model.quantity import Quantity, run_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
@@ -53,6 +53,8 @@ class Work:
         the next ones have limits of these names between these bounds; the rows after them must be positive.
     turns : tuple of int
         Rows with angles that are known up to full turns: in limited rows their jumps are removed.
+    of_run : tuple of (int, bool)
+        Rows whose value is their integral over the time, or where marked the root of their mean.
     kept : bool
         Whether the inputs are kept at every instant.
     native : bool or None
@@ -66,6 +68,7 @@ class Work:
     peaks: tuple[str, ...]
     bounds: tuple[tuple[str, float, float], ...]
     turns: tuple[int, ...]
+    of_run: tuple[tuple[int, bool], ...]
     kept: bool
     native: bool | None
 
@@ -82,18 +85,25 @@ class Cases:
         Which path each has.
     numbers : ndarray, shape (cases, 1 + parameters)
         How many times as long as its path each takes, and values of the parameters.
+    durations : ndarray, shape (paths,)
+        Of the paths, in s.
     """
 
     jets: Mapping[int, Array]
     path: npt.NDArray[np.intp]
     numbers: Array
+    durations: Array
 
 
 def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
-    """Return the quantities whose peaks a sweep reports, by its variables: inputs, those of drives, and the swing."""
+    """Return the quantities that a sweep reports by their peaks, by its variables: inputs, those of drives, the swing.
+
+    Of energies and effective torques the value at the end is reported.
+    """
     of_drives = tuple(f"{quantity.name}." for quantity in system.inputs)
     named = (each for each in system.observables if each.name.startswith(of_drives))
     peaks = {f"peak_{each.name}": each for each in (*system.inputs, *named)}
+    peaks |= {each.quantity.name: each.quantity for each in run_quantities(peaks.values())}
     return peaks | {each.name: each for each in system.observables if each.name == SWING}
 
 
@@ -107,7 +117,9 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     """
     system = problem.system
     known = {quantity.name: (quantity, expression) for quantity, expression in observed(system)}
-    peaks = peaked(system)
+    peaks, of_run = peaked(system), {each.quantity.name: each.rms for each in run_quantities(system.observables)}
+    for each in run_quantities(quantity for quantity, _ in known.values()):
+        known[each.quantity.name] = each.quantity, each.integrand(known[each.of][1])
     wanted = [known[quantity.name] for quantity in peaks.values()]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
@@ -118,7 +130,9 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     turns = tuple(
         len(peaks) + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system)
     )
-    return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, kept, native)
+    named = [*peaks, *(limit.quantity for limit in limits)]
+    rows_of_run = tuple((k, of_run[name]) for k, name in enumerate(named) if name in of_run)
+    return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, rows_of_run, kept, native)
 
 
 def _in_time(function: ca.Function) -> ca.Function:
@@ -167,6 +181,10 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
                 continue
             rows = _rows(functions, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
+            for k, rms in work.of_run:
+                mean = np.trapezoid(rows[:, k], dx=1.0 / (rows.shape[2] - 1), axis=1)
+                value = np.sqrt(mean) if rms else mean * cases.numbers[some, 0] * cases.durations[path]
+                rows[:, k] = value[:, None]
             extremes[some] = extremes_of(rows)
             parts.append((some, rows[:, :m]))
     if functions.extremes is not None:
@@ -189,6 +207,7 @@ def _told(work: Work, extremes: Array) -> dict[str, Array]:
     solved = np.isfinite(extremes).all(axis=(1, 2)) & (lowest[:, first + len(work.bounds) :] > 0.0).all(axis=1)
     extremes[~solved] = np.nan
     answers = {name: np.maximum(highest[:, k], -lowest[:, k]) for k, name in enumerate(work.peaks)}
+    answers |= {work.peaks[k]: highest[:, k] for k, _ in work.of_run if k < first}
     for k, (name, low, high) in enumerate(work.bounds, first):
         answers[f"margin_{name}"] = np.minimum(lowest[:, k] - low, high - highest[:, k])
     return {**answers, "solved": solved.astype(float)}
@@ -221,6 +240,6 @@ def _rebuilt(work: Work) -> _Functions:
     """Return the functions of a work: made once in every process."""
     by_expression, by_newton = (ca.Function.deserialize(text) for text in (work.by_expression, work.by_newton))
     how = (by_expression, (True, False))
-    if work.kept or work.turns:
+    if work.kept or work.turns or work.of_run:
         return _Functions(Vectorized(*how, work.native, work.title), None, by_newton)
     return _Functions(Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), by_newton)

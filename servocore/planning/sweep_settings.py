@@ -219,7 +219,16 @@ def checked_settings(
     for path in paths:
         bounded.with_reference(path)  # refuses a path that does not fit the scene
     paths = paths or (bounded.reference,)  # that of the problem has the time beside it where equations hold it
-    return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, int(instants), bool(inputs))
+    return SweepSettings(
+        bounded,
+        model,
+        problem,
+        (*motion_limits(problem), *problem.run_limits),
+        grid,
+        paths,
+        int(instants),
+        bool(inputs),
+    )
 
 
 def settings_of(swept: SweepSettings) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
+from servocore.model.quantity import Quantity
 from servocore.planning.sweep_cases import SWING, peaked
 from servocore.planning.sweep_settings import CASE, DURATION, PATH, Slices, SweepSettings
 
@@ -49,10 +50,7 @@ def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
         values = np.broadcast_to(np.nan, (*grid.shape, *over_time))
         return (*dimensions, *[INSTANT] * len(over_time)), values, {"long_name": described, "units": unit}
 
-    variables = {
-        name: numbers("largest swing angle" if name == SWING else f"largest magnitude of {e.name}", e.unit)
-        for name, e in peaked(system).items()
-    }
+    variables = {name: numbers(_meaning(name, e), e.unit) for name, e in peaked(system).items()}
     for limit in swept.limits:
         least = f"least distance of {limit.quantity} from its limit"
         variables[f"margin_{limit.quantity}"] = numbers(least, limit.unit)
@@ -67,6 +65,12 @@ def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
     coordinates |= {name: np.arange(grid.dimensions[name]) for name in (PATH, CASE) if name in grid.dimensions}
     coordinates |= {INSTANT: (INSTANT, instants, {"units": "1"})} if swept.inputs else {}
     return xarray.Dataset(variables, coordinates, {_SETTINGS: json.dumps(settings)})
+
+
+def _meaning(name: str, quantity: Quantity) -> str:
+    if name == SWING:
+        return "largest swing angle"
+    return quantity.description if name == quantity.name else f"largest magnitude of {quantity.name}"
 
 
 def _placed(blank: Any, block: Slices, answers: Answers) -> Iterator[tuple[str, Any]]:

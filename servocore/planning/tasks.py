@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken, ServocoreError
-from servocore.model.limits import limit_named, reported_quantities
+from servocore.model.limits import Limit, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.curves import along, slopes_at, through_points
@@ -20,7 +20,7 @@ from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
 from servocore.planning.time_laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
-from servocore.planning.transcription import Inner, Task
+from servocore.planning.transcription import Inner, Task, totals_of
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
 from servocore.references.piecewise import PiecewisePolynomial
@@ -77,7 +77,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; it has no plan")
     if first.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, and it has no plan")
-    if not any(not limit.of_path for limit in first.limits):
+    if not (first.run_limits or any(not limit.of_path for limit in first.limits)):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return problems
 
@@ -150,29 +150,37 @@ def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int,
 
 @dataclass(frozen=True)
 class _Kept:
-    """Rows of all corners with their lower bounds; unknowns beside the path, equations, and jets -> these unknowns."""
+    """Rows of all corners with their lower bounds; unknowns beside the path, equations, and jets -> these unknowns.
+
+    And the limits of what the law adds up, with the expressions that are integrated.
+    """
 
     rows: list[ca.SX]
     lower: list[Array]
     unknowns: ca.SX
     equations: list[ca.SX]
     start: ca.Function
+    totals: list[Limit]
+    integrands: list[ca.SX]
 
 
 def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    expressions, lower, symbols, equations, begun = [], [], [], [], []
+    expressions, lower, symbols, equations, begun, integrands = [], [], [], [], [], []
+    totals = list[Limit]()
     for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
         here = gamma[:, : rows.order + 1]
         symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
-        values, zero = rows.local(here, symbols[-1], corner.p)
+        values, zero, integrated = rows.local(here, symbols[-1], corner.p)
         equations.append(zero)
+        integrands.append(integrated)
+        totals += rows.totals
         begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
     start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])
-    return _Kept(expressions, lower, ca.vertcat(*symbols), equations, start)
+    return _Kept(expressions, lower, ca.vertcat(*symbols), equations, start, totals, integrands)
 
 
 def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, forward: bool) -> Task:
@@ -180,14 +188,20 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     way = float(np.linalg.norm(end - start))
     sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
     sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
-    local = ca.Function("sc_local_rows", [jets, kept.unknowns], [rows, ca.vertcat(*kept.equations)], {"cse": True})
+    bounded = zip(ca.vertsplit(ca.vertcat(*kept.integrands)), kept.totals, strict=True) if kept.totals else ()
+    totals = [(value, total) for value, limit in bounded for total in totals_of(limit)]
+    integrands = ca.vertcat(ca.SX(0, 1), *[value / total.scale for value, total in totals])
+    results = [rows, ca.vertcat(*kept.equations), integrands]
+    local = ca.Function("sc_local_rows", [jets, kept.unknowns], results, {"cse": True})
     if kept.unknowns.numel():
         given = ca.MX.sym("jets", *jets.shape)
-        function = ca.Function("sc_task", [given], [local(given, kept.start(given))[0]])
+        found, _, integrated = local(given, kept.start(given))
+        function = ca.Function("sc_task", [given], [found, integrated])
     else:
-        function = ca.Function("sc_task", [jets], [rows], {"cse": True})
+        function = ca.Function("sc_task", [jets], [rows, integrands], {"cse": True})
     return Task(
         rows=function,
+        totals=tuple(total for _, total in totals),
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
         upper=np.full(len(bounds), 1.0 - _ROOM),
         start=start,

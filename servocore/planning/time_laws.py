@@ -138,4 +138,5 @@ def _kept(task: Task, jets: Array, duration: float) -> bool:
     stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
     bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
     values = task.values(stretched)
-    return bool(((values <= 1.0) & (values >= bounds)).all())
+    kept = ((values <= 1.0) & (values >= bounds)).all()
+    return bool(kept and (task.over_all(stretched, duration) <= 0.0).all())

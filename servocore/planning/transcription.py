@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.planning.integrator_chains import Law, advanced
 
@@ -36,7 +38,7 @@ class Inner:
     Attributes
     ----------
     local : casadi.Function
-        (jets of the chains, unknowns) -> rows, equations that are zero.
+        (jets of the chains, unknowns) -> rows, equations that are zero, integrands of totals.
     start : casadi.Function
         (jets) -> unknowns that solve the equations.
     """
@@ -67,6 +69,24 @@ class Inner:
         return sizes, np.where(largest > 0.0, largest, 1.0)
 
 
+class Total(NamedTuple):
+    """An upper bound of an integral over the law, divided by `scale`, or of a mean over its time."""
+
+    mean: bool
+    scale: float
+    most: float
+
+
+def totals_of(limit: Limit) -> list[Total]:
+    """Return both sides of a limit of what a run adds up; a lower one has a negative scale."""
+    found, rms = [], limit.over_run is not None and limit.over_run.rms
+    for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
+        bound = float(np.copysign(side**2, side)) if rms else side
+        if np.isfinite(bound):
+            found.append(Total(rms, sign * (abs(bound) or 1.0), sign * bound / (abs(bound) or 1.0)))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """Requirements on a law, independent of the grid.
@@ -74,7 +94,7 @@ class Task:
     Attributes
     ----------
     rows : casadi.Function
-        (jets of the chains (C, orders)) -> rows, between their bounds.
+        (jets of the chains (C, orders)) -> rows, between their bounds, and integrands of `totals`.
     lower, upper : ndarray, shape (rows,)
         Bounds.
     start, end : ndarray, shape (C,)
@@ -87,6 +107,8 @@ class Task:
         Whether no chain turns back.
     inner : Inner
         Source of the motion.
+    totals : tuple of Total
+        What is bounded of the law as a whole.
     """
 
     rows: ca.Function
@@ -98,17 +120,26 @@ class Task:
     peaks: Array
     forward: bool
     inner: Inner
+    totals: tuple[Total, ...] = ()
 
     @property
     def orders(self) -> int:
         """How many columns the jets have that the rows take."""
         return int(self.rows.size2_in(0))
 
-    def values(self, jets: Array) -> Array:
-        """Return the rows (rows, n) of jets (C, K + 2, n)."""
+    def values(self, jets: Array, what: int = 0) -> Array:
+        """Return the rows (rows, n) of jets (C, K + 2, n), or for `what` 1 the integrands of the totals."""
         columns = jets[:, : self.orders].transpose(0, 2, 1)
         count = columns.shape[1]
-        return mapped(self.rows, count)(columns.reshape(len(columns), -1))[0].reshape(-1, count, order="F")
+        return mapped(self.rows, count)(columns.reshape(len(columns), -1))[what].reshape(-1, count, order="F")
+
+    def over_all(self, jets: Array, duration: float) -> Array:
+        """Return by how much totals (totals,) are beyond their bounds, from jets evenly from start to end."""
+        if not self.totals:
+            return np.zeros(0)
+        means = np.trapezoid(self.values(jets, 1), dx=1.0 / (jets.shape[2] - 1), axis=1)
+        over = [mean * (1.0 if e.mean else duration) - e.most for e, mean in zip(self.totals, means, strict=True)]
+        return np.where(np.isfinite(over), over, np.inf)
 
     def excess(self, jets: Array) -> Array:
         """Return by how much rows are beyond their bounds (rows, n); infinite where there is no number."""
@@ -165,7 +196,9 @@ class Transcription:
         """Where in an interval the rows are kept."""
         return np.arange(self.checks) / self.checks
 
-    def solve(self, start: Law, tightened: Array, progress: Callable[[str], None] | None = None) -> Outcome:
+    def solve(
+        self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None] | None = None
+    ) -> Outcome:
         """Solve from a law.
 
         Parameters
@@ -174,6 +207,8 @@ class Transcription:
             On this grid.
         tightened : ndarray, shape (rows, N * checks)
             By how much bounds are narrowed.
+        less : ndarray, shape (totals,)
+            By how much those of totals are.
         progress : callable, optional
             Called with a text on the progress.
         """
@@ -182,8 +217,9 @@ class Transcription:
         lower, upper = self._bounds()
         zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
         defects = np.zeros(zeros)
-        low = (self.task.lower[:, None] + tightened).ravel(order="F")
-        high = (self.task.upper[:, None] - tightened).ravel(order="F")
+        most = np.array([each.most for each in self.task.totals]) - less
+        low = np.append((self.task.lower[:, None] + tightened).ravel(order="F"), np.full(len(most), -np.inf))
+        high = np.append((self.task.upper[:, None] - tightened).ravel(order="F"), most)
         result = self._solver(
             x0=np.clip(self._packed(start), lower, upper),
             lbx=lower,
@@ -247,23 +283,28 @@ def _program(task: Task, intervals: int, checks: int, scale: float, sizes: tuple
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
     defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
     step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
-    rows, equations, size = [], [], task.inner.size
+    rows, equations, size, added = [], [], task.inner.size, ca.SX.zeros(len(task.totals))
     inner = ca.SX.sym("inner", size * checks)
     unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in sizes)
     for k in range(checks):
         jets = ca.horzcat(*advanced(states, u, change, k / checks, h)[: task.orders])
-        limited, residual = task.inner.local(jets, inner[k * size : (k + 1) * size] * unknown_sizes)
+        limited, residual, integrands = task.inner.local(jets, inner[k * size : (k + 1) * size] * unknown_sizes)
         rows.append(limited)
+        added += integrands / checks
         equations.append(residual / equation_sizes)
-    local = ca.Function("sc_local", [left, right, h, inner], [ca.vertcat(*equations), ca.vertcat(*rows)], {"cse": True})
+    results = [ca.vertcat(*equations), ca.vertcat(*rows), added]
+    local = ca.Function("sc_local", [left, right, h, inner], results, {"cse": True})
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
     inside = ca.MX.sym("inside", size * checks, intervals)
     length = ca.repmat(theta * (scale / intervals), 1, intervals)
     arguments = knots[:, :-1], knots[:, 1:], length
     steps = step.map(intervals)(*arguments)
-    held, local_rows = local.map(intervals)(*arguments, inside)
+    held, local_rows, parts = local.map(intervals)(*arguments, inside)
+    # By the trapezoidal rule: the last instant rests, and so does the first.
+    times = ca.vertcat(*[ca.MX(1.0) if each.mean else theta * scale for each in task.totals])
+    totals = ca.sum2(parts) / intervals * times if task.totals else ca.MX(0, 1)
     return {
         "x": ca.vertcat(ca.vec(knots), theta, ca.vec(inside)),
         "f": ca.log(theta),
-        "g": ca.vertcat(ca.vec(steps), ca.vec(held), ca.vec(local_rows)),
+        "g": ca.vertcat(ca.vec(steps), ca.vec(held), ca.vec(local_rows), totals),
     }

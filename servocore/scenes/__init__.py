@@ -9,6 +9,9 @@ from servocore.scenes.boom_crane import boom_crane
 from servocore.scenes.cars import cars
 from servocore.scenes.elastic_bar import elastic_bar
 from servocore.scenes.gantry_crane import gantry_crane
+from servocore.scenes.heavy_rope import heavy_rope
+from servocore.scenes.inteco import inteco
+from servocore.scenes.loop_manipulator import loop_manipulator
 from servocore.scenes.mass_on_car import mass_on_car
 from servocore.scenes.overhead_crane import overhead_crane
 from servocore.scenes.passive_joint_arm import passive_joint_arm
@@ -23,10 +26,13 @@ __all__ = [  # noqa: RUF022 - in the order in which they are listed everywhere
     "overhead_crane",
     "gantry_crane",
     "boom_crane",
+    "inteco",
     "cars",
     "mass_on_car",
     "passive_joint_arm",
+    "loop_manipulator",
     "elastic_bar",
+    "heavy_rope",
     "quadrotor_with_load",
 ]
 

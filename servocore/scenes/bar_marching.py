@@ -100,7 +100,9 @@ def march_bar(
         raise InvalidSetting(f"the end mass of a bar must be finite and not negative, not {end_mass}")
     if not (isinstance(pieces, int) and pieces >= 1):
         raise InvalidSetting(f"a bar is marched in one or more whole pieces, not {pieces}")
-    _require_rest(reference)
+    if reference.dimension != 1:
+        raise InvalidReference(f"the end of a bar follows a path with 1 component, this one has {reference.dimension}")
+    require_rest(reference, "a bar")
     wave_speed = float(np.sqrt(axial_stiffness / line_mass))
     impedance = line_mass * wave_speed
     dt = length / (wave_speed * pieces)
@@ -122,12 +124,11 @@ def _one_piece(values: Array, impedance: float) -> Array:
     return (later + sooner) / 2.0 + (later - sooner)[:, ::-1] / 2.0 * [[1.0 / impedance], [impedance]]
 
 
-def _require_rest(reference: Reference) -> None:
-    if reference.dimension != 1:
-        raise InvalidReference(f"the end of a bar follows a path with 1 component, this one has {reference.dimension}")
+def require_rest(reference: Reference, what: str) -> None:
+    """Raise `InvalidReference` if a path does not rest before its start and after its end."""
     ends = np.array([reference.start_time, reference.end_time])
-    scale = float(np.abs(np.diff(reference.jet(ends, 0)[:, 0, 0])[0])) / reference.duration
+    scale = float(np.abs(np.diff(reference.jet(ends, 0)[:, 0], axis=0)).max()) / reference.duration
     outside = ends + np.array([-1.0, 1.0]) * reference.duration
-    for time, speed in zip(outside, reference.jet(outside, 1)[:, 1, 0], strict=True):
-        if abs(speed) > _AT_REST * max(scale, 1e-300):
-            raise InvalidReference(f"a bar is marched from rest to rest, but its path still moves at t = {time:g} s")
+    for time, speed in zip(outside, np.abs(reference.jet(outside, 1)[:, 1]).max(axis=1), strict=True):
+        if speed > _AT_REST * max(scale, 1e-300):
+            raise InvalidReference(f"{what} is marched from rest to rest, but its path still moves at t = {time:g} s")

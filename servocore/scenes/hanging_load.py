@@ -119,12 +119,15 @@ class Followed:
         Its level position, m.
     pull : tuple of ndarray, shape (N,)
         Level force of the rope on the trolley, N.
+    rates : tuple of ndarray, shape (N,)
+        Of the trolley's position and of the rope's length, m/s.
     answer : dict of str to ndarray, shape (N,)
         M_w, l, tension, swing, and the load's path by the names of the outputs.
     """
 
     trolley: tuple[jets.Jet, ...]
     pull: tuple[Array, ...]
+    rates: tuple[Array, ...]
     answer: dict[str, Array]
 
 
@@ -148,9 +151,11 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     per_length = m / k.value  # rope tension divided by rope length
     force = per_length * rope.value
     lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
+    trolley = tuple(position + offset for position, offset in zip(level, to_trolley, strict=True))
     return Followed(
-        trolley=tuple(position + offset for position, offset in zip(level, to_trolley, strict=True)),
+        trolley=trolley,
         pull=tuple(-per_length * component.value for component in to_trolley),
+        rates=tuple(each.d().value for each in (*trolley, rope)),
         answer={
             WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
             ROPE.name: rope.value,

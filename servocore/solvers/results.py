@@ -11,7 +11,7 @@ import numpy as np
 
 from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
 from servocore.errors import IntegrationFailed
-from servocore.model.quantity import energies_of
+from servocore.model.quantity import run_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
@@ -185,20 +185,24 @@ def _median_difference(row: Array) -> float:
     return float(upper if size % 2 else 0.5 * (upper + differences[:middle].max()))
 
 
-def with_energies(solution: Solution) -> Solution:
-    """Return a solution with the energy NAME.energy (J) of every power NAME.power (W) that it reports."""
-    energies = energies_of(solution.channels)
-    if not energies or len(solution.t) < 2:
+def with_run_quantities(solution: Solution) -> Solution:
+    """Return a solution with energies of powers and effective torques of motors up to every instant."""
+    found, t = run_quantities(solution.channels), solution.t
+    if not found or len(t) < 2:
         return solution
-    values = integrated(solution.t, np.column_stack([solution[name] for name in energies]))
-    table = np.column_stack([solution.values, values])
-    return replace(solution, channels=(*solution.channels, *energies.values()), values=table)
+    values = np.column_stack([solution[each.of] for each in found])
+    rms = np.array([each.rms for each in found])
+    sums = integrated(t, np.where(rms, values**2, values))
+    sums[1:] = np.where(rms, np.sqrt(np.maximum(sums[1:], 0.0) / (t[1:, None] - t[0])), sums[1:])
+    sums[0] = np.where(rms, np.abs(values[0]), 0.0)
+    table = np.column_stack([solution.values, sums])
+    return replace(solution, channels=(*solution.channels, *(each.quantity for each in found)), values=table)
 
 
-def without_energies(solution: Solution) -> Solution:
-    """Return a solution with the quantities of its run alone, for comparisons with other runs."""
-    energies = energies_of(solution.channels).values()
-    own = [k for k, channel in enumerate(solution.channels) if channel not in energies]
+def without_run_quantities(solution: Solution) -> Solution:
+    """Return a solution with the quantities of its instants alone, for comparisons with other runs."""
+    added = [each.quantity for each in run_quantities(solution.channels)]
+    own = [k for k, channel in enumerate(solution.channels) if channel not in added]
     return replace(solution, channels=tuple(solution.channels[k] for k in own), values=solution.values[:, own])
 
 

@@ -21,7 +21,7 @@ from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
-from servocore.solvers.results import with_energies
+from servocore.solvers.results import with_run_quantities
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
@@ -251,7 +251,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     )
     table = np.column_stack([values.T, deviation])
     name = f"{problem.system.name}, forward simulation"
-    return with_energies(Solution(motion.t, (*known, tracking), table, name, statistics))
+    return with_run_quantities(Solution(motion.t, (*known, tracking), table, name, statistics))
 
 
 @made_once

@@ -15,6 +15,7 @@ from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import require_run_limits
 from servocore.errors import (
     InvalidSetting,
     ServocoreError,
@@ -35,7 +36,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
 from servocore.solvers.fixed_step_loop import Progress
-from servocore.solvers.results import with_energies, without_energies
+from servocore.solvers.results import with_run_quantities, without_run_quantities
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.warm_start import unknowns_near
 from servocore.solvers.within_limits import (
@@ -132,7 +133,9 @@ def solve(
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
     found = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem)
-    solution = with_energies(found)
+    solution = with_run_quantities(found)
+    if checked:
+        require_run_limits(problem, solution)
     if certify:
         from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
         from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
@@ -238,7 +241,7 @@ def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
-    return better_solver_of(problem, route).estimate(problem, without_energies(solution))
+    return better_solver_of(problem, route).estimate(problem, without_run_quantities(solution))
 
 
 def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:

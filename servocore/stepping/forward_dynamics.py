@@ -135,10 +135,10 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     state, u, slope, d, p = (ca.MX.sym(*argument) for argument in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
     h = ca.MX.sym("h")
     # Four stages with the input linear over the step: explicit, so that a plant in an FMU costs the same each step.
-    free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
+    free = runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
     # Brakes keep B v, the velocities along the inputs: d(B v)/dt = 0 replaces known inputs, and u comes out as the
     # multipliers of these rows. A plant that moves when they close keeps moving.
-    held = _runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
+    held = runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)
     held_dot, held_lam, held_u = held_rate(state, d, p)
@@ -192,7 +192,7 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     return ca.Function("sc_plant_rate", arguments, results)
 
 
-def _runge_kutta(rate: Callable[[ca.MX, ca.MX | float], ca.MX], state: ca.MX, h: ca.MX) -> ca.MX:
+def runge_kutta(rate: Callable[[ca.MX, ca.MX | float], ca.MX], state: ca.MX, h: ca.MX) -> ca.MX:
     """Return the state after one step of the classical method, where ``rate(state, time)`` is its derivative."""
     first = rate(state, 0)
     second = rate(state + h / 2 * first, h / 2)

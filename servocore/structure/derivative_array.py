@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.model.system import MechanicalSystem
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import pivot_columns
 from servocore.numerics.expressions import highest_derivative, time_derivative
@@ -35,6 +35,8 @@ from servocore.structure.signature import (
     signature,
     without_vanishing,
 )
+
+_MOST_NODES = 2_000_000  # of the equations of one order: each derivative of nonlinear springs triples them
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,24 @@ class DerivativeArray:
 
 @made_once  # every Dae of a system needs its array
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
-    """Differentiate the equations of `system` as often as their offsets require."""
-    return _differentiated(system, analyse_structure(system))
+    """Differentiate the equations of `system` as often as their offsets require.
+
+    Raises
+    ------
+    InvalidModel
+        If the analysis does not apply, or an inversion needs too many derivatives or too long expressions.
+    """
+    structure = analyse_structure(system)
+    if max(structure.equation_offsets) > MAX_REFERENCE_ORDER:
+        raise InvalidModel(_too_deep(system, structure, f"a model has symbols for {MAX_REFERENCE_ORDER} only"))
+    return _differentiated(system, structure)
+
+
+def _too_deep(system: MechanicalSystem, structure: Signature, why: str) -> str:
+    return (
+        f"{system.name}: an inversion needs derivatives of the path up to order {max(structure.equation_offsets)}, but"
+        f" {why}: divide elastic bodies less finely; as a plant it can be simulated"
+    )
 
 
 @made_once
@@ -132,6 +150,8 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
         active, current = [active[k] for k in keep], current[keep]
         rows += [(i, order) for i in active]
         residual.append(current)
+        if ca.n_nodes(current) > _MOST_NODES:
+            raise InvalidModel(_too_deep(system, structure, f"those of order {order} are too long expressions"))
         current = time_derivative(current, y, gamma)
         if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
             later = gamma[-1, 2:]

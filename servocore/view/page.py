@@ -18,7 +18,7 @@ from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.drawing import picture_of
 from servocore.model.limits import Named
-from servocore.model.quantity import Quantity
+from servocore.model.quantity import Quantity, RunQuantity, run_quantities
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -217,6 +217,9 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     picture = picture_of(system, quantities, problem.drawing)
     points = written("points", [picture.reported, system.p], [picture.coordinates])
     names = [quantity.name for quantity in quantities]
+    added_up = run_quantities(quantities)
+    of_run = {each.quantity.name: _added_up(each, times, rows[each.of]) for each in added_up}
+    rows |= of_run
     source = {"points": points, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, names)
     if live and path_limits:
@@ -231,18 +234,27 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         "outputs": [
             {**_quantity(quantity), "wraps": quantity.wraps, "input": quantity in system.inputs,
              "nonnegative": quantity.never_negative, "inner": _is_inner(system, quantity)}
-            for quantity in quantities
+            for quantity in (*quantities, *(each.quantity for each in added_up))
         ],
+        "added_up": [{"of": names.index(each.of), "rms": each.rms} for each in added_up],
         "shown": _shown(system, names),
         "parameters": _parameters(problem),
         "limits": limits,
         "path_limits": path_limits if live else [],
         "steps": steps or None,
         "step": problem.reference.duration / _STEP_PARTS,
-        "solved": {"t": packed(times), "values": packed(np.stack([rows[name] for name in names]))},
+        "solved": {"t": packed(times), "values": packed(np.stack([rows[name] for name in (*names, *of_run)]))},
         **picture.about(),
     }  # fmt: skip
     return about, source
+
+
+def _added_up(of_run: RunQuantity, t: Array, values: Array) -> Array:
+    """Return an energy or effective torque at instants, by the trapezoidal rule as in the page's own computation."""
+    integrand = of_run.integrand(values)
+    sums = np.append(0.0, np.cumsum(np.diff(t) * (integrand[1:] + integrand[:-1]) / 2.0))
+    found: Array = np.append(abs(values[0]) if of_run.rms else 0.0, of_run.of_sum(sums[1:], t[1:] - t[0]))
+    return found
 
 
 def _thinned(t: Array) -> npt.NDArray[np.intp]:

@@ -29,11 +29,17 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
     const char *refusal = type == fmi2CoSimulation ? NULL : "%s is for co-simulation only";
+    Memory memory = OWN_MEMORY;
     (void)resources;
     (void)visible;
     (void)logging; /* for debugging messages, of which there are none: warnings and refusals are always logged */
     if (functions == NULL) return NULL;
-    return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment);
+    if (functions->allocateMemory != NULL && functions->freeMemory != NULL) {
+        memory.allocate = functions->allocateMemory;
+        memory.release = functions->freeMemory;
+    }
+    return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment,
+                        memory);
 }
 
 void fmi2FreeInstance(fmi2Component component) { free_instance((Instance *)component); }
@@ -189,8 +195,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate saved)
 
 fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *saved)
 {
-    (void)component;
-    free_state(saved);
+    free_state((Instance *)component, saved);
     return fmi2OK;
 }
 

@@ -38,7 +38,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     (void)intermediate;
     (void)intermediateCount;
     (void)update;
-    return new_instance(name, NULL, token, report, (void (*)(void))logger, environment);
+    return new_instance(name, NULL, token, report, (void (*)(void))logger, environment, OWN_MEMORY);
 }
 
 void fmi3FreeInstance(fmi3Instance component) { free_instance((Instance *)component); }
@@ -218,8 +218,7 @@ fmi3Status fmi3SetFMUState(fmi3Instance component, fmi3FMUState saved)
 
 fmi3Status fmi3FreeFMUState(fmi3Instance component, fmi3FMUState *saved)
 {
-    (void)component;
-    free_state(saved);
+    free_state((Instance *)component, saved);
     return fmi3OK;
 }
 

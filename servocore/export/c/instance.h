@@ -4,26 +4,34 @@
    The mathematics is generated; the tables of variables (model.h) are filled in for each; a kernel (inverse.h, plant.h,
    trajectory.h) defines the data of an instant and the step to the next one, and includes this file. Everything is static
    and only constants are global: instances are independent, and several models can be linked into one program. Memory
-   is allocated for instances and saved states only. */
+   is allocated for instances and saved states only: by the host where FMI lets it, else by ALLOCATE and RELEASE, which a
+   target without heap may define. There is no call of an operating system; with NO_STDIO none of <stdio.h> either, and
+   messages have a question mark in the place of each number. */
 
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
-#include <ctype.h>
 #include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
+
+#ifndef NO_STDIO
+#include <stdio.h>
+#endif
+
+#ifndef ALLOCATE
+#include <stdlib.h>
+#define ALLOCATE calloc
+#define RELEASE free
+#endif
 
 #ifdef __GNUC__
 #pragma GCC diagnostic ignored "-Wtype-limits" /* a model may have no inputs or choices: loops from zero to zero */
 #endif
 
 #define LONGEST_STEP 3600.0       /* s; a longer one is refused as a mistake */
-#define MOST_INTERNAL_STEPS 100000.0
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
 #define SUMMED 1e-3               /* of a step: rounding of the sum of millions of steps */
 #define LONGEST_MESSAGE 512
@@ -80,6 +88,13 @@ typedef struct {
 typedef struct Instance Instance;
 typedef void (*Reporter)(const Instance *instance, Outcome outcome, const char *message);
 
+typedef struct {
+    void *(*allocate)(size_t count, size_t size); /* zeros */
+    void (*release)(void *memory);
+} Memory;
+
+static const Memory OWN_MEMORY = {ALLOCATE, RELEASE};
+
 struct Instance {
     State state;
     double step_inputs[AT_LEAST_1(N_INPUTS)]; /* those of the current step */
@@ -93,6 +108,7 @@ struct Instance {
     casadi_int integers[AT_LEAST_1(SCRATCH_INTEGERS)];
     double numbers[AT_LEAST_1(SCRATCH_NUMBERS)];
     Reporter report;
+    Memory memory;
     void *environment;            /* an argument of the host's logger */
     void (*logger)(void);         /* of the host; its type depends on the version of FMI */
     int logged[4];                /* which outcomes are logged */
@@ -119,6 +135,34 @@ static inline int call(Instance *instance, int (*function)(const double **, doub
     return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
 }
 
+#ifdef NO_STDIO
+/* Write a format with its texts and characters, but with question marks for numbers. */
+static void written(char *message, size_t room, const char *format, va_list values)
+{
+    char *end = message + room - 1;
+    for (; *format != '\0' && message < end; format++) {
+        if (*format != '%') {
+            *message++ = *format;
+            continue;
+        }
+        format += 1 + strspn(format + 1, ".0123456789l");
+        if (*format == 's') {
+            for (const char *text = va_arg(values, const char *); *text != '\0' && message < end;) *message++ = *text++;
+            continue;
+        }
+        if (*format == 'g') (void)va_arg(values, double);
+        else if (format[-1] == 'l') (void)va_arg(values, long long);
+        else if (*format == 'c') *message = (char)va_arg(values, int);
+        else (void)va_arg(values, int);
+        if (*format != 'c') *message = '?';
+        message++;
+    }
+    *message = '\0';
+}
+#else
+#define written vsnprintf
+#endif
+
 static Outcome say(const Instance *instance, Outcome outcome, const char *format, ...)
 {
     static const char begin[] = "the initialization failed: ";
@@ -128,7 +172,7 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
     va_list values;
     if (!fails && !logs) return outcome;
     va_start(values, format);
-    vsnprintf(message + (fails ? sizeof begin - 1 : 0), sizeof message - sizeof begin, format, values);
+    written(message + (fails ? sizeof begin - 1 : 0), sizeof message - sizeof begin, format, values);
     va_end(values);
     if (fails) {
         memcpy(message, begin, sizeof begin - 1);
@@ -157,7 +201,7 @@ static int refuse_call(const Instance *instance, unsigned phases, const char *ca
     if (strcmp(name, "DoStep") == 0)
         say(instance, DISCARD, "doStep needs a finished initialization, but the FMU is %s", PHASE[instance->state.phase]);
     else
-        say(instance, ERROR, "%c%s is ignored: the FMU is %s, not %s", tolower(*name), name + 1,
+        say(instance, ERROR, "%c%s is ignored: the FMU is %s, not %s", *name | 0x20, name + 1, /* in lower case */
             PHASE[instance->state.phase], PHASE[wanted]);
     return 1;
 }
@@ -205,21 +249,24 @@ static void reset(Instance *instance)
 
 static void free_instance(Instance *instance)
 {
+    void (*release)(void *);
     if (instance == NULL) return;
-    free(instance->name);
-    free(instance);
+    release = instance->memory.release;
+    release(instance->name);
+    release(instance);
 }
 
 /* Make an instance, unless there is a refusal, or the model description belongs to another build. */
 static Instance *new_instance(const char *name, const char *refusal, const char *token, Reporter report,
-                              void (*logger)(void), void *environment)
+                              void (*logger)(void), void *environment, Memory memory)
 {
-    Instance *instance = (Instance *)calloc(1, sizeof *instance);
+    Instance *instance = (Instance *)memory.allocate(1, sizeof *instance);
     if (instance == NULL) return NULL;
     if (name == NULL) name = MODEL_NAME;
     if (refusal == NULL && (token == NULL || strcmp(token, INSTANTIATION_TOKEN) != 0))
         refusal = "%s: the model description belongs to another build of the library";
-    instance->name = (char *)malloc(strlen(name) + 1);
+    instance->memory = memory;
+    instance->name = (char *)memory.allocate(strlen(name) + 1, 1);
     if (instance->name != NULL) {
         strcpy(instance->name, name);
         instance->report = logger == NULL ? NULL : report;
@@ -330,7 +377,7 @@ static Outcome require_settings(Instance *instance)
 /* Outputs ------------------------------------------------------------------------------------------------------------ */
 
 /* Keep angles within half a turn of the previous ones. */
-static void keep_turning(double *outputs, const double *before)
+static inline void keep_turning(double *outputs, const double *before)
 {
     const double turn = 6.283185307179586;
     for (size_t k = 0; k < N_OUTPUTS; k++)
@@ -338,6 +385,32 @@ static void keep_turning(double *outputs, const double *before)
             const double change = before[k] - outputs[k];
             if (!(fabs(change) <= turn / 2.0)) outputs[k] += turn * floor(change / turn + 0.5);
         }
+}
+
+/* Add a step to the integrals of outputs and to the roots of mean squares, by the trapezoidal rule: between rest and rest
+   it is as accurate as the outputs are smooth. Without a step these are their values at the start. */
+static void add_up(const State *state, double *outputs, double h)
+{
+    const double *before = state->now.outputs, elapsed = state->now.time - state->start;
+    for (size_t k = 0; k < N_ADDED_UP; k++) {
+        const size_t of = ADDED_UP[k].of, to = N_OUTPUTS - N_ADDED_UP + k;
+        const double a = before[of], b = outputs[of];
+        if (!ADDED_UP[k].rms)
+            outputs[to] = h > 0.0 ? before[to] + h * (a + b) / 2.0 : 0.0;
+        else
+            outputs[to] = h > 0.0 ? sqrt((before[to] * before[to] * elapsed + h * (a * a + b * b) / 2.0) / (elapsed + h)) : fabs(b);
+    }
+}
+
+/* Their derivatives, from those of the other outputs; the sums before the last step are given. */
+static void differentiate_added_up(const State *state, double *found)
+{
+    const double h = state->steps > 0 ? state->step : 0.0, elapsed = state->now.time - state->start;
+    for (size_t k = 0; k < N_ADDED_UP; k++) {
+        const size_t of = ADDED_UP[k].of, to = N_OUTPUTS - N_ADDED_UP + k;
+        const double share = h > 0.0 ? h / (2.0 * elapsed) : 1.0;
+        found[to] = ADDED_UP[k].rms ? share * state->now.outputs[of] / state->now.outputs[to] * found[of] : h / 2.0 * found[of];
+    }
 }
 
 /* Make the computed moment the present. */
@@ -361,6 +434,7 @@ static Outcome begun(Instance *instance)
     instance->keeps = 0;
     outcome = first_moment(instance);
     if (outcome != GOOD) return outcome;
+    add_up(state, instance->work.outputs, 0.0);
     state->before = instance->work;
     accept(instance);
     memcpy(state->last_inputs, state->inputs, sizeof state->last_inputs);
@@ -418,6 +492,7 @@ static Outcome do_step(Instance *instance, double time, double h)
     remark = remark_step(instance, time);
     if (remark > WARNING) return remark;
     if (outcome == WARNING) remark = WARNING;
+    add_up(state, instance->work.outputs, h);
     state->before = state->now;
     accept(instance);
     memcpy(state->earlier, state->last_inputs, sizeof state->earlier);
@@ -475,13 +550,13 @@ static Outcome set_number(Instance *instance, size_t k, double value)
 
 static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 {
-    if (instance->state.phase >= STEPPING)
+    if (CHOICES[k].fixed && instance->state.phase >= STEPPING)
         return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    CHOICES[k].name);
     if (!DEFERRED_CHECKS && require_item(instance, &CHOICES[k], value) != GOOD) return ERROR;
     instance->state.choices[k] = value;
     instance->state.checked = 0;
-    instance->state.due = 1;
+    if (instance->state.phase < STEPPING) instance->state.due = 1;
     return GOOD;
 }
 
@@ -501,7 +576,7 @@ static Outcome require_state(const Instance *instance, const State *saved)
 /* Copy a state to the memory of the host, or to new memory. */
 static Outcome keep_state(const Instance *instance, const State *state, void **saved)
 {
-    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) *saved = instance->memory.allocate(1, sizeof(State));
     if (*saved == NULL) return say(instance, ERROR, "there is no memory left to save the state in");
     memcpy(*saved, state, sizeof(State));
     return GOOD;
@@ -517,10 +592,10 @@ static Outcome restore_state(Instance *instance, const void *saved)
     return GOOD;
 }
 
-static void free_state(void **saved)
+static void free_state(const Instance *instance, void **saved)
 {
-    if (saved == NULL) return;
-    free(*saved);
+    if (instance == NULL || saved == NULL || *saved == NULL) return;
+    instance->memory.release(*saved);
     *saved = NULL;
 }
 
@@ -549,7 +624,7 @@ static Outcome read_state(const Instance *instance, const void *bytes, size_t si
 static Outcome directional(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
                            size_t known_count, const double *seeds, double *found)
 {
-    double input_seed[AT_LEAST_1(N_INPUTS)] = {0.0}, parameter_seed[AT_LEAST_1(N_PARAMETERS)] = {0.0}, outputs[N_OUTPUTS];
+    double input_seed[AT_LEAST_1(N_INPUTS)] = {0.0}, parameter_seed[AT_LEAST_1(N_PARAMETERS)] = {0.0}, outputs[N_OUTPUTS] = {0.0};
     Outcome outcome;
     for (size_t k = 0; k < unknown_count; k++)
         if (unknowns[k] < FIRST_OUTPUT || unknowns[k] >= FIRST_PARAMETER)
@@ -567,6 +642,7 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
     }
     outcome = differentiate(instance, input_seed, parameter_seed, outputs);
     if (outcome != GOOD) return outcome;
+    differentiate_added_up(&instance->state, outputs);
     for (size_t k = 0; k < unknown_count; k++) {
         found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
         /* Only requested ones must exist: the angle of a rope that hangs vertically, for one, has no derivative. */

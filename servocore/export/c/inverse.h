@@ -42,6 +42,9 @@ typedef struct {
 #if HAS_FEEDBACK
     double memory[N_MEMORY], drives[N_DRIVES];
 #endif
+#if HAS_MOTORS
+    double motors[N_OUTPUTS];
+#endif
 #if HAS_ESTIMATES
     double completed_path[N_PATH]; /* the inputs with estimated derivatives */
     double error, known, worth[3];
@@ -281,8 +284,8 @@ static Outcome require_agreement(Instance *instance, double time)
     instance->work.is_odd = k < ORDERS;
     if (k == ORDERS || (!again && instance->warned & 1)) return GOOD;
     for (size_t j = k + 1; j <= top; j++) {
-        const size_t length = strlen(above);
-        snprintf(above + length, sizeof above - length, "%s%s", j > k + 1 ? " and " : "", ORDER_NAMES[j]);
+        if (j > k + 1) strcat(above, " and ");
+        strcat(above, ORDER_NAMES[j]);
     }
     instance->warned |= again ? 0 : 1;
     return say(instance, again ? DISCARD : WARNING, "at t = %.6g s the " FOLLOWER "'s %s changes, but its %s %s zero: connect what"
@@ -398,6 +401,20 @@ static void within_limits(const Instance *instance, double *outputs)
 }
 #endif
 
+/* Compute the quantities of motors from the inputs, which feedback and limits have changed. */
+static void observe_motors(Instance *instance)
+{
+#if HAS_MOTORS
+    instance->arguments[0] = instance->work.outputs;
+    instance->arguments[1] = instance->state.parameters;
+    instance->results[0] = instance->scratch.motors;
+    call(instance, MATHEMATICS(motors));
+    memcpy(instance->work.outputs, instance->scratch.motors, (N_OUTPUTS - N_ADDED_UP) * sizeof(double));
+#else
+    (void)instance;
+#endif
+}
+
 /* Steps -------------------------------------------------------------------------------------------------------------- */
 
 static Outcome first_moment(Instance *instance)
@@ -413,7 +430,10 @@ static Outcome first_moment(Instance *instance)
 #else
     outcome = checked_moment(instance, work, solve_instant(instance, work), work->time);
 #endif
-    if (outcome == GOOD) within_limits(instance, work->outputs);
+    if (outcome == GOOD) {
+        within_limits(instance, work->outputs);
+        observe_motors(instance);
+    }
     return outcome;
 }
 
@@ -504,16 +524,16 @@ static Outcome move(Instance *instance, double time, double h)
 #else
     const double *given = instance->step_inputs;
 #endif
-    const Outcome outcome = reached(instance, given, time, h);
+    Outcome outcome = reached(instance, given, time, h);
     if (outcome != GOOD) return outcome;
 #if HAS_ESTIMATES
     judge_estimates(instance);
 #endif
 #if HAS_FEEDBACK
-    return with_feedback(instance, given, time, h);
-#else
-    return GOOD;
+    outcome = with_feedback(instance, given, time, h);
+    observe_motors(instance);
 #endif
+    return outcome;
 }
 #endif
 

@@ -1,4 +1,5 @@
-/* A path and its derivatives over time: a line from rest to rest by a time law, or a built-in path.
+/* A path and its derivatives over time: a line from rest to rest by a time law, or a built-in path. At rest a new line
+   begins where another value of the trigger is set: the settings of a motion are those that its begin found.
 
    The time laws are generated: start, end, start time, end time, ramp and time -> the path, order by order. */
 
@@ -12,6 +13,8 @@ typedef struct {
     double time;
     double outputs[N_OUTPUTS];
 } Moment;
+
+#define N_KEPT (N_SETTINGS + 1) /* the settings of the present motion, and the number of its profile */
 
 typedef struct {
     double unused;
@@ -69,9 +72,11 @@ static void follow_table(double instant, double *found)
 
 static Outcome followed(Instance *instance, Moment *moment)
 {
-    const double *settings = instance->state.parameters, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
+    const double *settings = instance->keeps ? instance->to_keep : instance->state.kept, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
     const double end_time = settings[PLACE_START_TIME] + duration;
-    const int64_t law = instance->state.choices[PROFILE];
+    const double profile = settings[N_SETTINGS];
+    const int64_t law = profile >= 1.0 && profile <= N_LAWS + 1.0 ? (int64_t)profile : 0;
+    if (law == 0) return say(instance, DISCARD, "the restored state has no profile");
     if (ramp > 0.0 && law != RAMPED)
         return say(instance, DISCARD, "a ramp belongs to the profile %s, not to %s", LAW_NAMES[RAMPED - 1],
                    LAW_NAMES[law - 1]);
@@ -99,10 +104,49 @@ static Outcome followed(Instance *instance, Moment *moment)
     return GOOD;
 }
 
-static Outcome first_moment(Instance *instance) { return followed(instance, &instance->work); }
+static void take_settings(Instance *instance)
+{
+    memcpy(instance->to_keep, instance->state.parameters, N_SETTINGS * sizeof(double));
+    instance->to_keep[N_SETTINGS] = (double)instance->state.choices[PROFILE];
+    instance->keeps = 1;
+}
+
+static Outcome first_moment(Instance *instance)
+{
+    take_settings(instance);
+    return followed(instance, &instance->work);
+}
+
+/* Begin a new motion where the present one rests, at its start time or now. */
+static Outcome begin_again(Instance *instance, double time)
+{
+    const double *present = instance->state.kept, begin = present[PLACE_START_TIME];
+    const double end = begin + present[PLACE_DURATION];
+    const double slight = JITTER * (end - begin); /* no lower derivative is above round-off there */
+    double first = begin, last = end, *settings = instance->to_keep;
+#if N_PIECES > 0
+    if (present[N_SETTINGS] > N_LAWS) {
+        first = RESTS_BEFORE ? KNOTS[0] : -HUGE_VAL;
+        last = RESTS_AFTER ? KNOTS[N_PIECES] : HUGE_VAL;
+    }
+#endif
+    if (time > first + slight && time < last - slight)
+        return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the present one ends at t = %.6g s", time,
+                   last);
+    take_settings(instance);
+    if (settings[N_SETTINGS] > N_LAWS)
+        return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the profile %s has its own times", time,
+                   LAW_NAMES[N_LAWS]);
+    memcpy(settings + PLACE_START, instance->work.outputs, COMPONENTS * sizeof(double));
+    settings[PLACE_START_TIME] = fmax(time, settings[PLACE_START_TIME]);
+    return GOOD;
+}
 
 static Outcome move(Instance *instance, double time, double h)
 {
+    if (instance->state.parameters[PLACE_TRIGGER] != instance->state.kept[PLACE_TRIGGER]
+        && begin_again(instance, time) != GOOD)
+        return DISCARD;
     instance->work.time = time + h;
     return followed(instance, &instance->work);
 }

@@ -66,6 +66,7 @@ function inverted(settings, grid) {
     for (let i = 0; i < margins.length; i++) margins[i][k] = left[i];
   }
   goOn(rows);
+  addUp(t, rows);
   return { t, rows, margins };
 }
 
@@ -76,6 +77,17 @@ function goOn(rows) {
     for (let k = 1, row = rows[i]; wraps && k < row.length; k++) {
       const change = row[k - 1] - row[k];
       if (Math.abs(change) > Math.PI) row[k] += turn * Math.round(change / turn);
+    }
+  });
+}
+
+// The last rows: integrals of powers over the time, and roots of mean squares of torques.
+function addUp(t, rows) {
+  about.added_up.forEach(({ of, rms }, i) => {
+    const from = rows[of], row = rows[rows.length - about.added_up.length + i], squared = (k) => (rms ? from[k] ** 2 : from[k]);
+    for (let k = 0, sum = 0; k < row.length; k++) {
+      if (k) sum += ((t[k] - t[k - 1]) * (squared(k) + squared(k - 1))) / 2;
+      row[k] = rms ? (k ? Math.sqrt(sum / (t[k] - t[0])) : Math.abs(from[k])) : sum;
     }
   });
 }
@@ -109,6 +121,7 @@ function marched(settings, step) {
     for (let i = 0; i < rows.length; i++) rows[i][k] = found[i];
   }
   goOn(rows);
+  addUp(t, rows);
   return { t, rows, h };
 }
 

@@ -1,0 +1,95 @@
+"""Start values as parameter sets of SSP (SSV), their mappings (SSM), and FMI-LS-REF: related files inside an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from xml.etree import ElementTree as ET
+
+from servocore.export.native_model import NativeModel
+from servocore.export.units import base_units
+from servocore.export.variables import Variable
+from servocore.files import xml_document
+
+_PARTS = {"ssd": "Description", "ssc": "Common", "ssv": "ParameterValues", "ssm": "ParameterMapping"}
+SPACES = {f"xmlns:{key}": f"http://ssp-standard.org/SSP1/SystemStructure{part}" for key, part in _PARTS.items()}
+"""Names of the parts of SSP, in all its versions."""
+
+SSP = {2: "1.0", 3: "2.0"}
+"""Versions of SSP by those of FMI: the first has scalars only."""
+
+NUMBER = {2: "Real", 3: "Float64"}
+"""Names of the type of a number in SSP, by the version of FMI."""
+
+_RELATED = "extra/org.fmi-standard.fmi-ls-ref/"
+_SET = "parameters.ssv"
+_MANIFEST = {
+    "xmlns:fmi-ls": "http://fmi-standard.org/fmi-ls-manifest",
+    "fmi-ls:fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+    "fmi-ls:fmi-ls-version": "1.0.0-alpha.1",
+    "fmi-ls:fmi-ls-description": "Layered Standard providing information on related files included in an FMU.",
+}
+_ROLES = {  # of the files of a run, by the ends of their names
+    "_in.csv": ("text/csv", "experiment/smoke-test", "inputs at the instants of a run along the path of the scene"),
+    "_ref.csv": ("text/csv", "result", "outputs at these instants, computed without the FMU, for input_time = end"),
+    "_ref.opt": ("text/csv", "configuration", "start, end and communication step of that run, in s"),
+}  # fmt: skip
+
+
+def add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
+    """Add an element to another one."""
+    return ET.SubElement(parent, tag, attributes)
+
+
+def declare_units(parent: ET.Element, tag: str, units: Iterable[str]) -> None:
+    """Declare units: those of numbers must be among the names of the top element."""
+    declared = add(parent, tag)
+    for unit in sorted(set(units)):
+        exponents = {base: str(n) for base, n in (base_units(unit) or {}).items()}
+        add(add(declared, "ssc:Unit", name=unit), "ssc:BaseUnit", **exponents)
+
+
+def parameter_set(name: str, variables: Sequence[Variable], fmi: int) -> bytes:
+    """Return start values with units as an SSV document, vectors as arrays where SSP has them."""
+    root = ET.Element("ssv:ParameterSet", {**SPACES, "version": SSP[fmi], "name": name})
+    rows = add(root, "ssv:Parameters")
+    for each in variables:
+        whole = fmi == 3 or each.size is None
+        names, values = ((each.name,), (each.starts,)) if whole else (each.scalar_names, [(k,) for k in each.starts])
+        for label, numbers in zip(names, values, strict=True):
+            row = add(rows, "ssv:Parameter", name=label)
+            add(row, f"ssv:{NUMBER[fmi]}", value=" ".join(map(repr, numbers)), unit=each.unit)
+            if len(numbers) > 1:
+                add(row, "ssc:Dimension", size=str(len(numbers)))
+    declare_units(root, "ssv:Units", (each.unit for each in variables))
+    return xml_document(root)
+
+
+def parameter_mapping(names: Iterable[str], fmi: int) -> bytes:
+    """Return an SSM document by which the parameters of these names, and no others, are taken from a set."""
+    root = ET.Element("ssm:ParameterMapping", {**SPACES, "version": SSP[fmi]})
+    for name in names:
+        add(root, "ssm:MappingEntry", source=name, target=name)
+    return xml_document(root)
+
+
+def related_files(model: NativeModel, fmi: int, run: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the files of FMI-LS-REF, a layered standard of both versions of FMI, by their path in the FMU.
+
+    Parameters
+    ----------
+    model : NativeModel
+        The exported model, whose parameters are a set.
+    fmi : int
+        Version of FMI.
+    run : mapping of str to str
+        Cross-check files by name; they are a smoke test with its results.
+    """
+    root = ET.Element("fmiReferences", _MANIFEST)
+    members = {_SET: parameter_set(model.title, model.of("parameter"), fmi)}
+    described = {_SET: ("application/x-ssp-parameter-set", "parameter", "start values of all parameters")}
+    for name, text in run.items():
+        described[name] = next(role for end, role in _ROLES.items() if name.endswith(end))
+        members[name] = text.encode()
+    for name, (kind, role, description) in described.items():
+        add(root, "Related", type=kind, source=name, role=role, description=description)
+    return {_RELATED + name: each for name, each in (members | {"fmi-ls-manifest.xml": xml_document(root)}).items()}

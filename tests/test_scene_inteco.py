@@ -1,0 +1,69 @@
+"""The laboratory crane: friction that differs by direction, ranges, its synthetic log, and the comparison."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import servocore as sc
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.inteco import DRIVES, LOG_PATH, LOG_TIMES, driven, laws, real
+
+CRANE = sc.scenes.inteco()
+
+
+def test_its_inputs_move_the_plant_with_friction_within_a_micrometre() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        start, end = (rng.uniform((0.1, 0.1, -0.7), (0.4, 0.5, -0.3)) for _ in range(2))
+        crane = CRANE.with_reference(sc.rest_to_rest(tuple(start), tuple(end), 4.0))
+        assert sc.simulate(crane, sc.solve(crane, step=0.005))["tracking_error"].max() < 1e-6
+
+
+def test_dry_friction_differs_by_direction() -> None:
+    there, back = (0.1, 0.3, -0.5), (0.4, 0.3, -0.5)
+    one, other = (
+        sc.solve(CRANE.with_reference(sc.rest_to_rest(*pair, 4.0)), step=0.5)["u_x"]
+        for pair in ((there, back), (back, there))
+    )
+    p = CRANE.parameter_values()
+    difference = (p["dry_x_backwards"] - p["dry_x_forwards"]) / p["gain_x"]
+    np.testing.assert_allclose(-other[3:-3] - one[3:-3], difference, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("end", "name"), [((0.6, 0.5, -0.35), "s_x"), ((0.4, 0.7, -0.35), "s_y"), ((0.4, 0.5, -1.1), "l")]
+)
+def test_paths_beyond_the_ranges_of_rails_and_line_are_refused(end: tuple[float, float, float], name: str) -> None:
+    with pytest.raises(sc.ServocoreError, match=rf"\b{name}\b"):
+        sc.solve(CRANE.with_reference(sc.rest_to_rest((0.1, 0.1, -0.6), end, 6.0)))
+
+
+def test_a_path_that_needs_more_than_full_duty_is_refused() -> None:
+    with pytest.raises(sc.ServocoreError, match=r"\bu_[xyl]\b"):
+        sc.solve(CRANE.with_reference(sc.rest_to_rest((0.1, 0.1, -0.6), (0.4, 0.5, -0.35), 1.0)))
+
+
+def test_friction_is_identified_from_its_own_synthetic_log() -> None:
+    crane = CRANE.with_reference(sc.through(LOG_PATH, LOG_TIMES, rest_order=4))
+    log = sc.measured(crane, plant=real(crane), drives=DRIVES, resolution=5e-5, bias=0.0, seed=1)
+    names = [name for name in crane.parameter_values() if name.startswith(("dry", "viscous"))]
+    found, exact = sc.identify(crane, log, names), real(crane).parameter_values()
+    for name in names:
+        assert abs(found.values[name] - exact[name]) < 4 * found.standard_errors[name]
+    for name in ("viscous_x", "viscous_y", "viscous_l"):
+        assert found.values[name] == pytest.approx(exact[name], rel=0.01)
+
+
+def test_feedforward_with_loops_leaves_a_hundredth_of_the_sway_of_a_ramp() -> None:
+    drive = laws(CRANE)
+    ramp, both = (driven(real(CRANE), drive[name]) for name in ("ramp of positions, loops", "feedforward, loops"))
+    assert both.sway < 0.01 * ramp.sway
+    assert both.stray < 1e-3
+    assert ramp.stray > 0.02
+    assert both.settling == 0.0
