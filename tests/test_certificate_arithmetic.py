@@ -13,6 +13,7 @@ from flint import arb, ctx
 
 from servocore.certificate import programs
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
+from servocore.certificate.equations import _without_steps
 from servocore.certificate.walk import walk_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import built
@@ -121,9 +122,18 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     native, plain = models.copy(), models.copy()
     for run, results in ((code._load(built(build)), native), (None, plain)):
         monkeypatch.setattr(programs, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
-        program(degrees, results)
+        program(arithmetic(degrees), results)
     np.testing.assert_allclose(native[:, [6, 8]], plain[:, [6, 8]], rtol=1e-12, atol=1e-12)
     assert (native[:, [5, 7]] == 0.0).all()
+
+
+X = ca.SX.sym("x")
+
+
+def line() -> Model:
+    c = np.zeros((11, 1, 1))
+    c[1] = 1.0
+    return c, np.zeros((1, 1))
 
 
 EXPRESSIONS: dict[str, tuple[Callable[[ca.SX], ca.SX], Exact]] = {
@@ -156,10 +166,30 @@ def test_expressions_are_enclosed_by_the_operations_they_consist_of(name: str) -
         assert not abs(value - exact_value(ring, found[:, 0, 0], np.array([point]))) > arb(float(radius[0, 0]))
 
 
-@pytest.mark.parametrize("written", [ca.fabs, ca.sign, lambda x: ca.if_else(x > 0, 1, 2), lambda x: 1 / x,
-                                     ca.log, lambda x: ca.fmod(x, 2.0)])  # fmt: skip
-def test_nothing_bounds_a_kink_or_a_pole_inside(written: Callable[[ca.SX], ca.SX]) -> None:
-    ring, x = arithmetic((10,)), ca.SX.sym("x")
-    c = np.zeros((11, 1, 1))
-    c[1] = 1.0
-    assert np.isinf(walk_of(written(x), x)(ring, (c, np.zeros((1, 1))))[1]).all()
+@pytest.mark.parametrize("written", [lambda x: 1 / x, ca.log, lambda x: ca.fmod(x, 2.0)])
+def test_nothing_bounds_a_pole_inside(written: Callable[[ca.SX], ca.SX]) -> None:
+    assert np.isinf(walk_of(written(X), X)(arithmetic((10,)), line())[1]).all()
+
+
+@pytest.mark.parametrize("written", [ca.fabs, ca.sign, lambda x: ca.if_else(x > 0, x + 1, 2), lambda x: ca.fmax(x, 0.1),
+                                     lambda x: ca.floor(3 * x), lambda x: ca.logic_or(x > 0.5, x < 0)])  # fmt: skip
+def test_jumps_and_kinks_are_enclosed_with_all_values(written: Callable[[ca.SX], ca.SX]) -> None:
+    ring, x = arithmetic((10,)), np.linspace(-1.0, 1.0, 101)
+    c, r = walk_of(written(X), X)(ring, line())
+    values = np.array([float(ca.Function("f", [X], [written(X)])(each)) for each in x])
+    assert np.isfinite(r).all()
+    assert (np.abs(ring.rows(x[:, None]) @ c[:, 0, 0] - values) <= r[0, 0]).all()
+
+
+@pytest.mark.parametrize("written", [
+    lambda x: ca.gradient(ca.fmax(x, 0.3) ** 2, x), lambda x: x / (2 + ca.sign(x)), lambda x: ca.fmin(x, ca.floor(x)),
+    lambda x: (x <= 0) / ((x <= 0) + (x <= 0.5) + 1), lambda x: ca.if_else(x > 0.2, ca.if_else(x < 0.4, x, 1), 2),
+])  # fmt: skip
+def test_named_steps_are_those_of_the_expression(written: Callable[[ca.SX], ca.SX]) -> None:
+    smooth, names, steps = _without_steps(written(X))
+    (again,) = ca.substitute([smooth], [names], [steps])
+    found = ca.Function("f", [X], [written(X), again])
+    assert names.numel() > 0
+    for point in np.linspace(-1.0, 1.0, 40).tolist():
+        value, same = (float(each) for each in found(point))
+        assert same == pytest.approx(value, abs=1e-15)

@@ -123,7 +123,8 @@ OPTIONS = {
     "--trajectory": Option(of_servocore({"export"}), "", True),
     "--native": Option({"crane-fmu ssp"}, "", True),
     "--no-certify": Option(
-        of_both({"feedforward", "plan"}) | {"servocore export", "crane-fmu ssp", "crane-fmu demo"}, "", True
+        of_both({"feedforward", "plan"}) | {"servocore export", "servocore ssp", "crane-fmu ssp", "crane-fmu demo"},
+        "", True,
     ),
     "--fmu": Option({"crane-fmu build"}, "CranePlant"),
     "--map": Option({"crane-fmu drive"}, "F=trolley.force", ({"F": "trolley.force"},)),

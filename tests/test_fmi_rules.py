@@ -628,7 +628,9 @@ def test_the_operations_that_a_readme_tells_are_those_that_run(name: str, compil
 def test_the_system_of_a_scene_follows_its_path(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     scene = sc.scenes.REGISTRY[name]()
-    assert run("ssp", name, "-o", "x.ssp", "--targets", "host").exit_code == 0
+    result = run("ssp", name, "-o", "x.ssp", "--targets", "host")
+    assert result.exit_code == 0
+    assert "  certificate: " in result.stderr
     duration = scene.reference.duration
     found = run_ssp(Path("x.ssp"), duration, duration / 2000)
     columns = [each for each in found if each.startswith("trajectory.") and f"plant{each[10:]}" in found]

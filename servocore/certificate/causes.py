@@ -2,50 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from servocore.certificate.krawczyk import blocks_of
+from servocore.certificate.krawczyk import blocks_of, joined
 from servocore.certificate.proof import Interval, Proof
-from servocore.certificate.statements import Verdict, known
-from servocore.model.limits import Named, reported_quantities
-from servocore.numerics.step_operations import KINKS, holds_any
+from servocore.certificate.statements import Verdict, claims_of, known, walk_of_limits
 
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def cause_of(proof: Proof, unproved: Sequence[Interval]) -> tuple[Verdict, float, str]:
+def cause_of(proof: Proof) -> tuple[Verdict, float, str]:
     """Return whether a motion that is not proved everywhere is refuted, when, and why in a sentence.
 
     Without a cause on the first interval an interval without a solution explains more: where not even the beginning is
     proved, the magnitudes of the unknowns are those of a singularity later on.
     """
-    first, found = unproved[0], switchings(proof)
-    for time, sentence in found:
+    unproved = proof.unproved
+    first = unproved[0]
+    for time, sentence in switchings(proof):
         if sentence:
             return "refuted", time, sentence
     unsolved = [each for each in unproved if not _is_solved(each)]
-    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and _is_kinked(proof, first)):
+    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and first.switches):
         first = unsolved[0]
     return "undecided", first.begin, _sentence(proof, first)
 
 
 def _is_solved(each: Interval) -> bool:
     return each.c is not None and bool(np.isfinite(each.c).all())
-
-
-def _is_kinked(proof: Proof, each: Interval) -> bool:
-    """Whether equations with kinks or jumps, or their Jacobian, have no enclosure even at the polynomials."""
-    if each.c is None or not holds_any(proof.equations.array.residual, KINKS):
-        return False
-    (c, r), x = proof.given([each]), each.c[:, :, None]
-    arguments = np.concatenate([x, c], axis=1), np.concatenate([np.zeros((x.shape[1], 1)), r])
-    walks = proof.equations.residual, proof.equations.jacobian
-    return not all(np.isfinite(walk(proof.ring, arguments)[1]).all() for walk in walks)
 
 
 def switchings(proof: Proof) -> list[tuple[float, str]]:
@@ -55,20 +43,20 @@ def switchings(proof: Proof) -> list[tuple[float, str]]:
     at both ends could explain.
     """
     array, order, found = proof.equations.array, proof.intervals, list[tuple[float, str]]()
-    proved = [each for each in order if each.proved and not proof.boxed]
+    settled = [each for each in order if (each.proved or each.outside) and not proof.boxed]
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
-    for a, b in pairwise(proved):
+    for a, b in pairwise(settled):
         gap, between = b.begin - a.end, order[order.index(a) + 1]
         if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
             continue
-        if not (_is_solved(between) and _is_kinked(proof, between)):
+        if not (_is_solved(between) and between.switches):
             continue
         left, right = a.c.sum(axis=0), (-1.0) ** np.arange(len(b.c)) @ b.c
         jumps = ""
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
             rate = place[j, derivative + 1]
-            explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate])) + a.rho[k] + b.rho[k]
+            explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate]))
             if not jumps and abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
                 what = "the velocity of " * derivative + array.names[j].removeprefix("q.")
                 jumps = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
@@ -92,31 +80,24 @@ def _sentence(proof: Proof, each: Interval) -> str:
     singular = ": the configuration is singular there, or two branches meet"
     if not all(_is_solved(other) for other in proof.intervals[proof.intervals.index(each) :][:2]):
         singular = ": the configuration is singular there, and beyond it the path may be out of reach"
-    return where + (slack or (": they have a kink or a jump there" if _is_kinked(proof, each) else singular))
+    return where + (slack or (": they have a kink or a jump there" if each.switches else singular))
 
 
 def _slack(proof: Proof, each: Interval) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
-    problem, system = proof.problem, proof.problem.system
-    bounded = [
-        (limit.quantity, limit.bound, limit.reason, limit.on(system))
-        for limit in problem.limits if limit.of_path and known(proof.equations, limit)
-    ]  # fmt: skip
-    signed = [each for each in reported_quantities(system).values() if each.positive]
-    bounded += [(each.name, 0.0, each.wrong_sign, Named(each.name)(system)) for each in signed]
+    problem, equations = proof.problem, proof.equations
+    limits = [limit for limit in problem.limits if limit.of_path]
+    limits += [claim.limit for claim in claims_of(problem.resolved) if not claim.told]
+    limits = [limit for limit in limits if known(equations, limit)]
     reach = _NEAR * problem.reference.duration
-    near = [
-        k for k in proof.intervals if k.c is not None and np.isfinite(k.c).all() and abs(k.begin - each.begin) < reach
-    ]
-    if not bounded or not near:
+    near = [k for k in proof.intervals if _is_solved(k) and abs(k.begin - each.begin) < reach]
+    if not limits or not near:
         return ""
-    walk = proof.equations.walk([expression for *_, expression in bounded])
-    given = proof.given(near)
     x = np.stack([other.c for other in near if other.c is not None], axis=2)
-    c, _ = walk(proof.ring, (np.concatenate([x, given[0]], axis=1), np.concatenate([0.0 * x[0], given[1]])))
+    c, _ = walk_of_limits(equations, tuple(limits))(proof.ring, joined((x, 0.0 * x[0]), proof.given(near)))
     values = proof.ring.values(c)
-    for k, (name, bound, reason, _) in enumerate(bounded):
-        distance = values[:, k] - bound
+    for k, limit in enumerate(limits):
+        distance = values[:, k] - limit.bound
         if np.nanmin(distance) < _SMALL * np.nanmax(np.abs(distance)):
-            return f": {name} comes to {bound:g}" + (f", {reason}" if reason else "")
+            return f": {limit.quantity} comes to {limit.bound:g}" + (f", {limit.reason}" if limit.reason else "")
     return ""

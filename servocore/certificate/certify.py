@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import cause_of, switchings
-from servocore.certificate.instants import ErrorBound, compared, tube_of
+from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
     LIMIT,
+    Claim,
     Statement,
     Verdict,
-    left_out_statement,
-    limit_statements,
-    mass_statement,
+    claims_of,
     run_statements,
-    step_statement,
-    summary_of,
-    unproved,
+    statements_of,
 )
 from servocore.errors import InvalidSetting, require_kind
-from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
+from servocore.model.limits import Bounds, limit_named, reported_quantities
 from servocore.model.scene import Scene
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import JUMPS, holds_any
 from servocore.presentation import Curve, figure_of
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
@@ -75,7 +76,16 @@ class Certificate:
     def summary(self) -> str:
         """The verdict in one line: the proved statements, or the first that fails."""
         bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
-        return summary_of(self.verdict, self.statements, bound, self.jumps)
+        failing = [each for each in self.statements if each.verdict == self.verdict]
+        if self.verdict != "proved":
+            return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
+        begin, end = self.statements[0].begin, self.statements[0].end
+        limits = ", ".join(each.what.removeprefix(LIMIT) for each in self.statements if each.what.startswith(LIMIT))
+        times = ", ".join(f"{t:.6g} s" for t in self.jumps)
+        return (
+            f"proved: one regular motion at all times from {begin:.6g} s to {end:.6g} s, inputs within {bound:.1e} of"
+            f" their peaks{limits and f'; within the limits of {limits}'}{times and f'; inputs jump at t = {times}'}"
+        )
 
     def __repr__(self) -> str:
         lines = [f"<Certificate of {self.name}: {self.verdict}, {len(self.intervals)} intervals>"]
@@ -179,45 +189,45 @@ def certify(
     """
     problem, solution = _problem_of(scene_or_solution, model)
     path = problem.reference
-    begin, end = path.start_time, path.end_time
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
         if solution is not None and solution.error.largest is not None:
             text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-        return Certificate(
-            problem.name, (Statement("one motion", "undecided", begin, end, text),), {}, np.zeros((0, 2))
-        )
-    system = problem.system
-    extra = tuple(limit_named(system, name, bounds) for name, bounds in (limits or {}).items())
+        algebraic = [at_states(problem, solution)] if solution is not None else []
+        return _certificate(problem, [Statement("one motion", "undecided", text), *algebraic])
+    extra = tuple(limit_named(problem.system, name, bounds) for name, bounds in (limits or {}).items())
     run_limits = (*problem.run_limits, *(limit for limit in extra if limit.over_run))
     extra = tuple(limit for limit in extra if not limit.over_run)
     wanted = tuple(limit for limit in (*problem.limits, *extra) if not limit.at_instants_only)
-    boxed = _boxes(problem, parameters or {})
-    if path.max_order < problem.array.reference_order + any(limit.rate for limit in wanted):
+    boxed, rates = _boxes(problem, parameters or {}), any(limit.rate for limit in wanted)
+    if path.max_order < problem.array.reference_order + rates:
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
-        return Certificate(problem.name, (Statement("one motion", "refuted", begin, end, text),), {}, np.zeros((0, 2)))
-    proofs = _proved(problem, boxed, tolerance, any(limit.rate for limit in wanted))
-    statements = [*_motion_statements(proofs)]
-    intervals = np.array([(each.begin, each.end) for each in proofs[0].intervals if not each.outside])
-    jumps = sorted({a.end for proof in proofs for a, joint in zip(proof.intervals, proof.joints, strict=False)
-                    if joint == "inputs jump"}
-                   | {time for proof in proofs for time, sentence in switchings(proof) if not sentence})  # fmt: skip
-    bounds: dict[str, ErrorBound] = {}
-    if all(each.proved for proof in proofs for each in proof.intervals):
-        bounds, of_instants = compared(proofs, solution, tolerance)
-        statements += of_instants
-    signs = [
-        Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name))
-        for each in reported_quantities(system).values()
-        if each.positive
-    ]
-    statements += limit_statements(
-        proofs, (*wanted, *signs),
-        lambda limit: f"{limit.quantity} positive" if limit in signs else f"{LIMIT}{limit.quantity}",
-    )  # fmt: skip
+        return _certificate(problem, [Statement("one motion", "refuted", text)])
+    proofs = _proved(problem, boxed, tolerance, rates)
+    jumps = {time for proof in proofs for time in proof.jumps}
+    jumps |= {time for proof in proofs for time, sentence in switchings(proof) if not sentence}
+    bounds, of_instants, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
+    if not any(proof.unproved for proof in proofs):
+        bounds, of_instants, claims = compared(proofs, solution, tolerance)
+    claims += [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
+    statements = _motion_statements(proofs) + of_instants + statements_of(proofs, claims, jumps)
     statements += run_statements(proofs, run_limits)
-    statements += [*step_statement(problem), *left_out_statement(proofs), mass_statement(proofs)]
-    return Certificate(problem.name, tuple(statements), bounds, intervals, tuple(jumps), tuple(proofs))
+    return _certificate(problem, statements + _step_statement(problem.system), bounds, proofs, jumps)
+
+
+def _certificate(
+    problem: Problem,
+    statements: Sequence[Statement],
+    bounds: Mapping[str, ErrorBound] | None = None,
+    proofs: Sequence[Proof] = (),
+    jumps: Iterable[float] = (),
+) -> Certificate:
+    path = problem.reference
+    timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
+    inner = [(each.begin, each.end) for proof in proofs[:1] for each in proof.intervals if not each.outside]
+    return Certificate(
+        problem.name, timed, bounds or {}, np.reshape(inner, (-1, 2)), tuple(sorted(jumps)), tuple(proofs)
+    )
 
 
 def _problem_of(subject: Scene | Solution, model: str | None) -> tuple[Problem, Solution | None]:
@@ -249,7 +259,7 @@ def _proved(problem: Problem, boxed: dict[int, tuple[float, float]], tolerance: 
         for k, (low, high) in box.items():
             p[k] = (low + high) / 2.0
         proof = Proof(replace(problem, p=p), box, tolerance, rates).run()
-        if box and unproved(proof) and len(todo) + len(done) < _SPLITS:
+        if box and proof.unproved and len(todo) + len(done) < _SPLITS:
             k = max(box, key=lambda each: (box[each][1] - box[each][0]) / max(np.abs(box[each])))
             low, high = box[k]
             middle = (low + high) / 2.0
@@ -261,27 +271,32 @@ def _proved(problem: Problem, boxed: dict[int, tuple[float, float]], tolerance: 
 
 def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
     """State that there is one motion on one branch, regular at all times, and as smooth as motions are."""
-    path = proofs[0].problem.reference
-    begin, end, statements = path.start_time, path.end_time, list[Statement]()
-    for what, joints in (
-        ("one motion, regular at all times", ()), ("one branch from the beginning to the end", ("apart", "not proved")),
-        ("path smooth enough for the motion", ("motion jumps",)),
-    ):  # fmt: skip
-        verdict: Verdict = "proved"
-        sentence, time = "", None
-        for proof in proofs:
-            open_ = unproved(proof) if not joints else []
-            places = [k for k, joint in enumerate(proof.joints) if joint in joints]
-            if not open_ and not places:
-                continue
-            if open_:
-                verdict, time, sentence = cause_of(proof, open_)
-            elif "motion jumps" in joints:
-                verdict, time = "refuted", proof.intervals[places[0]].end
-                sentence = f"coordinates or velocities jump at t = {time:.6g} s: the path is too rough there"
-            else:
-                verdict, time = "undecided", proof.intervals[places[0]].end
-                sentence = f"not decided at t = {time:.6g} s that the motion goes on as it was before"
-            break
-        statements.append(Statement(what, verdict, begin, end, sentence, time))
-    return statements
+    motion, branch, smooth = found = [
+        Statement("one motion, regular at all times", "proved"),
+        Statement("one branch from the beginning to the end", "proved"),
+        Statement("path smooth enough for the motion", "proved"),
+    ]
+    for proof in reversed(proofs):
+        if proof.unproved:
+            verdict, time, text = cause_of(proof)
+            found[0] = replace(motion, verdict=verdict, sentence=text, time=time)
+        for a, joint in reversed(list(zip(proof.intervals, proof.joints, strict=False))):
+            if joint in {"apart", "not proved"}:
+                text = f"not decided at t = {a.end:.6g} s that the motion goes on as it was before"
+                found[1] = replace(branch, verdict="undecided", sentence=text, time=a.end)
+            elif joint == "motion jumps":
+                text = f"coordinates or velocities jump at t = {a.end:.6g} s: the path is too rough there"
+                found[2] = replace(smooth, verdict="refuted", sentence=text, time=a.end)
+    return found
+
+
+@made_once
+def _step_statement(system: MechanicalSystem) -> list[Statement]:
+    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
+
+    The equations hold the derivative, which is zero but at the step.
+    """
+    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
+        return []
+    text = "the potential or a mass has a step, of which the equations of motion know nothing"
+    return [Statement("no impulses", "undecided", text)]

@@ -13,14 +13,13 @@ ISSAC 2010; Tucker, *Validated Numerics*, 2011, chapter 3). NumPy's sin, cos, ex
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property, reduce
 from math import prod
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.programs import TIMES, UNIT, UP, norm, program_of, summed
+from servocore.certificate.programs import TIMES, UNIT, UP, Products, norm, program_of, summed
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
@@ -40,17 +39,8 @@ def magnitude(a: Model) -> Array:
     return np.asarray((norm(a[0]) + a[1]) * UP)
 
 
-@dataclass(frozen=True)
-class Arithmetic:
-    """Operations on Chebyshev models of some degree in each variable.
-
-    Attributes
-    ----------
-    degrees : tuple of int
-        In time, and in each parameter.
-    """
-
-    degrees: tuple[int, ...]
+class Arithmetic(Products):
+    """Operations on Chebyshev models of some degree in each variable."""
 
     @cached_property
     def nodes(self) -> Array:
@@ -71,17 +61,6 @@ class Arithmetic:
         """Return the matrix from coefficients to values at `points` (N, variables): entries within 4 ulp."""
         each = [chebyshev.chebvander(points[:, k], d) for k, d in enumerate(self.degrees)]
         return np.asarray(reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), each))
-
-    @cached_property
-    def _samples(self) -> tuple[Array, float]:
-        """The matrix to values at 4 d + 1 Chebyshev points in each variable, and what their largest is to be times.
-
-        A polynomial of degree d is at most 1/cos(d pi/(2 m)) times its largest magnitude at m Chebyshev points
-        (Ehlich & Zeller, Math. Z. 86 (1964) 41); in several variables the factors multiply.
-        """
-        counts = [4 * d + 1 for d in self.degrees]
-        factor = prod(1.0 / np.cos(d * np.pi / (2 * m)) for d, m in zip(self.degrees, counts, strict=True))
-        return self.rows(_grid([_points(m) for m in counts])), factor * UP
 
     @cached_property
     def derivatives(self) -> list[Array]:
@@ -107,24 +86,11 @@ class Arithmetic:
         return _applied(self.at_nodes, c)
 
     def span(self, a: Model) -> tuple[Array, Array]:
-        """Return lower and upper bounds of models, shape (count, boxes) each.
-
-        About the constant coefficient, by the lesser of two bounds of the rest: the sum of its coefficients, and the
-        samples. A sample is a sum of `terms` products, each off by some ulps of its coefficient.
-        """
-        c, r = a
-        matrix, factor = self._samples
-        rest = norm(c[1:])
-        sampled = _applied(matrix[:, 1:], c[1:])
-        noise = (len(c) + 8) * UNIT * rest
-        above, below = np.maximum(sampled.max(axis=0), 0.0), np.maximum(-sampled.min(axis=0), 0.0)
-        # The rule is one of magnitudes: it is applied to the polynomial less the middle of its samples.
-        half, middle = (above + below) / 2.0, (above - below) / 2.0
-        width = (factor * half + noise + r) * UP + UNIT * np.abs(middle)
-        low, high = c[0] + middle - width, c[0] + middle + width
-        least = (rest + r) * UP
+        """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
+        c, rest = a[0], magnitude((a[0][1:], a[1]))
+        low, high = c[0] - rest, c[0] + rest
         slack = 2.0 * UNIT * (np.abs(low) + np.abs(high))
-        return np.maximum(low, c[0] - least) - slack, np.minimum(high, c[0] + least) + slack
+        return low - slack, high + slack
 
     # Sums and products ----------------------------------------------------------------------------------------------
 
@@ -139,7 +105,7 @@ class Arithmetic:
         models = np.empty((len(c) + 1, 3, r.size))
         for place, (coefficients, radii) in enumerate((a, b)):
             models[:-1, place], models[-1, place] = coefficients.reshape(len(c), -1), radii.ravel()
-        _PRODUCT(self.degrees, models)
+        _PRODUCT(self, models)
         return models[:-1, 2].reshape(c.shape), models[-1, 2].reshape(r.shape)
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------

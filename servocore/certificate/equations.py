@@ -6,7 +6,7 @@ structure with all offsets one higher.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model
-from servocore.certificate.walk import Walk, walk_of
+from servocore.certificate.walk import CONSTANT, Walk, lowered, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.expressions import time_derivative
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import without_jumps
+from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
 from servocore.structure.inversion import Inversion, inversion
@@ -32,26 +32,36 @@ Places = npt.NDArray[np.intp]
 class Equations:
     """A derivative array for proofs.
 
+    Operations that are constant between jumps, such as signs, are arguments of residual and Jacobian: where a value is
+    not known, all of them are tried.
+
     Attributes
     ----------
     array : DerivativeArray
         Differentiated once more for rates.
     symbols : casadi.SX
-        Unknowns, path with its derivatives, parameters: the arguments of the walks.
+        Unknowns, path with its derivatives, parameters, and states of the internal dynamics: arguments of the walks.
+    steps : Walk
+        Of operations that are constant between jumps.
     residual, jacobian : Walk
-        Of the equations, and of the entries of their Jacobian.
+        Of the equations, and of the entries of their Jacobian; arguments are the symbols and the steps.
     pattern : casadi.Sparsity
         Of the Jacobian.
     curved : ndarray of bool
-        Unknowns that the Jacobian depends on.
+        Unknowns that the Jacobian or the steps depend on.
+    motion, switching : list of int
+        Unknowns that are coordinates and velocities: they cannot jump; and those that the steps depend on.
     """
 
     array: DerivativeArray
     symbols: ca.SX
+    steps: Walk
     residual: Walk
     jacobian: Walk
     pattern: ca.Sparsity
     curved: npt.NDArray[np.bool_]
+    motion: list[int]
+    switching: list[int]
 
     @property
     def path_order(self) -> int:
@@ -59,38 +69,71 @@ class Equations:
         return self.array.reference_order
 
     @cached_property
-    def motion(self) -> list[int]:
-        """Unknowns that are coordinates and velocities: they cannot jump."""
-        n = len(self.array.system.coordinates)
-        return [k for k, (j, order) in enumerate(self.array.unknowns) if j < n and order < 2]
-
-    @cached_property
     def inputs(self) -> list[int]:
         """Places of the inputs among the unknowns."""
         first = len(self.array.names) - len(self.array.system.inputs)
-        return self.array.places((j, 0) for j in range(first, len(self.array.names)))
+        return [self.array.determined.index((j, 0)) for j in range(first, len(self.array.names))]
 
-    def walk(self, expressions: Iterable[ca.SX], rates: bool = False) -> Walk:
-        """Return expressions of q, v, lam, u, gamma and p, or their rates, as a walk of the same arguments."""
+    def walk(self, quantities: Iterable[tuple[ca.SX, bool]]) -> Walk:
+        """Return expressions of q, v, lam, u, gamma and p, of some the rates, as a walk of the same arguments."""
         system, y = self.array.system, self.array.y
         n = len(system.coordinates)
         old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-        (values,) = ca.substitute([ca.vertcat(ca.SX(0, 1), *expressions)], [old], [new])
-        return walk_of(time_derivative(values, y, system.gamma) if rates else values, self.symbols)
+        expressions, rates = zip(*quantities, strict=True)
+        values = ca.substitute(list(expressions), [old], [new])
+        wanted = (time_derivative(e, y, system.gamma) if rate else e for e, rate in zip(values, rates, strict=True))
+        return walk_of(ca.vertcat(*wanted), self.symbols)
 
 
 @made_once
 def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     """Prepare the equations of a system; `raised` with the rates."""
     array = differentiated_once_more(resolved.array) if raised else resolved.array
-    x, gamma = array.column(array.unknowns), ca.vec(array.system.gamma[:, : array.reference_order + 1])
-    symbols, J = ca.vertcat(x, gamma, array.system.p), ca.jacobian(array.residual, x)
+    x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
+    residual, names, steps = _without_steps(array.residual)
+    symbols, J = ca.vertcat(x, gamma, array.system.p, array.column(array.states)), ca.jacobian(residual, x)
+    switching = ca.jacobian_sparsity(steps, x).get_col()
     curved = np.zeros(x.numel(), dtype=bool)
-    # In CasADi the derivative of what jumps is zero: an unknown behind a step has more than one value.
-    smooth = without_jumps(array.residual)
-    slopes = J if smooth is array.residual else ca.jacobian(smooth, x)
-    curved[np.array(ca.jacobian_sparsity(slopes.nz[:], x).get_col(), dtype=np.intp)] = True
-    return Equations(array, symbols, walk_of(array.residual, symbols), walk_of(J.nz[:], symbols), J.sparsity(), curved)
+    curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
+    n = len(array.system.coordinates)
+    motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
+    every = ca.vertcat(symbols, names)
+    return Equations(
+        array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
+        curved, motion, switching,
+    )  # fmt: skip
+
+
+def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return an expression of names for operations that are constant between jumps, these names, and the operations."""
+    names, steps, compared = ca.SX(0, 1), ca.SX(0, 1), dict[int, tuple[int, ...]]()
+
+    def named(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+        nonlocal names, steps
+        # Kinks are written by signs, which have a derivative that is bounded where they switch.
+        result = (lowered if operation in {ca.OP_FMAX, ca.OP_FMIN} else computed)(operation, taken)
+        if operation == ca.OP_DIV and _is_share(taken[0], taken[1], compared):
+            return taken[0]
+        if operation not in CONSTANT:
+            return result
+        name = ca.SX.sym("s")
+        if operation == ca.OP_LE:
+            compared[name.element_hash()] = tuple(each.element_hash() for each in taken)
+        names, steps = ca.vertcat(names, name), ca.vertcat(steps, *ca.substitute([result], [names], [steps]))
+        return name
+
+    if holds_any(expression, KINKS):
+        expression = rebuilt(ca.cse(expression), named)
+    return expression, names, steps
+
+
+def _is_share(a: ca.SX, b: ca.SX, compared: Mapping[int, tuple[int, ...]]) -> bool:
+    """Whether a/b is s/(s + z) with s = (y <= x), z = (x <= y), as in derivatives of fmax(x, y): s but where x = y."""
+    parts = {each.element_hash(): each for each in ca.symvar(b)}
+    if len(parts) != 2 or a.element_hash() not in parts or not parts.keys() <= compared.keys():
+        return False
+    (s, z), (first, second) = parts.values(), (compared[each] for each in parts)
+    return first == second[::-1] and ca.is_equal(b, s + z, 1)
 
 
 # Answers at instants --------------------------------------------------------------------------------------------------
@@ -110,23 +153,16 @@ def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess:
     return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
 
 
+def guessed(problem: Problem, array: DerivativeArray, t: Array, p: Array) -> Array:
+    """Return the guess of the model (size, N) at instants."""
+    (guess,) = _at_points(inversion(array).guess, problem.reference.jet(t, array.reference_order), p)
+    return guess
+
+
 @made_once
 def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
     """Return the inversion in machine code, once it is worth it: each proof counts as one call."""
     return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
-
-
-def predicted(array: DerivativeArray, x: Array, before: tuple[Array, float] | None, step: float) -> Array:
-    """Return unknowns (size, N) a step of time on: by their derivatives, the highest by those a step before."""
-    guess, place = x.copy(), {unknown: k for k, unknown in enumerate(array.unknowns)}
-    for k, (j, order) in enumerate(array.unknowns):
-        factor, higher = step, order + 1
-        while (j, higher) in place:
-            guess[k] += factor * x[place[j, higher]]
-            factor, higher = factor * step / (higher - order + 1), higher + 1
-        if higher == order + 1 and before is not None:
-            guess[k] += (x[k] - before[0][k]) * step / before[1]
-    return guess
 
 
 def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) -> list[Array]:
@@ -136,6 +172,7 @@ def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) ->
     padded = [np.concatenate([each, np.repeat(each[:, -1:], full - count, axis=1)], axis=1) for each in (p, *columns)]
     jets = np.concatenate([jets, np.repeat(jets[-1:], full - count, axis=0)])
     results = mapped(function, full)(side_by_side(jets), *padded)
+    results = results if isinstance(results, (list, tuple)) else [results]
     return [each.reshape(-1, full, order="F")[:, :count].copy() for each in results]
 
 

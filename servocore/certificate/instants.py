@@ -6,19 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, norm
-from servocore.certificate.equations import parameter_models, path_models
-from servocore.certificate.krawczyk import joined
+from servocore.certificate.equations import answers, equations_of, guessed, parameter_models, path_models
+from servocore.certificate.krawczyk import joined, radii
 from servocore.certificate.programs import UP
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import Statement, Verdict, limit_statements
+from servocore.certificate.statements import Claim, Statement, Verdict
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
+_SPLINE, _BESIDE = 5, 1e-6  # degree; D, of a peak
+_UNSHOWN = "the instants do not show it"
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
 
 
@@ -49,56 +54,56 @@ class ErrorBound:
 
 def compared(
     proofs: Sequence[Proof], solution: Solution | None, tolerance: float
-) -> tuple[dict[str, ErrorBound], list[Statement]]:
-    """Bound errors of inputs, at the instants of a solution or of a default run, and state what follows from them.
+) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
+    """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
 
-    Inputs of a solution are right, and no input goes far beyond its values at the instants.
+    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
+    equations switch inputs have no value to compare with.
     """
-    proof, path = proofs[0], proofs[0].problem.reference
+    proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
-    t = time_grid(path, None) if solution is None else solution.t
-    c, r = unknowns_at(proof, t)
-    middle, radius = c[0, places], (norm(c[1:]) + r)[places] * UP
-    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name] for each in inputs]) - middle)
+    t = time_grid(proof.problem.reference, None) if solution is None else solution.t
+    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[_numbers(proof, t)]
+    t = t[calm]
+    c, r = unknowns_at(proof, t, places)
+    middle, radius = c[0], (norm(c[1:]) + r) * UP
+    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    between = np.max([each.rho[places] for each_proof in proofs for each in each_proof.intervals], axis=0)
-    bounds = {
-        each.name: ErrorBound(float(most[k].max()), float(between[k]), float(peaks[k]), each.unit)
-        for k, each in enumerate(inputs)
-    }
-    found = list[Statement]()
+    all_calm = [each for some in proofs for each in some.intervals if not some.jumps_within(each)]
+    between = np.max([each.rho[places] for each in all_calm], axis=0)
+    bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
+    for k, each in enumerate(inputs):
+        peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
+        bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
+        spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
+        claims += [] if proof.boxed else [Claim(what, spike)]
     if solution is not None:
         low, high = least / peaks[:, None], most / peaks[:, None]
-        verdict: Verdict = "proved" if (high <= tolerance).all() else "undecided"
-        verdict = "refuted" if (low > tolerance).any() else verdict
-        k, at = np.unravel_index(int(high.argmax()), high.shape)
-        text = f"{inputs[k].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
+        verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"
+        verdict = "proved" if (high <= tolerance).all() else verdict
+        place, at = np.unravel_index(int(high.argmax()), high.shape)
+        text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
         what = f"inputs within {tolerance:g} of their peaks"
-        found.append(Statement(what, verdict, path.start_time, path.end_time, text, float(t[at])))
-    bound = [_SPIKE * peak for peak in peaks.tolist()]
-    spikes = [
-        Limit(each.name, each.unit, -most, "the instants do not show it", Named(each.name), upper=most)
-        for each, most in zip(inputs, bound, strict=True)
-    ]
-    if proof.boxed:
-        return bounds, found
-    return bounds, found + limit_statements(
-        proofs, spikes, lambda limit: f"{limit.quantity} between instants at most twice its peak at instants"
-    )
+        found.append(Statement(what, verdict, text, float(t[at])))
+    return bounds, found, claims
 
 
-def unknowns_at(proof: Proof, t: Array) -> Model:
-    """Return the unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    ends = np.array([each.end for each in proof.intervals])
-    numbers = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1)
+def _numbers(proof: Proof, t: Array) -> npt.NDArray[np.intp]:
+    """Return the numbers of the intervals of times."""
+    ends = [each.end for each in proof.intervals[:-1]]
+    return np.searchsorted(ends, t, side="right")
+
+
+def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
+    """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
+    ends, numbers = np.array([each.end for each in proof.intervals]), _numbers(proof, t)
     a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    models = proof.enclosures
-    count = len(proof.peaks)
-    c, rho = np.moveaxis(models[0][:, :count], 2, 0), models[1][:count, numbers]
+    models, count = proof.enclosures, len(places)
+    c, rho = np.moveaxis(models[0][:, places], 2, 0), models[1][places][:, numbers]
     shaped = c.reshape(len(ends), basis.shape[1], -1)
     x = (basis[:, None] @ shaped[numbers]).reshape(len(t), -1, count).transpose(1, 2, 0)
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
@@ -111,9 +116,38 @@ def unknowns_at(proof: Proof, t: Array) -> Model:
 def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring = arithmetic((0, *proof.ring.degrees[1:]))
-    walk = proof.equations.walk([Named(name)(proof.problem.system) for name in names])
+    walk = proof.equations.walk([(Named(name)(proof.problem.system), False) for name in names])
     path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
     given = joined(path, parameter_models(ring, proof.problem.p, proof.boxed, len(t)))
-    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t), given)))
+    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t, range(len(proof.peaks))), given)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)
+
+
+@np.errstate(all="ignore")
+def at_states(problem: Problem, solution: Solution) -> Statement:
+    """State that the algebraic equations have one regular solution at each instant, at the computed states.
+
+    These are the reported coordinates and their rates, by a spline through them.
+    """
+    what, t = "one regular solution of the algebraic equations at the computed states", solution.t
+    equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
+    array, p = equations.array, np.tile(problem.p[:, None], len(t))
+    guess, degree = guessed(problem, array, t, p), min(_SPLINE, len(t) - 1)
+    for k, (j, order) in enumerate(array.unknowns):
+        if j < len(problem.system.coordinates) and order <= degree:
+            curve = make_interp_spline(t, solution[array.names[j].removeprefix("q.")], k=degree)
+            guess[k] = curve.derivative(order)(t)
+    found = answers(problem, array, t, p, guess)
+    x, states = found[array.places(array.determined)], found[array.places(array.states)]
+    given = joined(path_models(problem, ring, t, t, equations.path_order), ring.constant(p), ring.constant(states))
+    sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
+    D = np.tile(_BESIDE * sizes[:, None], len(t))
+    rho, *_ = radii(equations, ring, np.nan_to_num(x)[None], given, D, sizes)
+    lost = np.flatnonzero(~((rho <= D)[equations.curved].all(axis=0) & np.isfinite(x + rho).all(axis=0)))
+    if len(lost):
+        return Statement(what, "undecided", f"not proved at t = {t[lost[0]]:.6g} s", float(t[lost[0]]))
+    places = equations.inputs
+    reported = np.stack([solution[each.name] for each in problem.system.inputs])
+    off = ((np.abs(reported - x[places]) + rho[places]) / sizes[places, None]).max()
+    return Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, norm
 from servocore.certificate.equations import Equations
@@ -31,6 +31,7 @@ _ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
 _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
 _ITERATIONS = 60
+_KNOWN = 0.1  # radius: a step is one at the least, and known but for rounding elsewhere
 _INVERTED = 4  # degree in time of approximate inverses
 
 
@@ -70,81 +71,64 @@ class Blocks:
     ----------
     rows, columns : ndarray of int
         Equations and unknowns in the order of the form.
-    ends : list of int
-        Where blocks end, and where the first begins.
-    inside, own : ndarray of int
-        Places, among the entries of all blocks, of those that the Jacobian has, and theirs in the Jacobian.
-    where : list of (int, ndarray of int)
-        Sizes of blocks, and the places of the entries of those of a size, row by row.
-    within : Sums
-        The blocks.
-    beside : Sums
-        What lies beside them.
-    others : ndarray of int
-        Places of that among the entries of the Jacobian.
+    ends : ndarray of int
+        Where blocks begin, and where the last one ends.
+    within, inside, own : Sums, ndarray of int, ndarray of int
+        The blocks; places, among their entries, of those that the Jacobian has, and theirs in the Jacobian.
+    beside, others : Sums, ndarray of int
+        What lies beside them, and its places in the Jacobian.
     test : Walk
         From the entries of Y, of J and of r to those of I - Y J, and of Y r.
     """
 
     rows: Places
     columns: Places
-    ends: list[int]
+    ends: Places
+    within: Sums
     inside: Places
     own: Places
-    where: list[tuple[int, Places]]
-    within: Sums
     beside: Sums
     others: Places
     test: Walk
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
-        position = int(np.flatnonzero(self.columns == unknown)[0])
-        a, b = next((a, b) for a, b in pairwise(self.ends) if a <= position < b)
-        return [int(each) for each in self.rows[a:b]]
+        last = int(np.searchsorted(self.ends, np.flatnonzero(self.columns == unknown)[0], side="right"))
+        return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
 @made_once
 def blocks_of(equations: Equations) -> Blocks:
-    """Prepare the test of equations."""
-    pattern = equations.pattern
-    size, none = pattern.size1(), pattern.nnz()
-    _, row_order, column_order, ends, *_ = pattern.btf()
-    ends = sorted(set(ends))
-    rows, columns = (np.array(each, dtype=np.intp) for each in (row_order, column_order))
-    entry = np.full((size, size), none)
-    entry[tuple(np.array(each) for each in pattern.get_triplet())] = np.arange(none)
-    entry = entry[rows][:, columns]
-    block = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
-    same = block[:, None] == block
-    at, column = np.nonzero(same)
-    number = np.full((size, size), -1)
-    number[at, column] = np.arange(len(at))
-    grouped: dict[int, list[Places]] = {}
-    for a, b in pairwise(ends):
-        grouped.setdefault(b - a, []).append(number[a:b, a:b].ravel())
-    within, inside = entry[at, column], np.flatnonzero(entry[at, column] < none)
-    beside = np.nonzero(~same & (entry < none))
-    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(at)), ("J", len(inside)), ("r", size)))
-    # The form is lower triangular: the first block depends on no other.
-    tests, shifts = [ca.SX(0, 1)], [ca.SX(0, 1)]
-    for a, b in pairwise(ends):
-        inverse = ca.reshape(Y[number[a:b, a:b].ravel().tolist()], b - a, b - a).T
-        own = ca.SX(b - a, b - a)
-        for i, k in zip(*np.nonzero(entry[a:b, a:b] < none), strict=True):
-            own[int(i), int(k)] = J[int(np.searchsorted(inside, number[a + i, a + k]))]
-        tests.append(ca.vec(ca.densify(ca.SX.eye(b - a) - ca.mtimes(inverse, own)).T))
-        shifts.append(ca.mtimes(inverse, r[rows[a:b].tolist()]))
-    test = walk_of(ca.vertcat(*tests, *shifts), ca.vertcat(Y, J, r))
-    where = [(length, np.concatenate(some)) for length, some in grouped.items()]
+    """Prepare the test of equations. The form is lower triangular: the first block depends on no other."""
+    pattern, size = equations.pattern, equations.pattern.size1()
+    _, rows, columns, bounds, *_ = pattern.btf()
+    ends = np.unique(bounds)
+    sizes = np.diff(ends)
+    permuted, numbers = pattern.sub(rows, columns)
+    by_rows = np.lexsort((permuted.get_col(), permuted.row()))
+    at, column, entry = (np.array(each)[by_rows] for each in (permuted.row(), permuted.get_col(), numbers))
+    block = np.repeat(np.arange(len(sizes)), sizes)
+    same, first, width = block[at] == block[column], ends[:-1][block], sizes[block]
+    # Entries of the blocks, row by row, and where each row of them begins.
+    whole_rows, begin = np.repeat(np.arange(size), width), np.cumsum(width) - width
+    whole_columns = np.arange(len(whole_rows)) - np.repeat(begin - first, width)
+    inside = (begin - first)[at[same]] + column[same]
+    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(whole_rows)), ("J", len(inside)), ("r", size)))
+    # CasADi counts entries by columns, so the matrices are transposed; the pattern of the blocks is symmetric.
+    whole = ca.Sparsity.triplet(size, size, whole_columns.tolist(), whole_rows.tolist())
+    given = ca.Sparsity.triplet(size, size, column[same].tolist(), at[same].tolist())
+    inverse, matrix = ca.SX(whole, Y).T, ca.SX(given, J).T
+    off = ca.project((ca.SX.eye(size) - ca.mtimes(inverse, matrix)).T, whole)
+    test = walk_of(ca.vertcat(off.nz[:], ca.mtimes(inverse, r[rows])), ca.vertcat(Y, J, r))
     return Blocks(
-        rows, columns, ends, inside, within[inside], where, Sums(at, column), Sums(*beside), entry[beside], test
-    )
+        np.array(rows), np.array(columns), ends, Sums(whole_rows, whole_columns), inside, entry[same],
+        Sums(at[~same], column[~same]), entry[~same], test,
+    )  # fmt: skip
 
 
 def radii(
     equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, npt.NDArray[np.bool_], Array, Array]:
     """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
 
     Parameters
@@ -165,28 +149,38 @@ def radii(
     Returns
     -------
     rho : ndarray, shape (unknowns, boxes)
-        The radii, whether within D or not.
+        The radii, whether within D or not, for any values that `equations.steps` take within D.
+    switches : ndarray of bool, shape (boxes,)
+        Whether one of these takes more than one value.
     failed : ndarray of int, shape (boxes,)
         The first unknown of the first block that was not proved; -1 if all were.
+    shift : ndarray, shape (terms, unknowns, boxes)
+        What a step of Newton's method, block by block, would take off x_hat.
     """
     blocks = blocks_of(equations)
     wide = np.where(equations.curved[:, None], D, 0.0)
-    residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given))
-    jacobian = equations.jacobian(ring, joined((x, wide), given))
+    anywhere = joined((x, wide), given)
+    steps = equations.steps(ring, anywhere)
+    residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given, steps))
+    jacobian = equations.jacobian(ring, joined(anywhere, steps))
     own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
     Y = _inverses(blocks, ring, own[0])
-    found = magnitude(blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual)))
+    off = blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual))
+    found = magnitude(off)
     A, Z = found[: Y.shape[1]], np.maximum(found[Y.shape[1] :], _LEAST * sizes[blocks.columns, None])
     beside = magnitude((jacobian[0][:, blocks.others], jacobian[1][blocks.others]))
     rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, beside)
-    first = np.array(blocks.ends)[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
-    proved, unsorted = holds.all(axis=0), np.empty_like(rho)
-    unsorted[blocks.columns] = np.where(proved, rho, np.inf)
-    return unsorted, np.where(proved, -1, blocks.columns[first])
+    first = blocks.ends[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
+    proved, order = holds.all(axis=0), np.argsort(blocks.columns)
+    switches, failed = np.asarray((steps[1] > _KNOWN).any(axis=0)), np.where(proved, -1, blocks.columns[first])
+    return np.where(proved, rho, np.inf)[order], switches, failed, off[0][:, Y.shape[1] :][:, order]
 
 
 def joined(*some: Model) -> Model:
     """Return models one after the other."""
+    some = tuple(each for each in some if each[1].size) or some[:1]
+    if len(some) == 1:
+        return some[0]
     return np.concatenate([c for c, _ in some], axis=1), np.concatenate([r for _, r in some])
 
 
@@ -196,15 +190,13 @@ def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
     nodes = len(coarse.nodes)
     values = np.zeros((nodes, len(blocks.within.rows), boxes))
     values[:, blocks.inside] = (ring.rows(coarse.nodes) @ c.reshape(terms, -1)).reshape(nodes, -1, boxes)
-    found = np.empty_like(values)
-    for size, where in blocks.where:
-        if size == 1:
-            found[:, where] = 1.0 / values[:, where]
-            continue
+    found, sizes = np.empty_like(values), np.diff(blocks.ends)
+    for size in np.unique(sizes).tolist():
+        where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
         matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
         try:
-            inverses = np.linalg.inv(matrices)
+            inverses = 1.0 / matrices if size == 1 else np.linalg.inv(matrices)
         except np.linalg.LinAlgError:
             inverses = np.linalg.pinv(matrices)
         found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)

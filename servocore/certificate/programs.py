@@ -46,8 +46,8 @@ def norm(c: Array) -> Array:
     return np.asarray(np.abs(c).sum(axis=0))
 
 
-@dataclass(frozen=True, eq=False)
-class Multiplication:
+@dataclass(frozen=True)
+class Products:
     """Where the products of coefficients go for polynomials of some degree in each variable.
 
     Attributes
@@ -91,43 +91,25 @@ class Multiplication:
         """
         return (prod(2 * d + 2 for d in self.degrees) + 2) * UNIT / 2.0
 
-    @cached_property
-    def matrices(self) -> Array:
-        """For each coefficient of the first factor, the matrix from those of the second to the product."""
-        terms = prod(d + 1 for d in self.degrees)
-        found = np.zeros((terms, terms, len(self.kept)))
-        for each in self.places.T:
-            np.add.at(found, (*np.indices((terms, terms)), each.reshape(terms, terms)), 1.0 / self.places.shape[1])
-        return found.swapaxes(1, 2)
+    def multiplied(self, a: Array, b: Array) -> Array:
+        """Return products of models with the radius below the coefficients, shape (terms + 1, N, boxes).
 
-
-@made_once
-def multiplication(degrees: tuple[int, ...]) -> Multiplication:
-    """Return the tables of degrees."""
-    return Multiplication(degrees)
+        Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
+        """
+        full, terms = np.zeros((len(self.kept), *a.shape[1:])), len(a) - 1
+        for k, places in enumerate(self.places.reshape(terms, terms, -1)):
+            for place in places.T:
+                np.add.at(full, place, a[k] * b[:-1] / places.shape[1])
+        beyond, size_a, size_b = self.kept < 0, norm(a[:-1]), norm(b[:-1])
+        crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
+        r = (norm(full[beyond]) + self.rounding * size_a * size_b + crossed) * UP
+        return np.concatenate([full[~beyond], (r + _TINY * (r > 0))[None]])
 
 
 def summed(a: Array, b: Array, sign: float) -> Array:
     """Return a + b or a - b, coefficients and below them the radius: a coefficient is rounded by a unit of itself."""
     found = a + sign * b
     found[-1] = (a[-1] + b[-1] + UNIT * norm(found[:-1])) * UP
-    return found
-
-
-def multiplied(degrees: tuple[int, ...], a: Array, b: Array) -> Array:
-    """Return products of models with the radius below the coefficients, shape (terms + 1, ...).
-
-    Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
-    """
-    tables, shape = multiplication(degrees), a.shape[1:]
-    left, right = (each[:-1].reshape(len(a) - 1, -1) for each in (a, b))
-    full = np.sum([matrix @ (each * right) for matrix, each in zip(tables.matrices, left, strict=True)], axis=0)
-    beyond, found = tables.kept < 0, np.empty_like(a)
-    found[:-1] = full[~beyond].reshape(-1, *shape)
-    size_a, size_b = norm(a[:-1]), norm(b[:-1])
-    crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
-    r = (norm(full[beyond]).reshape(shape) + tables.rounding * size_a * size_b + crossed) * UP
-    found[-1] = r + _TINY * (r > 0)
     return found
 
 
@@ -190,26 +172,26 @@ class Program:
         arrays = (steps, read, self.inputs, written, self.outputs)
         return (len(steps), len(read), len(written), *(each.ctypes.data for each in arrays)), count
 
-    def __call__(self, degrees: tuple[int, ...], models: Array) -> None:
+    def __call__(self, tables: Products, models: Array) -> None:
         """Carry the steps out on models (terms + 1, places, boxes), radii below the coefficients; results in place."""
         if not len(self.steps):
             return
         run = machine_code().best(len(self.steps) * models.shape[2])
-        if run is None:
-            work = np.zeros((len(models), max(models.shape[1], self.steps.max(initial=0) + 1), models.shape[2]))
-            work[:, : models.shape[1]] = models
-            for operation, (result, a, b) in self.levels:
-                left, right = work[:, a], work[:, b]
-                work[:, result] = (
-                    multiplied(degrees, left, right)
-                    if operation == TIMES
-                    else summed(left, right, 1.0 if operation == PLUS else -1.0)
-                )
-            models[:] = work[:, : models.shape[1]]
+        if run is not None:
+            own, count = self.addresses
+            scratch = np.empty((count * len(models) + len(tables.kept)) * _LANES)
+            run(*tables.addresses, *own, *models.shape[1:], models.ctypes.data, scratch.ctypes.data, tables.rounding)
             return
-        tables, (own, count) = multiplication(degrees), self.addresses
-        scratch = np.empty((count * len(models) + len(tables.kept)) * _LANES)
-        run(*tables.addresses, *own, *models.shape[1:], models.ctypes.data, scratch.ctypes.data, tables.rounding)
+        work = np.zeros((len(models), max(models.shape[1], self.steps.max(initial=0) + 1), models.shape[2]))
+        work[:, : models.shape[1]] = models
+        for operation, (result, a, b) in self.levels:
+            left, right = work[:, a], work[:, b]
+            work[:, result] = (
+                tables.multiplied(left, right)
+                if operation == TIMES
+                else summed(left, right, 1.0 if operation == PLUS else -1.0)
+            )
+        models[:] = work[:, : models.shape[1]]
 
 
 @made_once

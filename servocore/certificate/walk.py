@@ -1,8 +1,8 @@
 """Enclosures of CasADi expressions: their operations carried out on Chebyshev models, many at once.
 
 Sums and products are programs; between them stand the operations that are interpolated, those of one kind with known
-arguments together. Operations with a kink or a jump are products with the sign of a level, which is known where that
-stays on one side of zero; elsewhere their radius is infinite, and nothing that depends on them is proved.
+arguments together. Operations with a kink or a jump are products with the sign of a level, which is between -1 and 1
+where that may come to zero.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, bounded
-from servocore.certificate.programs import MINUS, PLUS, TIMES, Places, Program, program_of
+from servocore.certificate.chebyshev import Arithmetic, Model, bounded, norm
+from servocore.certificate.programs import MINUS, PLUS, TIMES, UP, Places, Program, program_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., tuple[Model, ...]]
 _Function: TypeAlias = tuple[Rule, list[Places], list[Places]]
 
+_ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
@@ -35,10 +36,10 @@ class Walk:
     ----------
     parts : tuple of (Program, list of (rule, places of arguments, places of results))
         In an order in which arguments are known.
-    inputs, numbers : ndarray of int
-        Places and numbers of the arguments that are used.
-    constants : tuple of (ndarray of int, ndarray)
-        Places and values of the numbers.
+    numbers : ndarray of int
+        Numbers of the arguments that are used: they have the first places.
+    constants : ndarray
+        Values of the numbers, which have the next ones.
     outputs : ndarray of int
         Place of every entry of the result.
     places : int
@@ -46,9 +47,8 @@ class Walk:
     """
 
     parts: tuple[tuple[Program, list[_Function]], ...]
-    inputs: Places
     numbers: Places
-    constants: tuple[Places, Array]
+    constants: Array
     outputs: Places
     places: int
 
@@ -56,11 +56,11 @@ class Walk:
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms, arguments, boxes)."""
         models: Array = np.empty((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
-        places, values = self.constants
-        models[1:, places], models[0, places] = 0.0, values[:, None]
-        models[:-1, self.inputs], models[-1, self.inputs] = (part[..., self.numbers, :] for part in arguments)
+        count, constants = len(self.numbers), slice(len(self.numbers), len(self.numbers) + len(self.constants))
+        models[:-1, :count], models[-1, :count] = (part[..., self.numbers, :] for part in arguments)
+        models[1:, constants], models[0, constants] = 0.0, self.constants[:, None]
         for program, functions in self.parts:
-            program(ring.degrees, models)
+            program(ring, models)
             for rule, taken, results in functions:
                 found = rule(ring, *((models[:-1, each], models[-1, each]) for each in taken))
                 for place, (c, r) in zip(results, found, strict=True):
@@ -122,8 +122,10 @@ class _Graph:
         for depth, own in enumerate(steps):
             wanted.update(place for _, _, *taken in own for place in taken if self.depth[place] < depth)
         # Places that only one program knows come last.
-        inner = {step[1] for own in steps for step in own} - wanted
-        order = sorted(range(len(self.depth)), key=inner.__contains__)
+        inner, given = {step[1] for own in steps for step in own} - wanted, [place for place, _ in self.inputs]
+        given += self.constants.values()
+        rest = sorted(set(range(len(self.depth))).difference(given), key=lambda place: (place in inner, place))
+        order = [*given, *rest]
         number = np.argsort(order)
         functions = list[tuple[int, _Function]]()
         for (depth, rule), some in self.functions.items():
@@ -135,15 +137,14 @@ class _Graph:
         for depth, own in enumerate(steps):
             numbered = [(operation, *number[list(places)].tolist()) for operation, *places in own]
             parts.append((program_of(numbered, read), [each for at, each in functions if at == depth + 1]))
-        inputs = np.array(self.inputs, dtype=np.intp).reshape(-1, 2)
-        constants = number[list(self.constants.values())], np.array(list(self.constants))
-        count = len(order) - len(inner)
-        return Walk(tuple(parts), number[inputs[:, 0]], inputs[:, 1], constants, number[outputs], count)
+        numbers = np.array([argument for _, argument in self.inputs], dtype=np.intp)
+        values, count = np.array(list(self.constants)), len(order) - len(inner)
+        return Walk(tuple(parts), numbers, values, number[outputs], count)
 
 
 def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
     """Group the operations of a column of expressions of a column of symbols."""
-    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, _lowered))], {"cse": True})
+    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
     graph, place_of = _Graph([], {}, [], [], {}), dict[int, int]()  # CasADi uses places of its work vector again
     outputs = [graph.constant(0.0)] * expression.numel()
     for number, out, used, constant in operations_of(function):
@@ -162,7 +163,7 @@ def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
 # In terms of other operations -----------------------------------------------------------------------------------------
 
 
-def _lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
+def lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
     """Return an operation's result in terms of operations that have rules."""
     rule = _LOWERED.get(operation)
     return rule(*taken) if rule else computed(operation, taken)
@@ -198,6 +199,9 @@ _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
 }  # fmt: skip
 
+CONSTANT = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
+"""Operations that are constant between jumps."""
+
 _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES, ca.OP_SQ: TIMES}
 
 # Rules ----------------------------------------------------------------------------------------------------------------
@@ -212,20 +216,21 @@ def _single(operation: Callable[..., Model]) -> Rule:
 
 
 def _stepped(step: Callable[[Array], Array]) -> Rule:
-    """Return the rule of a function that is constant between its jumps."""
+    """Return the rule of a function that rises by jumps: any value between the least and the largest."""
 
     def rule(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
         low, high = (step(each) for each in ring.span(a))
-        c, r = ring.constant(low)
-        return ((c, np.where(low == high, r, np.inf)),)
+        return ((ring.constant((low + high) / 2.0)[0], (high - low) / 2.0),)
 
     return rule
 
 
 def _if(_: Arithmetic, condition: Model, a: Model) -> tuple[Model, ...]:
-    """Return `a` where a condition holds, and else zero; the condition is 0 or 1 but for rounding."""
-    holds, known = condition[0][0] > 0.5, condition[1] < 0.25
-    return ((np.where(holds, a[0], 0.0), np.where(known, np.where(holds, a[1], 0.0), np.inf)),)
+    """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
+    (c, r), whole = condition, np.round(condition[0][0])
+    known = np.abs(c[0] - whole) + norm(c[1:]) + r < _ROUNDED
+    share = np.where(known, whole != 0.0, 0.5)
+    return ((share * a[0], np.where(known, 0.0, norm(a[0]) / 2.0 * UP) + np.where(share, a[1], 0.0)),)
 
 
 def _no_bound(ring: Arithmetic, *taken: Model) -> tuple[Model, ...]:
