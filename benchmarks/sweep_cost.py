@@ -67,7 +67,7 @@ def reduced(share: Rows) -> Times:
     of_path = {0: np.ascontiguousarray(jets.reshape(INSTANTS, -1).T)}
 
     def run(last: int) -> None:
-        evaluated(work, Cases(of_path, np.zeros(last, dtype=int), numbers[:last]))
+        evaluated(work, Cases(of_path, np.zeros(last, dtype=int), numbers[:last], np.array([path.duration])))
 
     run(_AT_ONCE)
     return timed(lambda: run(len(numbers)))

@@ -1,4 +1,4 @@
-"""Draw docs/pictures/certificate.png: what a certificate proves, refutes and leaves undecided."""
+"""Draw docs/pictures/certificate.png: proved, refuted and undecided cases of certificates."""
 
 from __future__ import annotations
 

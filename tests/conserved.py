@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from outside.writing import coordinates, lagrange
 from problems import changed
 
 import servocore as sc
@@ -170,21 +171,17 @@ def points_with(
     q, v = start
     axes = "xyz"[: np.shape(q)[1]]
     names = [f"P{k}.{axis}" for k in range(count) for axis in axes]
-    coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
-    places = [coordinates.q[len(axes) * k : len(axes) * (k + 1)] for k in range(count)]
-    home = np.ravel(q)
-    system = sc.MechanicalSystem(
-        name=name,
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("push", "N"),),
-        outputs=(sc.Quantity("X", "m"),),
-        mass=ca.diag(ca.SX(np.repeat(masses, len(axes)))),
-        output=coordinates.q[0],
-        input_matrix=-ca.jacobian(coordinates.q[0], coordinates.q),
+    of, home = coordinates(" ".join(names)), np.ravel(q).tolist()
+    places = [of.q[len(axes) * k : len(axes) * (k + 1)] for k in range(count)]
+    system = lagrange(
+        name,
+        of,
+        ca.dot(np.repeat(masses, len(axes)), of.v**2) / 2,
+        {"X": of.q[0]},
+        {"push": of.q[0]},
         constraints=ca.vertcat(*constraints(places)),
         potential=potential(places),
-        guess=ca.SX(home),
+        guess=lambda _: home,
         home=(float(home[0]),),
     )
     return Motion(system, started(names, home, np.ravel(v)), "xyz" if len(axes) == 3 else "")

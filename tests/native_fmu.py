@@ -19,6 +19,7 @@ from budgets import shared_by_all_files
 from fmu_host import OK, Host, only_one, scratch
 from outside import timed
 from present import of_kind
+from problems import driven_crane
 from scipy.interpolate import BPoly
 
 import servocore as sc
@@ -68,6 +69,7 @@ def elastic_arm() -> sc.Scene:
 OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "elastic_arm": elastic_arm,
     "crossing": crossing,
+    "driven": driven_crane,
     "elastic_hoist": users_scene,
     "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),
     "ship": lambda: timed.load_below_a_ship().scene,
@@ -144,11 +146,14 @@ def exported(name: str) -> Any:
     and estimated derivatives."""
     scene, _, what = name.partition(" ")
     if what == "plant":
-        return plant_model(scene_called(scene), None, CRANE_PLANT if scene == "rotary_crane" else None)
+        plant = plant_model(scene_called(scene), None, CRANE_PLANT if scene == "rotary_crane" else None)
+        return plant.with_run_quantities()
     if what == "trajectory":
         return trajectory_model(scene_called(scene), None, sc.TrajectoryOptions(path_of(scene)))
     own = scene_called(scene)
-    return inverse_model(own, None, feedback_of(own), estimates_of(own)) if what == "loop" else inverse_model(own)
+    if what == "loop":
+        return inverse_model(own, None, feedback_of(own), estimates_of(own))
+    return inverse_model(own).with_run_quantities()
 
 
 CRANE_PLANT = sc.PlantOptions(errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")})

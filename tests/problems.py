@@ -263,6 +263,12 @@ def largest_errors(what: Problem, steps: int, names: tuple[str, ...], smooth: bo
     return np.array([np.abs(found[name] - expected[name]).max() for name in names])
 
 
+def shares_of_peaks(this: sc.Scene, solution: sc.Solution, names: Sequence[str]) -> Array:
+    """Largest errors, as fractions of the largest exact values."""
+    exact = this.exact(solution.t)
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
+
+
 def observed_orders(coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
     """Return the orders of convergence that errors at steps h and h/2 show."""
     return np.asarray(np.log2(coarse / fine))
@@ -314,7 +320,7 @@ def car_chain(
     stiffnesses: list[float] | tuple[float] = (50.0,),
     rest: list[float] | tuple[float] = (0.5,),
 ) -> sc.MechanicalSystem:
-    """Cars in a row joined by springs, the first tracked, a force on the last: theory.md section 7."""
+    """Cars in a row joined by springs, the first tracked, a force on the last: docs/scenes.md."""
     n = len(masses)
     x = sc.Coordinates(*(sc.Quantity(f"x{k + 1}", "m") for k in range(n)))
     stretches = [x.q[k] - x.q[k + 1] - rest[k] for k in range(n - 1)]
@@ -408,26 +414,6 @@ def redundant_pendulum(output: str = "x") -> sc.MechanicalSystem:
         gamma=gamma,
         guess=ca.vertcat(length * ca.sin(angle), -length * ca.cos(angle), angle),
         home=(0.4,),
-    )
-
-
-def mass_on_car(alpha: float, damping: float) -> sc.MechanicalSystem:
-    """Seifried and Blajer 2013: car m1 driven by u, m2 on an incline held by a spring, y = x + s cos(alpha)."""
-    coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("s", "m"))
-    m1, m2, k = 1.0, 1.0, 5.0
-    cos = float(np.cos(alpha))
-    s, s_dot = coordinates["s"], coordinates.velocity("s")
-    return sc.MechanicalSystem(
-        name="mass on car",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("u", "N"),),
-        outputs=(sc.Quantity("y", "m"),),
-        mass=ca.SX([[m1 + m2, m2 * cos], [m2 * cos, m2]]),
-        output=coordinates["x"] + s * cos,
-        input_matrix=ca.sparsify(ca.SX([[-1.0, 0.0]])),
-        potential=k / 2 * s**2,
-        force=ca.vertcat(0, -damping * s_dot) if damping else ca.SX.zeros(2),
     )
 
 

@@ -217,10 +217,7 @@ WRONG = [
     *[(f"{command} {option} {value}", f"write it as in {option} {'0.1' if 'step' in option else '20'}")
       for command, option in (
           (FF, "--duration"), (FF, "--step"), (FF, "--ramp"), (FF, "--output-step"),
-          ("crane-fmu plan", "--step"), ("servocore view cars", "--step"),
-          ("servocore sensitivities cars", "--step"), ("servocore sweep cars -o s", "--duration"),
-          ("crane-fmu ssp", "--ramp"), ("crane-fmu drive p.fmu", "--step"), ("servocore effects cars", "--duration"),
-          ("servocore export cars", "--duration"))
+          ("crane-fmu drive p.fmu", "--step"), ("servocore sweep cars -o s", "--duration"))
       for value in ("long", "nan", "5m", "5kg", "''")],
     *[(f"{FF} {option} {value}", f"must be a positive time, not {value} s: write it as in {option} 0.1")
       for option in ("--step", "--output-step") for value in ("0", "-1")],

@@ -90,9 +90,6 @@ CLEAR = {
     "tabs and no more cells": (
         text(ROWS).replace(",", "\t").rstrip() + "\n\t\t\t\n", "tabs between cells"
     ),
-    "capitals and units": (
-        text(MILLI, "TIME [ms],X [mm],y [mm],Z [mm]"), "TIME,X,y,Z as time,x,y,z, time in ms, x, y, z in mm"
-    ),
 }  # fmt: skip
 
 

@@ -45,15 +45,3 @@ def midpoint_error(method: sc.Method, steps: int, name: str) -> float:
 def test_dense_output_has_the_order_of_its_polynomial(method: sc.Method, name: str, order: int) -> None:
     coarse, fine = midpoint_error(method, 200, name), midpoint_error(method, 400, name)
     assert np.log2(coarse / fine) > order - 0.25
-
-
-@pytest.mark.parametrize("method", [sc.BackwardEuler(), sc.BDF(2), sc.RadauIIA(2), sc.GeneralizedAlpha()])
-def test_at_the_end_of_the_step_dense_output_is_the_state_itself(
-    method: sc.Method,
-) -> None:
-    stepper = sc.Stepper(CRANE, sc.Projected(), method, step=0.1)
-    jets = CRANE.reference.jet(5.0 + 0.1 * np.array(stepper.start_instants), stepper.start_order)
-    state, _ = stepper.start(jets)
-    state, _ = stepper.advance(state, CRANE.reference.jet(5.0 + 0.1 * np.array(stepper.nodes), stepper.start_order))
-    moved = stepper.program.moved(state, 1.0, 0.1)
-    np.testing.assert_allclose(moved, state, rtol=1e-13, atol=1e-12)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import DataObject
-from problems import MODELS, actuated_chain, car_chain, car_chain_exact, mass_on_car, scene
+from problems import MODELS, actuated_chain, car_chain, car_chain_exact, scene
 from suite import inverted
 
 from servocore.numerics.compiled_calls import Array
@@ -95,7 +95,7 @@ def test_full_actuation_is_plain_inverse_dynamics(jet: Array) -> None:
 
 def test_states_of_internal_dynamics_are_left_free_at_their_guess() -> None:
     """s and s' of the mass on a car belong to no path; the rest follows from them."""
-    array = derivative_array(mass_on_car(np.pi / 4, 1.0))
+    array = derivative_array(scene("mass_on_car").model())
     assert {(array.names[j], order) for j, order in array.states} in (
         {("q.s", 0), ("q.s", 1)},
         {("q.x", 0), ("q.x", 1)},

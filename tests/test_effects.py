@@ -252,7 +252,7 @@ def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> N
     quick = crane("gantry_crane").with_reference(sc.rest_to_rest((0.0, 0.0, -5.0), (6.0, 3.0, -2.0), 5.0))
     found = sc.effects(quick, tolerance=1e-9)
     assert {"load inertia", "friction"} <= {each.name for each in found.rows if each.how == "simulated"}
-    assert "the plant answers otherwise" in found["load inertia"].reason
+    assert "the plant's dynamics differ" in found["load inertia"].reason
     assert present(found["load inertia"].estimate) < 0.9 * present(found["load inertia"].error)
     assert found["hook"].how == "estimated"
 

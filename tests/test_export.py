@@ -15,7 +15,6 @@ from native_fmu import (
     along_path,
     exported,
     inputs_along_path,
-    jets_of,
     joined,
     native_file,
     scene_called,
@@ -107,21 +106,6 @@ def test_fmi_3_has_the_path_as_vectors() -> None:
 
 
 # States and statuses -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "fmi"), [*FLAT, INTERNAL])
-def test_a_restored_state_goes_on_to_the_bit(name: str, fmi: int) -> None:
-    h = 0.01 * scene_called(name).reference.duration
-    jets = jets_of(name, t := 30 * h + h * np.arange(4.0))
-    with Native(name, fmi) as host, Native(name, fmi) as other:
-        assert host.start(jets[0], t[0]).tell(jets[0]).step(t[0], h)
-        saved, found = host.saved(), []
-        for instance in (host, host, other):
-            instance.restore(saved)
-            assert instance.saved() == saved
-            assert all(instance.tell(jets[k]).step(t[k], h) for k in (1, 2))
-            found.append(instance.values().tolist())
-    assert found[0] == found[1] == found[2]
 
 
 def test_the_state_of_another_model_is_refused() -> None:

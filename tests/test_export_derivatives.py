@@ -25,7 +25,7 @@ def displaced(host: Native) -> Native:
 
 def told_to(name: str, random: np.random.Generator) -> np.ndarray:
     """Return inputs (6, m) of a plant, all near those that hold it at the start."""
-    _, hold = began(sc.scenes.REGISTRY[name.split(maxsplit=1)[0]](), exported(name).model)
+    _, hold = began(scene_called(name.split(maxsplit=1)[0]), exported(name).model)
     told: np.ndarray = hold + 0.02 * (np.abs(hold) + 1.0) * random.standard_normal((6, len(hold)))
     return told
 
@@ -60,10 +60,11 @@ def on_its_way(host: Native, at: int, random: np.random.Generator, shift: Mappin
     yield 5
 
 
+OTHERS = ("driven", "driven plant", "elastic_hoist", "wind")
 WITH_PLANTS = [f"{name}{what}" for name in sc.scenes.REGISTRY for what in ("", " plant")]
 
 
-@pytest.mark.parametrize(("name", "at"), [*((name, END) for name in (*WITH_PLANTS, "elastic_hoist", "wind")),
+@pytest.mark.parametrize(("name", "at"), [*((name, END) for name in (*WITH_PLANTS, *OTHERS)),
                                           ("rotary_crane", START), ("mass_on_car", START)])  # fmt: skip
 def test_derivatives_are_difference_quotients(name: str, at: int) -> None:
     """In all that may change on the way: what is fixed has derivatives too (see the next test) but no shift."""

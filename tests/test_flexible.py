@@ -135,10 +135,15 @@ def truss(controlled: str) -> sc.MechanicalSystem:
     strain = sum(STIFFNESS / (2 * BAR) * (each - BAR) ** 2 for each in lengths)
     by_way = controlled == "down"
     return lagrange(
-        "von Mises truss", q, ca.SX(0), {"prescribed": q[controlled]}, {"P": q[controlled]},
+        "von Mises truss",
+        q,
+        ca.SX(0),
+        {"prescribed": q[controlled]},
+        {"P": q[controlled]},
         potential=strain + (load**2 / 2 if by_way else -load * down),
-        guess=lambda y: (0, y[0], 0) if by_way else (0, 0, y[0]), home=(0.05 if by_way else 1.0,),
-    )  # fmt: skip
+        guess=lambda y: (0, y[0], 0) if by_way else (0, 0, y[0]),
+        home=(0.05 if by_way else 1.0,),
+    )
 
 
 def truss_load(down: Array) -> Array:

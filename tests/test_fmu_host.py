@@ -33,7 +33,11 @@ MISTAKES: dict[str, tuple[Callable[[Host], object], ...]] = {  # those of which 
         lambda host: host.set(brakes="none").start().set(M_w=100.0).step(0.0, 0.1),
         lambda host: host.start().set(M_b=1e300, M_w=-98.1).step(0.0, 0.1),
     ),
-    "LoadTrajectory": (lambda host: host.set(profile="file").start().step(0.0, 0.1),),
+    "LoadTrajectory": (
+        lambda host: host.start().step(0.0, 3.0) and host.set(trigger=1.0).step(3.0, 0.1),
+        lambda host: host.start().step(0.0, 30.0) and host.set(trigger=1.0, profile="file").step(30.0, 0.1),
+        lambda host: host.set(profile="file").start().step(0.0, 0.1),
+    ),
 }
 
 

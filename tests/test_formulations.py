@@ -7,7 +7,6 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
-import scipy.integrate
 from problems import (
     METHODS,
     WRITTEN,
@@ -18,7 +17,6 @@ from problems import (
     car_chain_exact,
     changed,
     driven_pendulum,
-    mass_on_car,
     polynomial_path,
     redundant_pendulum,
     scene,
@@ -182,22 +180,6 @@ def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact
 # Internal dynamics ----------------------------------------------------------------------------------------------------
 
 
-def mass_on_car_exactly(path: sc.Reference, t: Array) -> tuple[Array, Array]:
-    """Internal dynamics m2 sin^2 s'' + d s' + k s = -m2 cos y'' by SciPy, then u = (m1 + m2) x'' + m2 cos s''."""
-    alpha, d, k = np.pi / 4, 2.0, 5.0
-    sin, cos = np.sin(alpha), np.cos(alpha)
-
-    def acceleration(time: float, s: float, s_dot: float) -> float:
-        return float((-cos * path.jet(time, 2)[2, 0] - d * s_dot - k * s) / sin**2)
-
-    found = scipy.integrate.solve_ivp(
-        lambda time, y: [y[1], acceleration(time, *y)], (t[0], t[-1]), [0.0, 0.0], "DOP853", t, rtol=1e-11, atol=1e-12
-    )
-    s, s_dot = found.y
-    s_2 = np.array([acceleration(*each) for each in zip(t, s, s_dot, strict=True)])
-    return s, 2.0 * (path.jet(t, 2)[:, 2, 0] - cos * s_2) + cos * s_2
-
-
 MOVING = polynomial_path([[0.3], [0.8], [-0.5], [0.4], [0.2], [-0.1], [0.05]], 2.0)
 """Moves, accelerates and jerks at its start and end: nothing is at rest that could hide a wrong history."""
 
@@ -233,7 +215,6 @@ def test_a_start_in_motion_costs_no_order_where_the_history_follows_from_the_pat
 @pytest.mark.parametrize("by", DAMPED)
 def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwards(by: MethodCase) -> None:
     """The mass on a car: index 1 when reduced, values before the start by its internal dynamics."""
-    order = order_on_a_moving_path(
-        by, sc.Reduced(), mass_on_car(np.pi / 4, 2.0), lambda t: mass_on_car_exactly(MOVING, t)[1], "u"
-    )
+    car = scene("mass_on_car").with_reference(MOVING)
+    order = order_on_a_moving_path(by, sc.Reduced(), car.model(), lambda t: car.exact(t)["u"], "u")
     assert order == pytest.approx(by.by_index[0], abs=0.15)

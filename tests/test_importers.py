@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from command_lines import CommandLine
 from outside.test_random_mechanisms import DIFFERENCE
 from robots import OWN, apart, apart_from_mujoco, apart_from_pinocchio, peer, simulated_stray, terms
+from thinned import thinned
 
 import servocore as sc
 from servocore.cli.commands import app as servocore_commands
@@ -209,6 +211,58 @@ def test_a_broken_file_is_refused_in_one_sentence_with_file_and_element(name: st
     assert "\n" not in str(refusal.value)
 
 
+def broken(text: str, rng: np.random.Generator) -> str:
+    """Return a file cut off, without an element or an attribute, or with another value in an attribute."""
+    tag, one, other, attribute = (
+        rng.choice(np.array([each.span() for each in re.finditer(pattern, text)]))
+        for pattern in (r"<[^!?][^>]*>", r'"[^"]*"', r'"[^"]*"', r'\s\w+="[^"]*"')
+    )
+    values = ['""', '"nan"', '"1e308 -1e308 1e308"', '"-1"', '"x"', '"../../x"', '"0 0 0"', text[slice(*other)]]
+    begin, end, instead = (
+        (int(rng.integers(len(text))), len(text), ""), (*tag, ""), (*attribute, ""), (*one, str(rng.choice(values)))
+    )[int(rng.integers(4))]  # fmt: skip
+    return f"{text[:begin]}{instead}{text[end:]}"
+
+
+@pytest.mark.parametrize("batch", thinned(range(10), lambda batch: batch == 0))
+@pytest.mark.parametrize("name", ["arm.urdf", "gantry.xml", "drone.xml", "fourbar.xml", "loop.sdf"])
+def test_files_broken_by_chance_are_read_or_refused_in_one_sentence_within_a_second(
+    name: str, batch: int, tmp_path: Path
+) -> None:
+    path, text = tmp_path / name, (OWN / name).read_text()
+    if name.endswith("xml"):
+        peer("mujoco")
+    for seed in range(40 * batch, 40 * batch + 40):
+        path.write_text(broken(text, np.random.default_rng(seed)))
+        begin, told = time.process_time(), ""
+        try:
+            sc.scenes.from_file(path)
+        except sc.ServocoreError as refusal:
+            told = str(refusal)
+        assert "\n" not in told
+        assert time.process_time() - begin < 1.0
+
+
+def test_a_free_base_of_a_urdf_takes_a_wrench_as_that_of_an_mjcf_does(tmp_path: Path) -> None:
+    peer("mujoco")
+    urdf = """<robot name="drone"><link name="world"/><link name="drone"><inertial>
+    <mass value="1.5"/><inertia ixx="0.03" iyy="0.04" izz="0.05"/></inertial></link><joint name="pose"
+    type="floating"><parent link="world"/><child link="drone"/><origin xyz="0 0 2"/></joint></robot>"""
+    mjcf = """<mujoco><worldbody><body name="drone" pos="0 0 2"><freejoint name="pose"/><inertial pos="0 0 0"
+    mass="1.5" diaginertia="0.03 0.04 0.05"/></body></worldbody></mujoco>"""
+    runs = []
+    for name, text in (("drone.urdf", urdf), ("drone.xml", mjcf)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(sc.InvalidSetting, match=f"{name} has no drive: name inputs"):
+            sc.scenes.from_file(tmp_path / name)
+        outputs = [*(f"drone.{axis}" for axis in "xyz"), "drone.rz"]
+        scene = sc.scenes.from_file(tmp_path / name, outputs, inputs=WRENCH)
+        report = sc.analyse(scene)
+        assert (report.classification, report.index) == ("flat", 5)
+        runs.append(sc.solve(scene.with_reference(sc.rest_to_rest((0, 0, 2, 0), (1, 0.5, 3, 1), 3.0, sc.DEGREE13))))
+    assert apart([(runs[0][name], runs[1][name]) for name in WRENCH]) < 1e-12
+
+
 @pytest.mark.parametrize(("options", "sentence"), [
     ({"outputs": ["tools"]}, "there is no frame tools; there are base, upper"),
     ({"outputs": "tool"}, "outputs must be a list of names, not 'tool'"),
@@ -241,6 +295,8 @@ def test_commands_take_files_and_settings() -> None:
     )
     assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
     assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
+    swept = ["--vary", "duration=2..3:2", "--vary", "turn.stiffness=1e3..2e3:2", "-o", "cases"]
+    assert "4 cases, 0 of them not solved" in servocore("sweep", *words, *swept).stdout  # rates have margins too
     for wrong, sentence in (
         (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
         ([str(ARM), "--elastic", "0"], "is no stiffness"),

@@ -247,10 +247,15 @@ def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:
     slides = [slide for _, _, slide in q]
     rows = [each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
     system = lagrange(
-        "two cranks", both, ca.sumsqr(both.v) / 2, {f"place_{i}": slides[i] for i in range(2)},
-        {f"F_{i}": slides[i] for i in range(2)}, constraints=ca.vertcat(*rows), guess=lambda _: [0.0] * 6,
+        "two cranks",
+        both,
+        ca.sumsqr(both.v) / 2,
+        {f"place_{i}": slides[i] for i in range(2)},
+        {f"F_{i}": slides[i] for i in range(2)},
+        constraints=ca.vertcat(*rows),
+        guess=lambda _: [0.0] * 6,
         home=(1.0, 1.0),
-    )  # fmt: skip
+    )
     t = np.linspace(0.0, 1.0, 41)
     angles = np.pi / 3 + np.outer(t, [4.5, 0.5])  # the first passes half a turn
     x, y = radius * np.cos(angles), radius * np.sin(angles)

@@ -11,7 +11,7 @@ import warnings
 import casadi as ca
 import numpy as np
 import pytest
-from problems import FORMULATIONS, REFUSED, changed, mass_on_car, scene
+from problems import FORMULATIONS, REFUSED, changed, scene
 
 import servocore as sc
 from servocore.structure.inversion import inversion
@@ -89,6 +89,6 @@ def test_an_index_above_three_is_warned_of_with_its_number() -> None:
 
 
 def test_a_small_system_of_one_s_own_has_its_index_too() -> None:
-    system = changed(mass_on_car(np.pi / 4, 1.0), name="a car of one's own")
+    system = changed(scene("mass_on_car").model(), name="a car of one's own")
     assert sc.Problem.of(system).dae(sc.Original()).index == 3
     assert sc.Problem.of(system).dae(sc.Reduced()).index == 1

@@ -341,12 +341,18 @@ def two_ropes() -> sc.MechanicalSystem:
     lam, anchors = ca.SX.sym("lam", 2), (-2.0, 2.0)
     rows = [(x - at) ** 2 + z**2 - length**2 for at, length in zip(anchors, lengths, strict=True)]
     return lagrange(
-        "two ropes", q, (100.0 * ca.sumsqr(q.v[:2]) + ca.sumsqr(q.v[2:])) / 2, {"x": x, "z": z},
-        {"F_1": lengths[0], "F_2": lengths[1]}, potential=981.0 * z, constraints=ca.vertcat(*rows), multipliers=lam,
+        "two ropes",
+        q,
+        (100.0 * ca.sumsqr(q.v[:2]) + ca.sumsqr(q.v[2:])) / 2,
+        {"x": x, "z": z},
+        {"F_1": lengths[0], "F_2": lengths[1]},
+        potential=981.0 * z,
+        constraints=ca.vertcat(*rows),
+        multipliers=lam,
         guess=lambda at: (at[0], at[1], *(ca.norm_2(ca.vertcat(at[0] - each, at[1])) for each in anchors)),
         home=(0.3, -1.0),
         observables={sc.Quantity(f"tension_{k + 1}", "N"): 2 * lam[k] * length for k, length in enumerate(lengths)},
-    )  # fmt: skip
+    )
 
 
 class TestPoles:

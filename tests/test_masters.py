@@ -182,13 +182,6 @@ def test_every_fmu_runs_in_every_master_with_nothing_connected(master: str, name
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_fmpy_finds_no_problems(name: str) -> None:
-    command = [sys.executable, "-m", "fmpy", "validate", str(FILES[name]())]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
-
-
-@pytest.mark.parametrize("name", FILES)
 def test_fmutool_finds_no_problems(name: str) -> None:
     required("fmu_manipulation_toolbox")
     code = "import sys; from fmu_manipulation_toolbox.cli.fmutool import fmutool; sys.exit(fmutool())"

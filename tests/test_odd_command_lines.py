@@ -183,10 +183,19 @@ servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit M_w=50 -> keeps the 
 servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit F=1e-9 -> keeps them in no 1e+06 s are not planned
 servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit F=200 --robust load_mass=90..110 -> has to hold 1, its own
 servocore effects cars -> cars declares no effects
+servocore plan elastic_bar --from 0 --to 1 --limit u=20 --write-path x.csv -> of a path, but the inputs of elastic_bar
+servocore plan boom_crane {BOOM} -> height zero, nor a bridge: plan with --clearance-of load
+servocore plan boom_crane {BOOM} --clearance-of load -> at rest at (5, 0, 1) a point of load is 0.5 m inside
 """
 """Command lines, what the refusal says behind an arrow, and in braces what `WORDS` has."""
 
-WORDS = {"CRANE": CRANE, "NULL": os.devnull, "ALL": "--limit M_b=1000 --limit F=60 --limit M_w=-108..-88"}
+WAY = "--from 5 0 1 --to 4 3 1 --free --keep-out 'sphere 5 0 1 0.5'"
+WORDS = {
+    "CRANE": CRANE,
+    "NULL": os.devnull,
+    "ALL": "--limit M_b=1000 --limit F=60 --limit M_w=-108..-88",
+    "BOOM": f"{WAY} --limit M_s=3000 --limit M_l=-2e4..2e4 --limit M_w=-150..-50",
+}
 
 ODD = [tuple(row.format(**WORDS).split(" -> ")) for row in TABLE.strip().splitlines()]
 

@@ -112,27 +112,6 @@ def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
         assert np.abs(again[name] - planned[name]).max() < most
 
 
-def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None:
-    run.assert_refused(
-        run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--write-path", "way.csv"),
-        "--write-path: a file holds 4 derivatives of a path, but the inputs of elastic_bar depend on 6",
-    )
-    assert not list(Path().iterdir())
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ([], "height zero, nor a bridge: plan with --clearance-of load"),
-        (["--clearance-of", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
-    ],
-)
-def test_the_load_alone_keeps_clear_where_no_rope_is_known(options: list[str], sentence: str) -> None:
-    limits = ["--limit", "M_s=3000", "--limit", "M_l=-2e4..2e4", "--limit", "M_w=-150..-50"]
-    way = ["--from", 5, 0, 1, "--to", 4, 3, 1, "--free", "--keep-out", "sphere 5 0 1 0.5"]
-    run.assert_refused(run("plan", "boom_crane", *way, *limits, *options), sentence)
-
-
 def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:
     result = run("sensitivities", "overhead_crane", "--wrt", "load_mass", "-o", "s.csv", "--plot", "s.svg")
     assert result.exit_code == 0

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from problems import car_chain, changed
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
+from servocore.planning.tasks import corner_problems, curve_of, with_a_formula
 
 ARM = elbow_arm()
 WAY = [(1.2, 0.6), (1.0, 0.9)]
@@ -60,3 +62,15 @@ def test_a_chain_of_index_seven_is_planned_without_a_formula() -> None:
     assert 0.97 * 20.0 < peak <= 20.0
     assert report.duration >= 2.0 * np.sqrt(3.0 / 20.0)  # momentum
     assert report.duration < report.degree9
+
+
+def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_same() -> None:
+    crane = sc.scenes.gantry_crane()
+    stronger = replace(crane.model("points"), input_matrix=2 * crane.model("points").input_matrix)
+    curve = curve_of([(0, 0, -4), (4, 2, -3)], 3, "cranes")
+    for points, same in ((crane.model("points"), True), (stronger, False)):
+        models: dict[str, Callable[[], sc.MechanicalSystem]] = {"points": partial(replace, points)}
+        models["generalized"] = crane.models["generalized"]
+        scene = sc.Scene("cranes", models, crane.reference).with_limits(F_x=200.0)
+        corners = corner_problems(scene, "generalized", {})
+        assert (with_a_formula(scene, corners, {}, curve) is not corners) == same

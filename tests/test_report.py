@@ -269,11 +269,8 @@ class TestPage:
             ("F by 0.277 % of its peak; the FMU", "<i>F</i> by 0.277 % of its peak; the FMU"),
             ("up to t = 20 s in steps of 0.1 s", "up to <i>t</i> = 20 s in steps of 0.1 s"),
             ("φ (rad)", "<i>φ</i> (rad)"),
-            ("l (m)", "<i>l</i> (m)"),
-            ("h is the step", "<i>h</i> is the step"),
             ("reference function s(t)", "reference function <i>s</i>(<i>t</i>)"),
             ("trolley position s, rope length l;", "trolley position <i>s</i>, rope length <i>l</i>;"),
-            ("g", "<i>g</i>"),
             ("a path in m, a time in s", "a path in m, a time in s"),
         ],
     )

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from problems import shares_of_peaks
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
 from servocore.scenes.cars import MOST_MASSES, cars
 
@@ -28,18 +28,12 @@ def uneven(count: int) -> sc.Scene:
     return scene(count).with_parameters(**values)
 
 
-def errors(this: sc.Scene, solution: sc.Solution, names: str | tuple[str, ...]) -> Array:
-    """Largest errors, as fractions of the largest exact values."""
-    exact = this.exact(solution.t)
-    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
-
-
 @pytest.mark.parametrize("count", COUNTS)
 def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
     for this in (scene(count), uneven(count)):
         solution = sc.solve(this, sc.Reduced(), step=0.1)
         names = ("u", "y", *(f"x_{i}" for i in range(1, count + 1)))
-        assert errors(this, solution, names).max() < 1e-11
+        assert shares_of_peaks(this, solution, names).max() < 1e-11
 
 
 def test_two_cars_need_the_fourth_derivative_as_the_formula_says() -> None:
@@ -54,7 +48,7 @@ def test_two_cars_need_the_fourth_derivative_as_the_formula_says() -> None:
 def test_with_four_cars_small_steps_make_the_projected_form_worse() -> None:
     """Its index is 2 n - 1 = 7: rounding errors grow as h^-6 against a method error of first order."""
     best, small = (sc.solve(scene(4), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.005, 0.00125))
-    assert errors(scene(4), small, "u") > 10 * errors(scene(4), best, "u")
+    assert shares_of_peaks(scene(4), small, "u") > 10 * shares_of_peaks(scene(4), best, "u")
 
 
 @pytest.mark.parametrize("count", COUNTS)

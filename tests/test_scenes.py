@@ -183,7 +183,7 @@ def test_every_sane_crane_and_manoeuvre_is_solved_to_first_order_with_exact_conf
 
 
 def test_overhead_crane_s_closed_form_gives_the_published_instant() -> None:
-    """Independently computed values for (0, -4) m to (5, -1) m in 3 s, at t = 0.75 s: theory.md section 7."""
+    """Independently computed values for (0, -4) m to (5, -1) m in 3 s, at t = 0.75 s: docs/scenes.md."""
     found = scene("overhead_crane").exact(np.array([0.75]))
     expected = {"s": 1.6581329241, "l": 4.1042979426, "F": 417.51828439, "M_w": -139.21837745}
     for name, value in expected.items():

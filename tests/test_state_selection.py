@@ -23,10 +23,17 @@ def cart_with_pendulum() -> sc.MechanicalSystem:
     q = coordinates("s x y")
     (s, x, y), (v_s, v_x, v_y) = ca.vertsplit(q.q), ca.vertsplit(q.v)
     return lagrange(
-        "cart with pendulum", q, ca.sumsqr(q.v) / 2, {"position": s}, {"u": s}, potential=9.81 * y,
-        damping=0.3 * ((v_x - v_s) ** 2 + v_y**2) / 2, constraints=(x - s) ** 2 + y**2 - 1,
-        guess=lambda at: (at[0], at[0], -1.0), home=(0.0,),
-    )  # fmt: skip
+        "cart with pendulum",
+        q,
+        ca.sumsqr(q.v) / 2,
+        {"position": s},
+        {"u": s},
+        potential=9.81 * y,
+        damping=0.3 * ((v_x - v_s) ** 2 + v_y**2) / 2,
+        constraints=(x - s) ** 2 + y**2 - 1,
+        guess=lambda at: (at[0], at[0], -1.0),
+        home=(0.0,),
+    )
 
 
 @cache

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import DataObject
 from problems import MODELS, as_scene, driven_pendulum, jets_near_home, polynomial_path, scene
+from suite import perturbations
 
 import servocore as sc
 
@@ -32,10 +32,7 @@ def test_a_start_on_a_moving_path_is_consistent_in_every_equation(name: str, mod
     """Positions, velocities, constraints and residuals: zero to rounding, wherever the path moves and accelerates."""
     stepper = sc.Stepper(scene(name), sc.Reduced(), sc.BackwardEuler(), 0.1, model)
     m = len(stepper.system.outputs)
-    # The square of a smaller number is none in double precision, and the swing of a load is of squares.
-    numbers = st.floats(-1.0, 1.0).map(lambda number: number if abs(number) > 1e-100 else 0.0)
-    perturbation = arrays(float, (stepper.start_order + 1, m), elements=numbers)
-    jet = jets_near_home(stepper.system, data.draw(perturbation))
+    jet = jets_near_home(stepper.system, data.draw(perturbations(m)))[: stepper.start_order + 1]
     state, report = stepper.start(jet)
     assert report.converged
     assert report.residual < 1e-9
@@ -130,7 +127,7 @@ def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest() -> None:
 
 
 def test_an_inconsistent_start_disturbs_backward_euler_for_two_steps_and_no_longer() -> None:
-    """A position error d shows as 2 M d/h^2 and is forgotten: theory.md section 6."""
+    """A position error d shows as 2 M d/h^2 and is forgotten: docs/stability, section 3."""
     path = polynomial_path([[0.2], [0.5], [-0.7]])
     free = as_scene(driven_pendulum(), path, parameters={"g": 0.0})
     stepper = sc.Stepper(free, sc.Original(), sc.BackwardEuler(), 0.1)

@@ -3,7 +3,8 @@
 Gantry cranes of 6 coordinates each stand in one system, independent of one another: ideally the cost is proportional to
 their number (exponent one). SUNDIALS' idas solves the same reduced form with all derivatives as unknowns, by CasADi;
 the closed form is evaluated in NumPy, crane by crane. A closed chain of bars, each a body of three coordinates, has no
-independent parts. Times are processor times, the smallest of several; solves are interpreted.
+independent parts. Times are processor times, the smallest of several, on the machine of [speed and
+accuracy](index.md); solves are interpreted.
 
 Expressions of more than 30,000 operations are not compiled (160 cranes, long closed chains), since compilation takes
 minutes. Ranks and conditions of parts of 128 rows or more are those of sparse factors.

@@ -67,9 +67,11 @@ def _summary(rows: Sequence[Row]) -> list[str]:
     best = [row for row in rows if row.case.family == "A"]
     cranes = len({(row.case.kind, row.case.family, row.case.seed) for row in rows})
     warned = f"{np.mean([bool(row.doubts) for row in best]):.1%}" if best else "none"
+    trusted = _by_bound([row for row in best if not row.doubts])
     return [
         f"{cranes} logs of families A and B: coverage of 95 % intervals {_coverage(rows)}, rms error on A"
-        f" {_by_bound(best)} times the Cramér-Rao bound with all logs, warnings on {warned} of the good logs, median"
+        f" {_by_bound(best)} times the Cramér-Rao bound with all logs, {trusted} without those that are"
+        f" warned of, warnings on {warned} of the good logs, median"
         f" {np.median([row.seconds for row in rows]):.1f} s of processor time a log."
     ]
 

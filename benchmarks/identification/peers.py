@@ -34,7 +34,7 @@ _STEP = 0.005  # s
 _MOTION, _TORQUE, _EVERY = 6.0, 2.0, 20  # Hz of low-pass filters of motion and of all, and samples of a row
 _ITERATIONS, _CHANGE = 3, 1e-3
 _SLIDING = 0.99  # of dry friction: rows of drives that creep are left out
-_LOGS, _DEAR_LOGS = 8, 1
+_LOGS = 8
 Estimate = Callable[[Mapping[str, Array], sc.Scene], list[float]]
 
 
@@ -42,26 +42,26 @@ def table(folder: Path) -> str:
     """Return the table of other methods; results are kept in a file of the folder."""
     file = folder / "peers.json"
     results = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    for name, (method, logs) in METHODS.items():
+    for name, method in METHODS.items():
         if name not in results:
-            results[name] = _rms(method, logs)
+            results[name] = _rms(method)
             file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     lines = [
         "\n## Other methods\n",
         f"The same {_LOGS} good logs of rotary cranes, rms error in %; *s* is processor time a log, median. Output"
         " error starts at the answer of least squares and takes torques for exact inputs.\n",
-        f"| method | logs | {' | '.join(NAMES)} | s |",
-        "|---|---|" + "---|" * (len(NAMES) + 1),
+        f"| method | {' | '.join(NAMES)} | s |",
+        "|---|" + "---|" * (len(NAMES) + 1),
     ]
     for name, found in results.items():
-        cells = [f"{each:.2g}" for each in found["rms"]] or ["cannot be run here"]
-        lines.append(f"| {name} | {found['logs']} | {' | '.join(cells)} | {found['seconds']:.2g} |")
+        cells = [f"{each:.2g}" for each in found["rms"]] or ["not installed", *[""] * (len(NAMES) - 1)]
+        lines.append(f"| {name} | {' | '.join(cells)} | {found['seconds']:.2g} |")
     return "\n".join(lines) + "\n"
 
 
-def _rms(method: Estimate, logs: int) -> dict[str, object]:
+def _rms(method: Estimate) -> dict[str, object]:
     errors, seconds = list[Array](), list[float]()
-    for seed in range(logs):
+    for seed in range(_LOGS):
         random = np.random.default_rng(seed)
         plant, believed = crane("rotary_crane", random)
         moved = believed.with_reference(multisine(believed, random))
@@ -70,11 +70,11 @@ def _rms(method: Estimate, logs: int) -> dict[str, object]:
         try:
             found = method(log, moved)
         except ImportError:
-            return {"rms": [], "logs": 0, "seconds": np.nan}
+            return {"rms": [], "seconds": np.nan}
         seconds.append(time.process_time() - began)
         errors.append(np.array(found) / [true[name] for name in NAMES] - 1.0)
     rms = 100 * np.sqrt(np.mean(np.square(errors), axis=0))
-    return {"rms": rms.tolist(), "logs": logs, "seconds": float(np.median(seconds))}
+    return {"rms": rms.tolist(), "seconds": float(np.median(seconds))}
 
 
 def maximum_likelihood(log: Mapping[str, Array], scene: sc.Scene) -> list[float]:
@@ -226,9 +226,9 @@ def _simulation(log: Mapping[str, Array], scene: sc.Scene) -> Callable[[Array], 
     return residual
 
 
-METHODS: dict[str, tuple[Estimate, int]] = {
-    "`identify`": (maximum_likelihood, _LOGS),
-    "IDIM-LS, by hand": (least_squares, _LOGS),
-    "pySINDy, features and swing by hand, each torque alone": (sparse_regression, _LOGS),
-    "output error, whole log, torques as inputs": (output_error, _DEAR_LOGS),
+METHODS: dict[str, Estimate] = {
+    "`identify`": maximum_likelihood,
+    "IDIM-LS, by hand": least_squares,
+    "pySINDy, features and swing by hand, each torque alone": sparse_regression,
+    "output error, whole log, torques as inputs": output_error,
 }

@@ -69,7 +69,7 @@ any input, relative to its peak. Written by
     make levels
 
 from one run on {machine}; ratios are more reliable than times. [model-levels.csv](model-levels.csv) has unknowns,
-quartiles and refusals as well.
+quartiles and refusals as well, and [scenes.md](scenes.md) coordinates and indices.
 
 {table}
 
@@ -157,8 +157,7 @@ def remarks(levels: Sequence[Level]) -> list[str]:
 
 
 PAGE_HEADINGS = (
-    "scene", "model", "coordinates", "index", "internal states",
-    "exact, µs", "error", "projected, µs", "error", "exact : projected",
+    "scene", "model", "exact, µs", "error", "projected, µs", "error", "exact : projected",
 )  # fmt: skip
 
 
@@ -178,7 +177,6 @@ def markdown_page(levels: Sequence[Level], *, instants: int, repeats: int, on: s
 
 
 def _page_row(level: Level) -> tuple[str, ...]:
-    sizes = map(str, (level.coordinates, level.index, level.internal_degrees_of_freedom))
     exact, projected = (level.costs[route] for route in ("exact", "projected"))
     cells = []
     for cost in (exact, projected):
@@ -187,7 +185,7 @@ def _page_row(level: Level) -> tuple[str, ...]:
     ratio = "-"
     if exact.microseconds is not None and projected.microseconds is not None:
         ratio = f"{exact.microseconds.median / projected.microseconds.median:.2g}"
-    return level.scene, level.model, *sizes, *cells, ratio
+    return level.scene, level.model, *cells, ratio
 
 
 def machine() -> str:

@@ -73,7 +73,7 @@ class Certificate:
 
     @property
     def summary(self) -> str:
-        """The verdict in one line: what is proved, or what fails first."""
+        """The verdict in one line: the proved statements, or the first that fails."""
         bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
         return summary_of(self.verdict, self.statements, bound, self.jumps)
 

@@ -63,7 +63,7 @@ class Statement:
 
 
 def summary_of(verdict: Verdict, statements: Sequence[Statement], bound: float, jumps: Sequence[float]) -> str:
-    """Return a verdict in one line: what is proved, or what fails first; `bound` is that of the inputs' errors."""
+    """Return a verdict in one line: the proved statements, or the first to fail; `bound` is of the inputs' errors."""
     failing = [each for each in statements if each.verdict == verdict]
     if verdict != "proved":
         return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")

@@ -38,14 +38,14 @@ def import_file(subject: Subject) -> None:
 
 
 def listed(scene: Scene, mechanism: Mechanism) -> list[tuple[str, str]]:
-    """Return what a file holds, as labels and texts."""
+    """Return the contents of a file, as labels and texts."""
     tree, options, system = mechanism.tree, mechanism.options, scene.model()
     rows = list[tuple[str, str]]()
     for joint in tree.joints.values():
         marks = [mark for mark in ("locked", "passive", "elastic") if joint.name in getattr(options, mark)]
         marks += [f"mimics {joint.mimic[0]}"] if joint.mimic else []
         rows.append(("joint", f"{joint.name}: {' '.join([*marks, joint.kind])}"))
-    rows.append(("frames", ", ".join([*tree.body, *tree.frames])))
+    rows.append(("frames", ", ".join(tree.body)))
     for label, quantities in (("inputs", system.inputs), ("outputs", system.outputs)):
         rows.append((label, ", ".join(f"{each.name} ({each.unit})" for each in quantities)))
     rows += [("limit", f"{each.quantity} {each.bound:.4g}..{each.upper:.4g} {each.unit}") for each in scene.limits]

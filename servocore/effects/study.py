@@ -48,7 +48,7 @@ _OTHERWISE = 0.1  # largest relative difference of the linear answers of plant a
 _LARGE = 0.15  # relative change of an input from which on open loop estimates fail
 _TAIL = 6.0  # s after the end of a path in which the residual swing is looked for: two swings of some two metres
 _NOT_FLAT = "simulated because it has internal dynamics, or no inversion at all, so that there is nothing to compare"
-_ANSWERS = "simulated because the plant answers otherwise than the model that estimates run"
+_ANSWERS = "simulated because its estimate is unreliable: the plant's dynamics differ"
 _FEWEST = 500  # instants of a path, however short
 
 

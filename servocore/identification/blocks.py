@@ -16,6 +16,9 @@ from servocore.numerics.compiled_calls import Array
 BLOCK = 0.01
 """Shortest block, in s."""
 
+MOVES = 1e-3
+"""Range of a position in m or rad below which its drive rests."""
+
 _GAP = 0.3  # s without samples: the motion before and after it is treated apart
 _SHORTEST = 1.0  # s of a stretch between gaps
 _NEIGHBOURS = 7  # samples in the median with which an outlier is compared

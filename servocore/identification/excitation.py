@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -178,8 +179,7 @@ class _Search:
 
     def errors(self, path: Reference) -> Array:
         """Return the predicted relative standard errors of a path."""
-        errors: Array = np.sqrt(np.diag(np.linalg.inv(self._information(path))))
-        return errors
+        return np.sqrt(np.diag(np.linalg.inv(self._information(path))))
 
     def _information(self, path: Reference) -> Array:
         t = np.arange(path.start_time, path.end_time + _GRID / 2, _GRID)
@@ -188,48 +188,40 @@ class _Search:
         scales = np.where(scales > 0.0, scales, 1.0)
         return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, scales, self.noise)
 
-    def score(self, x: Array) -> float:
-        """Return how good amplitudes are, the more the better; minus infinity where the model has no solution."""
-        total = self._information(self.path(x))
-        return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf
-
     def excess(self, x: Array) -> float:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
         problem = replace(self.problem, reference=self.path(x))
         t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
         values = limited_values(problem, lambda at: exact_unknowns(problem, at)[0], t)
-        over = [
-            each for limit, row in zip(motion_limits(problem), values, strict=True) for _, each in sides(limit, row)
-        ]
+        pairs = zip(motion_limits(problem), values, strict=True)
+        over = [each for limit, row in pairs for _, each in sides(limit, row)]
         return max(0.0, float(np.nan_to_num(np.array(over), nan=10.0).max()) + _MARGIN)
 
-    def within(self, x: Array) -> Array | None:
-        """Return amplitudes shrunk until they keep the limits; None if that does not help."""
+    def tried(self, x: Array) -> tuple[float, Array]:
+        """Return how good amplitudes are, shrunk until they keep the limits, and these; minus infinity for no use."""
         for _ in range(4):
             excess = self.excess(x)
             if excess == 0.0:
-                return x
+                total = self._information(self.path(x))
+                return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf, x
             x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
-        return None
+        return -np.inf, x
 
     def improved(self, random: np.random.Generator) -> Array:
         """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
         shape = self.harmonics.shape[1], len(self.problem.system.outputs)
-        best, score = np.zeros(shape), -np.inf
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
-        for k in range(_STARTS):
-            x = self.within(random.standard_normal(shape) * slow * (1.0 + k % 3))
-            if x is not None and (found := self.score(x)) > score:
-                best, score = x, found
+        first = [self.tried(random.standard_normal(shape) * slow * (1.0 + k % 3)) for k in range(_STARTS)]
+        score, best = max(first, key=itemgetter(0))
         if not np.isfinite(score):
             raise PlanningFailed(
                 f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
             )
         size = 0.3
         for _ in range(_TRIALS):
-            x = self.within(best + size * float(np.sqrt(np.mean(best**2))) * random.standard_normal(shape) * slow**0.5)
-            found = -np.inf if x is None else self.score(x)
-            if x is not None and found > score:
+            spread = size * float(np.sqrt(np.mean(best**2)))
+            found, x = self.tried(best + spread * random.standard_normal(shape) * slow**0.5)
+            if found > score:
                 best, score, size = x, found, 1.3 * size
             else:
                 size = max(0.94 * size, 0.01)

@@ -11,12 +11,13 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from servocore.identification.blocks import Blocks
+from servocore.identification.blocks import MOVES, Blocks
 from servocore.identification.prediction import Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array
@@ -48,8 +49,7 @@ class State:
     paths: tuple[Array, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
+class Weights(NamedTuple):
     """Weights of one stretch: standard deviations by channel (channels,), and factors of single values."""
 
     scales: Array
@@ -167,7 +167,7 @@ class Fit:
             right[places] += flat.T @ (residual * w).ravel() - sides[:, 1:].T @ answer[:, 0]
             solved.append((answer, places))
         damped = information + damping * np.diag(np.diag(information))
-        change = np.linalg.solve(damped, right)
+        change = np.asarray(np.linalg.solve(damped, right), dtype=np.float64)
         moved = [
             (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
             for answer, places in solved
@@ -185,7 +185,8 @@ class Fit:
             slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
             # Beside creep too: the path bends there faster than its spline.
             near = np.ones((2 * _BESIDE + 1, 1), dtype=bool)
-            creeping = binary_dilation(slope > _CREEP * np.quantile(slope, 0.25, axis=0), near)
+            still = np.ptp(data.values[:, self.inputs : self.inputs + m], axis=0) < MOVES
+            creeping = binary_dilation(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), near)
             factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
             if not first:
                 # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
@@ -244,9 +245,8 @@ def _all(state: State) -> Array:
     return np.concatenate([state.theta, state.offsets.ravel()])
 
 
-def _state(x: npt.ArrayLike, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
-    flat: Array = np.array(x, dtype=np.float64)
-    return State(flat[:count], flat[count:].reshape(shape), paths)
+def _state(x: Array, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
+    return State(x[:count], x[count:].reshape(shape), paths)
 
 
 def _moved(state: State, change: State, share: float) -> State:
@@ -270,8 +270,7 @@ def start(problem: Fit, places: list[Array]) -> State:
     return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
 
 
-@dataclass(frozen=True, eq=False)
-class Converged:
+class Converged(NamedTuple):
     """An estimate: state, weights, information, and whether the steps have settled."""
 
     state: State

@@ -56,8 +56,8 @@ def identify(
     """Estimate parameters of a scene from logs of its inputs and measured positions, with standard errors.
 
     Maximum likelihood on the flat output: the path of the output is a spline, all channels follow from its jet by exact
-    inversion, and path, parameters, biases of the inputs and their delays are estimated together. What the scene has
-    is one more measurement, with its uncertainty: what the logs do not show stays as believed.
+    inversion, and path, parameters, biases of the inputs and their delays are estimated together. Values of the
+    scene are one more measurement, with its uncertainty: parameters that the logs do not show keep them.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def identify(
     read = records(log, extended, positions_of(problem.resolved))
     fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
     found = minimized(fit, start(fit, [_equilibria(fit, data) for data in fit.stretches]))
-    if _bent(fit, found):
+    bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
+    if bent or not found.settled:  # measured positions bend faster than the splines can
         fit, state = fit.refined(found.state, _SPACINGS[1])
         found = minimized(fit, state, fresh=False)
     _require_explained(fit, found, [record.name for record in read])
@@ -216,11 +217,6 @@ def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None
                 f"{name}: the inputs are {1e3 * np.mean(lags):.0f} ms behind the positions: their clocks are not"
                 " synchronized"
             )
-
-
-def _bent(fit: Fit, found: Converged) -> bool:
-    """Whether measured positions bend faster than the splines can."""
-    return not found.settled or any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
 
 
 def _equilibria(fit: Fit, data: Blocks) -> Array:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting, described
+from servocore.identification.blocks import MOVES
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.units import in_unit
@@ -28,8 +29,7 @@ _SATURATED = 0.05  # of the samples at the same extreme
 _TIME = "time"
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+class Record(NamedTuple):
     """A log that was checked.
 
     Attributes
@@ -170,7 +170,7 @@ def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quant
                     f"{record.name}: {label} changes by {size:.3g} {unit}, which looks like {likely}"
                     + (hint if label not in record.declared else "")
                 )
-            moving |= span > 1e-3
+            moving |= span > MOVES
             continue
         if span == 0.0:
             raise InvalidReference(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,8 +23,7 @@ FORCE = "force on "
 """Begin of the name of a force that `released` adds along a coordinate."""
 
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
+class Predicted(NamedTuple):
     """Channels at N instants: inputs, then positions.
 
     Attributes

@@ -69,8 +69,7 @@ class Identified:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the values, shape (parameters, parameters)."""
-        scales = self.fit.scales
-        return self._relative * np.outer(scales, scales)
+        return self._relative * np.outer(self.fit.scales, self.fit.scales)
 
     @property
     def _relative(self) -> Array:
@@ -227,9 +226,8 @@ class Identified:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
         for name, (persistent, correlated) in self.whiteness.items():
-            residual = self.residuals[name]
-            size = float(np.sqrt(np.nanmean(residual**2)))
             if persistent > _PERSISTENT or correlated > _CORRELATED:
+                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
                 found.append(
                     f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
                     f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
@@ -242,7 +240,7 @@ class Identified:
 
     @cached_property
     def verdict(self) -> str:
-        """What the result is good for, in sentences."""
+        """Quality of the result, in sentences."""
         lines = list(self.doubts) or ["the model explains the logs: the residuals of the inputs are noise"]
         lines += [f"not shown by the logs: {each}" for each in self.unidentifiable]
         for k, job in enumerate(self.jobs):
@@ -309,5 +307,4 @@ def _combined(names: tuple[str, ...], direction: Array) -> str:
 
 
 def _smoothed(residual: Array) -> Array:
-    known = np.nan_to_num(residual)
-    return np.convolve(known, np.ones(_SLOW) / _SLOW, mode="same")
+    return np.convolve(np.nan_to_num(residual), np.ones(_SLOW) / _SLOW, mode="same")

@@ -63,8 +63,7 @@ class PathSpline:
     def jets(self, coefficients: Array) -> Array:
         """Return the path and its derivatives (N, orders, components) from coefficients (count, components)."""
         local = coefficients[self.interval[:, None] + np.arange(self.degree + 1)]
-        jets: Array = self.basis @ local
-        return jets
+        return np.asarray(self.basis @ local, dtype=np.float64)
 
     def normal(self, by_path: Array, residual: Array, nuisance: Array) -> tuple[Array, Array]:
         """Return the normal equations of the coefficients: bands, and right-hand sides of residual and nuisance.

@@ -86,8 +86,7 @@ def strayed(
     samples = np.tensordot(drawn, np.array(slopes), axes=1)
     by_parameters = float(np.quantile(np.linalg.norm(samples, axis=2).max(axis=1), _QUANTILE))
     t, residual = unexplained
-    disturbance = np.column_stack(
-        [np.interp((motion.t - motion.t[0]) % np.ptp(t), t - t[0], each) for each in residual.T]
-    )
+    at = (motion.t - motion.t[0]) % np.ptp(t)
+    disturbance = np.column_stack([np.interp(at, t - t[0], each) for each in residual.T])
     rest = run_loop(problem, Driven(motion, motion.inputs + disturbance, gains), motion, measured).error
     return Stray(1e3 * (by_parameters + rest), 1e3 * by_parameters)  # both in one direction at worst

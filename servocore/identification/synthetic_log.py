@@ -16,7 +16,6 @@ from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
 
 _CYCLE = 1e-3  # s: of the drives
 _FILTER = 0.3  # of the difference of two positions, a cycle: low-pass of the rate, some 50 Hz
-_CHUNK = 500  # cycles in one call
 _HELD = 0.01  # of the unit of a position: the input that the loop adds for it is within the range of its sensor
 
 
@@ -116,22 +115,15 @@ def _driven(
     """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, the names of both, and gains."""
     problem, moved = Problem.of(scene), Problem.of(plant.with_reference(scene.reference))
     of_model, of_plant = drives or scene.effects.measured, drives or plant.effects.measured
-    duration = problem.reference.duration
-    count = int(np.ceil(duration / _CYCLE)) + 1
+    count = int(np.ceil(problem.reference.duration / _CYCLE)) + 1
     motion, still = inverted(problem, of_model, count), at_rest(moved, of_plant)
     gains = gains_of(problem.system, of_model, motion.end, problem.p, loops)
     cycle, read = _cycle(moved.resolved, of_plant)
     zero = np.asarray(read(still.start)).ravel()
     given = np.column_stack([motion.inputs, motion.positions + zero, motion.rates])
-    given = np.concatenate([given, np.repeat(given[-1:], -count % _CHUNK, axis=0)])
     held = [moved.p, np.concatenate([gains.position, gains.rate]), np.array([max(resolution, 1e-12)])]
-    state, logged = np.concatenate([still.start, zero]), []
-    for k in range(0, len(given), _CHUNK):
-        block = [np.tile(argument[:, None], _CHUNK) for argument in held]
-        states, values = chained(cycle, _CHUNK)(state, given[k : k + _CHUNK].T, *block)
-        state = states[:, -1]
-        logged.append(values.T)
-    rows = np.concatenate(logged)[:count]
+    tiled = (np.tile(argument[:, None], count) for argument in held)
+    rows = chained(cycle, count)(np.concatenate([still.start, zero]), given.T, *tiled)[1].T
     if not np.isfinite(rows).all():
         raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")
     m = len(problem.system.inputs)

@@ -121,14 +121,17 @@ class Assembly:
     def hint(self) -> str:
         """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
         tree, driven = self.tree, driven_joints(self.tree, self.options)
-        known = {body.parent for body in tree.bodies} | {*self.options.points, *self.options.ropes}
+        known = {body.parent for body in tree.bodies if body.mass or body.joints}
+        known |= {*self.options.points, *self.options.ropes}
         lines = [
             f"if {body.name} hangs on a rope, ropes=['{body.name}'] replaces"
             f" {', '.join(joint.name for joint in hinges)} by its length, points=['{body.name}'] makes it a point mass"
             for body in tree.bodies
             if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, driven, False))
         ]
-        rotors_on = {tree.frame(drive.rotor).body for drive in self.drives if drive.rotor}
+        rotors_on = {
+            next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.drives if drive.rotor
+        }
         for body in rotors_on:
             wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
             lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")

@@ -47,7 +47,7 @@ class Layout:
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
         points = {*options.points, *options.ropes}
         self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in points]
-        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points]
+        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points if tree.body[name].mass]
         held = [joint.name for hinges in self.ropes.values() for joint in hinges]
         self.options = options = replace(options, locked=[*options.locked, *held])
         self.stages, self.places = stages_of(tree, points | on_way)
@@ -99,23 +99,21 @@ class Layout:
                 held = scale * self.start(joint)
                 values |= {name: ca.SX(float(each)) for name, each in zip(joint.coordinates, held, strict=True)}
         for joint in self.joints:
-            if joint.name not in values and joint.mimic:
-                values[joint.name] = self._mimic(joint, values, scale)
+            self._follow(joint, values, scale, [])
         return values
 
-    def _mimic(self, joint: Joint, values: Mapping[str, ca.SX], scale: float) -> ca.SX:
-        factor, offset, seen = 1.0, 0.0, {joint.name}
-        while joint.mimic:
-            master, times, plus = joint.mimic
-            factor, offset = factor * times, offset + factor * plus
-            if master in seen or master not in self.tree.joints:
-                why = "itself" if master in seen else "no joint of the file"
-                raise self.tree.fault(f"the joint {joint.name} mimics {master}, which is {why}")
-            seen.add(master)
-            joint = self.tree.joints[master]
-        if joint.name not in values:
+    def _follow(self, joint: Joint, values: dict[str, ca.SX], scale: float, followers: list[str]) -> None:
+        """Add the value of a joint that mimics another one, after that of the other one."""
+        if joint.name in values or joint.kind == "ball":
+            return
+        if not joint.mimic:
             raise self.tree.fault(f"the joint {joint.name} is mimicked by others and has no coordinate of its own")
-        return factor * values[joint.name] + scale * offset
+        master, factor, offset = joint.mimic
+        if master in (*followers, joint.name) or master not in self.tree.joints:
+            why = "itself" if master in self.tree.joints else "no joint of the file"
+            raise self.tree.fault(f"the joint {joint.name} mimics {master}, which is {why}")
+        self._follow(self.tree.joints[master], values, scale, [*followers, joint.name])
+        values[joint.name] = factor * values[master] + scale * offset
 
     @cached_property
     def motion(self) -> Motion:
@@ -135,8 +133,8 @@ class Layout:
 
     def place(self, name: str) -> Place:
         """Return the place of a frame; raises `InvalidModel` if there is none."""
-        frame = self.tree.frame(name)
-        return self.places[frame.body].moved(frame.position, frame.rotation)
+        self.tree.above(name)
+        return self.places[name]
 
     def point(self, body: str) -> ca.SX:
         """Return the coordinates x, y, z of a body that is a point mass, shape (3,)."""
@@ -145,16 +143,19 @@ class Layout:
 
     def position(self, name: str) -> ca.SX:
         """Return the position of a frame, shape (3,), m; a point mass is at one place."""
-        body = self.tree.frame(name).body
-        if body in self.options.points or body in self.options.ropes:
-            return self.point(body)
-        return self.motion.pose(self.place(name))[1]
+        load = self._load(name)
+        return self.point(load) if load else self.motion.pose(self.place(name))[1]
+
+    def _load(self, name: str) -> str:
+        """Return the point mass that a frame belongs to; empty if there is none."""
+        way = self.tree.above(name)
+        own = way[: next((k + 1 for k, body in enumerate(way) if body.joints), len(way))]
+        return next((body.name for body in own if body.name in (*self.options.points, *self.options.ropes)), "")
 
     def rotation(self, name: str) -> ca.SX:
         """Return the axes of a frame in those of the ground, shape (3, 3)."""
-        body = self.tree.frame(name).body
-        if body in self.options.ropes:
-            raise self.tree.fault(f"the body {body} hangs on a rope as a point mass: it has no orientation")
+        if (load := self._load(name)) in self.options.ropes:
+            raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
 
     def anchor(self, body: str) -> int:
@@ -181,10 +182,7 @@ def rope_hinges(tree: Tree, load: str, driven: Collection[str], required: bool =
     InvalidModel
         If there are none, and they are required.
     """
-    above, body = list(reversed(tree.body[load].joints)), tree.body[load]
-    while body.parent:
-        body = tree.body[body.parent]
-        above += reversed(body.joints)
+    above = [joint for body in tree.above(load) for joint in reversed(body.joints)]
     free = dropwhile(lambda joint: joint.kind == "slide", above)
     hinges = list(takewhile(lambda joint: joint.kind != "slide" and joint.name not in driven, free))
     if required and not hinges:
@@ -206,8 +204,7 @@ def _below(tree: Tree, hinges: list[Joint]) -> list[str]:
 
 def _light(tree: Tree, load: Body, driven: Collection[str]) -> list[str]:
     """Return the bodies above a point mass, up to the next driven hinge, whose mass is nothing beside its own."""
-    found, body = list[str](), load
-    while body.parent and not any(joint.name in driven and joint.kind != "slide" for joint in body.joints):
-        body = tree.body[body.parent]
-        found += [body.name] if body.mass < _LIGHT * load.mass else []
-    return found
+    way = tree.above(load.name)
+    turns = [any(joint.name in driven and joint.kind != "slide" for joint in body.joints) for body in way]
+    above = way[1 : turns.index(True) + 1] if True in turns else way[1:]
+    return [body.name for body in above if body.mass < _LIGHT * load.mass]

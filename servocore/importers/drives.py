@@ -72,6 +72,8 @@ def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
     if names is None:
         names = [name for name in tree.joints if name in driven]
         names += [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+    if not names:
+        raise InvalidSetting(f"{tree.source} has no drive: name inputs, components of wrenches as BODY.force_z too")
     drives = [_drive(name, layout, assembly) for name in names]
     listed = [drive.quantity.name for drive in drives]
     if len(set(listed)) < len(listed):

@@ -206,10 +206,8 @@ class _Drawing:
         layout, q = assembly.layout, assembly.q
         values = ca.vertcat(*[v[name] for name in layout.coordinates.names])
         loads = {*self.options.points, *self.options.ropes}
-        named = [
-            name if name in self.tree.frames else name.rpartition(".")[0] or name for name in assembly.output_names
-        ]
-        tips = [*loads, *(name for name in named if name in {*self.tree.body, *self.tree.frames} - loads)]
+        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
+        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
         origins = [position for _, position in layout.motion.world]
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
         parts += [

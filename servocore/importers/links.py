@@ -66,8 +66,9 @@ class LinkReader:
         """Return the axis of a joint, of unit length."""
         text = None if axis is None else axis.get("xyz") or axis.findtext("xyz")
         values = self.file.numbers(joint, text, default)
-        if not np.linalg.norm(values) > 0.0:
+        if not values.any():
             raise self.file.fault(joint, "has an axis of length zero")
+        values = values / np.abs(values).max()  # whose square may be beyond the largest number
         return np.asarray(values / np.linalg.norm(values))
 
     def single(self, joint: Element, holder: Element, name: str, kind: str, axis: Array, anchor: Array) -> Joint:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from servocore.errors import InvalidModel, extra
-from servocore.importers.tree import GROUND, IDENTITY, Actuator, Body, Closure, Frame, Joint, Tendon, Tree
+from servocore.importers.tree import GROUND, IDENTITY, Actuator, Body, Closure, Joint, Tendon, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
@@ -84,12 +84,10 @@ class _Reader:
         names = [model.site(k).name or f"site{k}" for k in range(model.nsite)]
         self.sites = [f"{name}.site" if name in self.bodies else name for name in names]
         self.tendons = [model.tendon(k).name or f"tendon{k}" for k in range(model.ntendon)]
-        self.frames = {
-            name: Frame(
-                self.bodies[model.site_bodyid[k]], np.array(model.site_pos[k]), self._rotation(model.site_quat[k])
-            )
+        self.frames = [
+            Body(name, self.bodies[model.site_bodyid[k]], model.site_pos[k].copy(), self._rotation(model.site_quat[k]))
             for k, name in enumerate(self.sites)
-        }
+        ]
 
     def fault(self, sentence: str) -> InvalidModel:
         return InvalidModel(f"{self.file.path.name}: {sentence}")
@@ -101,7 +99,6 @@ class _Reader:
         weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         x, y, z = (0.0, 0.0, 0.0) if weightless else m.opt.gravity.tolist()
         name = (root.get("model") or root.get("name") or self.file.path.stem).replace(" ", "_")
-        bodies = [self._body(k) for k in range(1, m.nbody)]
         tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
         actuators = [self._actuator(k) for k in range(m.nu)]
         joints = [each.on for each in actuators if each.kind == "joint"]
@@ -109,8 +106,9 @@ class _Reader:
             if joints.count(each.on) > 1:
                 self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
         closures = [closure for k in range(m.neq) for closure in self._closure(k)]
+        bodies = [*(self._body(k) for k in range(1, m.nbody)), *self.frames]
         left_out = tuple(self.left_out)
-        return Tree(name, self.file.path.name, bodies, self.frames, actuators, tendons, closures, (x, y, z), left_out)
+        return Tree(name, self.file.path.name, bodies, actuators, tendons, closures, (x, y, z), left_out)
 
     def _rotation(self, quaternion: Array) -> Array:
         matrix = np.zeros(9)
@@ -219,8 +217,8 @@ class _Reader:
         # A weld lists the point on the second body before the pose in the first one, a connect the other way round.
         one, other = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
         relative = self._rotation(data[6:10]) if weld else IDENTITY
-        self.frames[f"{name}.1"] = Frame(self.bodies[first], np.array(one), relative)
-        self.frames[f"{name}.2"] = Frame(self.bodies[second], np.array(other))
+        self.frames.append(Body(f"{name}.1", self.bodies[first], one.copy(), relative))
+        self.frames.append(Body(f"{name}.2", self.bodies[second], other.copy()))
         return [Closure(name, "weld" if weld else "connect", f"{name}.1", f"{name}.2")]
 
     def _actuator(self, k: int) -> Actuator:

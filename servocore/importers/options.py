@@ -51,10 +51,11 @@ class Elastic:
 
 
 def driven_joints(tree: Tree, options: Options) -> frozenset[str]:
-    """Return the joints that have a drive."""
+    """Return the joints that have a drive: in files without drives all hinges and slides but those of free bodies."""
     on = [actuator.on for actuator in tree.actuators if actuator.kind == "joint"]
     if not tree.actuators:
-        on = [name for name, joint in tree.joints.items() if joint.kind != "ball" and not joint.mimic]
+        tied = [body for body in tree.bodies if all(joint.kind != "ball" for joint in body.joints)]
+        on = [joint.name for body in tied for joint in body.joints if not joint.mimic]
     return frozenset(name for name in on if name not in options.passive and name not in options.locked)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import casadi as ca
 
@@ -64,11 +65,6 @@ def _rotation_vector(layout: Layout, frame: str, posture: Array) -> ca.SX:
     for _ in range(_HALVINGS):
         w = ca.sqrt((1 + w) / 2)
         e = e / (2 * w)
-    square, series, coefficient = ca.sumsqr(e), ca.SX(0), 1.0
-    coefficients = []
-    for k in range(_TERMS):
-        coefficients.append(coefficient / (2 * k + 1))
-        coefficient *= (2 * k + 1) / (2 * k + 2)
-    for each in reversed(coefficients):
-        series = series * square + each
+    terms = [comb(2 * k, k) / 4**k / (2 * k + 1) for k in reversed(range(_TERMS))]
+    series = ca.polyval(ca.DM(terms), ca.sumsqr(e))
     return e * series * 2.0 ** (_HALVINGS + 1)

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from servocore.importers.links import LinkReader
-from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Closure, Frame, Joint, Tree
+from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Closure, Joint, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
@@ -55,7 +55,7 @@ class _Reader(LinkReader):
         links = {file.required(link, "name"): link for link in model.findall("link")}
         self.poses = {_WORLD: (ZERO, IDENTITY)} | {name: self.pose(link, link) for name, link in links.items()}
         self.static = file.value(model, "static", 0.0) != 0.0
-        self.frames, self.closures, hung = dict[str, Frame](), list[Closure](), dict[str, Element]()
+        self.frames, self.closures, hung = list[Body](), list[Closure](), dict[str, Element]()
         for joint in model.findall("joint"):
             child, parent = (self.end(joint, which, self.poses) for which in ("child", "parent"))
             if child in hung:
@@ -64,7 +64,7 @@ class _Reader(LinkReader):
         bodies = [self._body(name, link, hung.get(name)) for name, link in links.items()]
         x, y, z = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
         return Tree(
-            file.required(model, "name"), file.path.name, bodies, self.frames, closures=self.closures,
+            file.required(model, "name"), file.path.name, [*bodies, *self.frames], closures=self.closures,
             gravity=(x, y, z), left_out=tuple(self.left_out),
         )  # fmt: skip
 
@@ -115,6 +115,7 @@ class _Reader(LinkReader):
             rotation = np.linalg.svd(axis[:, None])[0][:, [1, 2, 0]]  # its last column is along the axis
         (position, axes), (origin, other) = self.poses[child], self.poses[parent]
         at = other.T @ (position + axes @ anchor - origin)
-        self.frames[f"{name}.1"] = Frame(child, anchor, rotation)
-        self.frames[f"{name}.2"] = Frame(parent if parent != _WORLD else GROUND, at, other.T @ axes @ rotation)
+        self.frames.append(Body(f"{name}.1", child, anchor, rotation))
+        ground = parent if parent != _WORLD else GROUND
+        self.frames.append(Body(f"{name}.2", ground, at, other.T @ axes @ rotation))
         self.closures.append(Closure(name, _LOOPS[kind], f"{name}.1", f"{name}.2"))

@@ -24,6 +24,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of gravity of files that do not state one, m/s2."""
 
 _LONGEST = 300.0  # m between two joints: cranes are smaller, robots in millimetres are larger
+_LARGEST = 1e15  # in SI units: of squares and products of such numbers no body is made
 _SLENDER = 30.0  # radius of gyration in lengths of the mechanism: inertias in kg mm2 are a thousand
 
 ZERO = np.zeros(3)
@@ -79,7 +80,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body.
+    """A rigid body, or a frame: a tool or a site is a body without mass that is fixed to another one.
 
     Parameters
     ----------
@@ -107,15 +108,6 @@ class Body:
     centre: Array = field(default_factory=lambda: ZERO)
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
     joints: Sequence[Joint] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """A point with axes on a body: a tool, a site. Position (m) and rotation in the axes of the body."""
-
-    body: str
-    position: Array = field(default_factory=lambda: ZERO)
-    rotation: Array = field(default_factory=lambda: IDENTITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,16 +198,14 @@ class Closure:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A mechanism: bodies, named frames, drives, constraints, and a list of all that the model leaves out.
+    """A mechanism: bodies and frames, drives, constraints, and a list of all that the model leaves out.
 
     Parameters
     ----------
     name, source : str
         Name of the mechanism, and of its file in messages.
     bodies : sequence of Body
-        In any order; `Tree` sorts parents before children.
-    frames : mapping of str to Frame
-        Beside those of the bodies.
+        And frames, in any order; `Tree` sorts parents before children.
     actuators : sequence of Actuator
         Drives.
     tendons : mapping of str to Tendon
@@ -236,7 +226,6 @@ class Tree:
     name: str
     source: str
     bodies: Sequence[Body]
-    frames: Mapping[str, Frame] = field(default_factory=dict)
     actuators: Sequence[Actuator] = ()
     tendons: Mapping[str, Tendon] = field(default_factory=dict)
     closures: Sequence[Closure] = ()
@@ -251,7 +240,8 @@ class Tree:
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
                 raise self.fault(f"two {kind} are called {twice}")
-        object.__setattr__(self, "bodies", tuple(self._sorted()))
+        ordered = sorted(self.bodies, key=lambda body: len(self.above(body.name)))
+        object.__setattr__(self, "bodies", tuple(ordered))
         for body in self.bodies:
             self._require_physical(body)
         self._require_metres()
@@ -260,31 +250,26 @@ class Tree:
         """Return the error of a sentence about the file."""
         return InvalidModel(f"{self.source}: {sentence}")
 
-    def _sorted(self) -> list[Body]:
-        """Return the bodies, parents before children."""
-        known, left = {GROUND}, list(self.bodies)
-        placed: list[Body] = []
-        while left:
-            ready = [body for body in left if body.parent in known]
-            if not ready:
-                lost = {body.name: body.parent for body in left}
-                missing = next((body for body in left if body.parent not in lost), None)
-                if missing is not None:
-                    raise self.fault(f"the body {missing.name} hangs on {missing.parent}, which does not exist")
-                cycle = [left[0].name]
-                while cycle[-1] not in cycle[:-1]:
-                    cycle.append(lost[cycle[-1]])
-                raise self.fault(f"the bodies form a cycle: {' on '.join(cycle[cycle.index(cycle[-1]) :])}")
-            placed += ready
-            known |= {body.name for body in ready}
-            left = [body for body in left if body.name not in known]
-        return placed
+    def above(self, name: str) -> list[Body]:
+        """Return a body and those that carry it, up to the ground; raises `InvalidModel` if they do not end there."""
+        if name not in self.body:
+            raise self.fault(f"there is no frame {name}; there are {', '.join(self.body)}")
+        way = [self.body[name]]
+        while way[-1].parent != GROUND:
+            parent = way[-1].parent
+            if parent not in self.body:
+                raise self.fault(f"the body {way[-1].name} hangs on {parent}, which does not exist")
+            way.append(self.body[parent])
+            if way[-1] in way[:-1]:
+                cycle = [body.name for body in way[way.index(way[-1]) :]]
+                raise self.fault(f"the bodies form a cycle: {' on '.join(cycle)}")
+        return way
 
     def _require_physical(self, body: Body) -> None:
         """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
         values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
-        if not np.isfinite(values).all():
-            raise self.fault(f"the body {body.name} holds a number that is not finite")
+        if not (np.abs(values) < _LARGEST).all():
+            raise self.fault(f"the body {body.name} holds a number that is not finite, or above {_LARGEST:g}")
         if body.mass < 0.0:
             raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
 
@@ -314,11 +299,3 @@ class Tree:
     def body(self) -> Mapping[str, Body]:
         """All bodies by name."""
         return {body.name: body for body in self.bodies}
-
-    def frame(self, name: str) -> Frame:
-        """Return the frame of a name: of the file's frames, or a body's own; raises `InvalidModel` for others."""
-        if name in self.frames:
-            return self.frames[name]
-        if name not in self.body and name != GROUND:
-            raise self.fault(f"there is no frame {name}; there are {', '.join([*self.body, *self.frames])}")
-        return Frame(name)

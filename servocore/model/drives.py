@@ -31,7 +31,7 @@ _BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls
 _SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
 
 _MOST = 1e9
-_DATA = (  # neutral values as defaults: what is not given is no parameter of the model
+_DATA = (  # neutral values as defaults: data that are not given are no parameters of the model
     Parameter("ratio", 1.0, "1", 1e-6, _MOST, "speed of the motor by that of the drum, wheel or bridge"),
     Parameter("rope_falls", 1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum"),
     Parameter("drum_radius", 1.0, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force"),
@@ -276,7 +276,7 @@ class _Data:
 
 
 def _observed(name: str, drive: Drive, p: _Data, u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
-    """Return what the motor does under an input, by its speed."""
+    """Return torque, speed, power and reserve of the motor under an input, by its speed."""
     torque = u / p.transmission
     if p.gives("efficiency"):  # tau / eta where the motor drives, tau eta where the load does
         more, less, driving = 1 / p["efficiency"], p["efficiency"], ca.tanh(speed / p.transmission / CREEP)

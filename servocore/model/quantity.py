@@ -68,7 +68,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class RunQuantity:
-    """What a run adds up: the integral of a reported quantity from the start on, or the root of its mean square.
+    """A quantity of a whole run: the integral of a reported quantity from the start on, or the root of its mean square.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class RunQuantity:
     rms: bool
 
     def integrand(self, value: Any) -> Any:
-        """Return what is integrated, from the reported quantity."""
+        """Return the integrand, from the reported quantity."""
         return value**2 if self.rms else value
 
     def of_sum(self, total: Any, duration: float) -> Any:

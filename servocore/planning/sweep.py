@@ -18,6 +18,7 @@ import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import limited_values
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.quantity import run_quantities
@@ -27,9 +28,10 @@ from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_o
 from servocore.planning.sweep_settings import DURATION, Slices, SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
+from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import prepared_table
+from servocore.solvers.branch_continuation import exact_states, prepared_table
 from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
@@ -177,7 +179,7 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
         if table is None:
             return work_of(problem, swept.limits, swept.inputs, native)
     rates = [limit.quantity for limit in swept.limits if limit.rate]
-    if rates:
+    if rates and not problem.flat:
         raise InvalidSetting(
             f"the cases of {problem.name} are solved one by one, where rates have no margin: {rates[0]}"
         )
@@ -281,7 +283,12 @@ def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
     peaks = {name: np.abs(solution[name]).max() for name in solution.names}
     values = {name: solution[name] for name in solution.names}
     values |= {each.quantity.name: values[each.quantity.name][-1:] for each in run_quantities(solution.channels)}
-    limits = [limit for limit in swept.limits if limit.quantity in solution]
+    if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
+        assert isinstance(solution.origin, Problem)
+        problem = replace(solution.origin, limits=tuple(limit for limit in swept.limits if not limit.over_run))
+        exact = limited_values(problem, exact_states(problem, prepared_table(problem)), solution.t)
+        values |= {limit.quantity: row for limit, row in zip(problem.limits, exact, strict=True)}
+    limits = [limit for limit in swept.limits if limit.quantity in values]
     margins = {
         f"margin_{e.quantity}": min((values[e.quantity] - e.bound).min(), (e.upper - values[e.quantity]).min())
         for e in limits

@@ -220,7 +220,7 @@ def _verdict(program: Program) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class _Posed:
-    """What a run depends on: parameters, path, its jets at all nodes, and the first state."""
+    """Data of a run: parameters, path, its jets at all nodes, and the first state."""
 
     problem: Problem
     gamma: Array

@@ -22,6 +22,7 @@ LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
 _MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 
@@ -168,8 +169,13 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
-    if array.states or _too_long(array):
+    if array.states:
         return None  # states are integrated from step to step
+    most = _MOST_OPERATIONS
+    if _too_long(array, most):
+        most = _MOST_EXPLICIT
+        if _too_long(array, most) or compile_explicit(array) is None:
+            return None
     unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
         return None
@@ -177,16 +183,16 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
-    return function if _longest(function, array) <= _MOST_OPERATIONS else None
+    return function if _longest(function, array) <= most else None
 
 
-def _too_long(array: DerivativeArray) -> bool:
+def _too_long(array: DerivativeArray, most: int) -> bool:
     """Whether the equations alone are so long that their solution cannot be short enough.
 
     Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
     """
     length: int = ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
-    long = length > 2 * _MOST_OPERATIONS
+    long = length > 2 * most
     return long and len(parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))) == 1
 
 

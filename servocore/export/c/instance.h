@@ -402,7 +402,7 @@ static void add_up(const State *state, double *outputs, double h)
     }
 }
 
-/* Their derivatives, from those of the other outputs: what was added up before the last step is given. */
+/* Their derivatives, from those of the other outputs; the sums before the last step are given. */
 static void differentiate_added_up(const State *state, double *found)
 {
     const double h = state->steps > 0 ? state->step : 0.0, elapsed = state->now.time - state->start;

@@ -8,12 +8,13 @@
 
 #include "model.h"
 
-/* The data of one instant, with the settings of its motion and the number of its profile. */
+/* The data of one instant. */
 typedef struct {
     double time;
     double outputs[N_OUTPUTS];
-    double settings[N_SETTINGS], profile;
 } Moment;
+
+#define N_KEPT (N_SETTINGS + 1) /* the settings of the present motion, and the number of its profile */
 
 typedef struct {
     double unused;
@@ -71,9 +72,10 @@ static void follow_table(double instant, double *found)
 
 static Outcome followed(Instance *instance, Moment *moment)
 {
-    const double *settings = moment->settings, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
+    const double *settings = instance->keeps ? instance->to_keep : instance->state.kept, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
     const double end_time = settings[PLACE_START_TIME] + duration;
-    const int64_t law = moment->profile >= 1.0 && moment->profile <= N_LAWS + 1.0 ? (int64_t)moment->profile : 0;
+    const double profile = settings[N_SETTINGS];
+    const int64_t law = profile >= 1.0 && profile <= N_LAWS + 1.0 ? (int64_t)profile : 0;
     if (law == 0) return say(instance, DISCARD, "the restored state has no profile");
     if (ramp > 0.0 && law != RAMPED)
         return say(instance, DISCARD, "a ramp belongs to the profile %s, not to %s", LAW_NAMES[RAMPED - 1],
@@ -104,8 +106,9 @@ static Outcome followed(Instance *instance, Moment *moment)
 
 static void take_settings(Instance *instance)
 {
-    memcpy(instance->work.settings, instance->state.parameters, sizeof instance->work.settings);
-    instance->work.profile = (double)instance->state.choices[PROFILE];
+    memcpy(instance->to_keep, instance->state.parameters, N_SETTINGS * sizeof(double));
+    instance->to_keep[N_SETTINGS] = (double)instance->state.choices[PROFILE];
+    instance->keeps = 1;
 }
 
 static Outcome first_moment(Instance *instance)
@@ -117,12 +120,12 @@ static Outcome first_moment(Instance *instance)
 /* Begin a new motion where the present one rests, at its start time or now. */
 static Outcome begin_again(Instance *instance, double time)
 {
-    Moment *work = &instance->work;
-    const double begin = work->settings[PLACE_START_TIME], end = begin + work->settings[PLACE_DURATION];
+    const double *present = instance->state.kept, begin = present[PLACE_START_TIME];
+    const double end = begin + present[PLACE_DURATION];
     const double slight = JITTER * (end - begin); /* no lower derivative is above round-off there */
-    double first = begin, last = end;
+    double first = begin, last = end, *settings = instance->to_keep;
 #if N_PIECES > 0
-    if (work->profile > N_LAWS) {
+    if (present[N_SETTINGS] > N_LAWS) {
         first = RESTS_BEFORE ? KNOTS[0] : -HUGE_VAL;
         last = RESTS_AFTER ? KNOTS[N_PIECES] : HUGE_VAL;
     }
@@ -131,17 +134,17 @@ static Outcome begin_again(Instance *instance, double time)
         return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the present one ends at t = %.6g s", time,
                    last);
     take_settings(instance);
-    if (work->profile > N_LAWS)
+    if (settings[N_SETTINGS] > N_LAWS)
         return say(instance, DISCARD, "at t = %.6g s a new motion cannot begin: the profile %s has its own times", time,
                    LAW_NAMES[N_LAWS]);
-    memcpy(work->settings + PLACE_START, work->outputs, COMPONENTS * sizeof(double));
-    work->settings[PLACE_START_TIME] = fmax(time, work->settings[PLACE_START_TIME]);
+    memcpy(settings + PLACE_START, instance->work.outputs, COMPONENTS * sizeof(double));
+    settings[PLACE_START_TIME] = fmax(time, settings[PLACE_START_TIME]);
     return GOOD;
 }
 
 static Outcome move(Instance *instance, double time, double h)
 {
-    if (instance->state.parameters[PLACE_TRIGGER] != instance->work.settings[PLACE_TRIGGER]
+    if (instance->state.parameters[PLACE_TRIGGER] != instance->state.kept[PLACE_TRIGGER]
         && begin_again(instance, time) != GOOD)
         return DISCARD;
     instance->work.time = time + h;
