@@ -64,7 +64,7 @@ def token_of(model: NativeModel, fmi: int) -> str:
 
 
 def _headers(model: NativeModel) -> tuple[str, ...]:
-    return "instance.h", *_KERNELS[model.kernel]
+    return "instance.h", "calls.h", *_KERNELS[model.kernel]
 
 
 def rendered(template: str, **values: Any) -> str:

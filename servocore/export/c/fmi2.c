@@ -22,6 +22,11 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
     Instance *instance = (Instance *)component; \
     if (refused(instance, phases, call)) return fmi2Error
 
+#define OF_FMI(name) fmi2##name
+#define STATE(before, after) fmi2##before##FMUstate##after
+#define DESERIALIZE fmi2DeSerializeFMUstate
+#include "calls.h"
+
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
@@ -40,14 +45,6 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     return new_instance(name, refusal, guid, report, (void (*)(void))functions->logger, functions->componentEnvironment,
                         memory);
-}
-
-void fmi2FreeInstance(fmi2Component component) { free_instance((Instance *)component); }
-
-fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
-{
-    REQUIRE(ANY, "fmi2SetDebugLogging");
-    return STATUS[set_logging(instance, on != fmi2False, count, categories)];
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDefined, fmi2Real tolerance,
@@ -72,20 +69,6 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component component)
     REQUIRE(DURING, "fmi2ExitInitializationMode");
     if (refresh(instance) != GOOD && !DEFERRED_CHECKS) return fmi2Error;
     instance->state.phase = STEPPING;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Terminate(fmi2Component component)
-{
-    REQUIRE(AFTER, "fmi2Terminate");
-    instance->state.phase = TERMINATED;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Reset(fmi2Component component)
-{
-    REQUIRE(ANY, "fmi2Reset");
-    reset(instance);
     return fmi2OK;
 }
 
@@ -178,46 +161,6 @@ NO_SUCH_VARIABLES(Boolean, Get, fmi2Boolean)
 NO_SUCH_VARIABLES(Boolean, Set, const fmi2Boolean)
 NO_SUCH_VARIABLES(String, Get, fmi2String)
 NO_SUCH_VARIABLES(String, Set, const fmi2String)
-
-/* States ------------------------------------------------------------------------------------------------------------- */
-
-fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *saved)
-{
-    REQUIRE(ANY, "fmi2GetFMUstate");
-    return STATUS[keep_state(instance, &instance->state, saved)];
-}
-
-fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate saved)
-{
-    REQUIRE(ANY, "fmi2SetFMUstate");
-    return STATUS[restore_state(instance, saved)];
-}
-
-fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *saved)
-{
-    free_state((Instance *)component, saved);
-    return fmi2OK;
-}
-
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate saved, size_t *size)
-{
-    (void)component;
-    (void)saved;
-    *size = sizeof(State);
-    return fmi2OK;
-}
-
-fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate saved, fmi2Byte bytes[], size_t size)
-{
-    REQUIRE(ANY, "fmi2SerializeFMUstate");
-    return STATUS[write_state(instance, saved, bytes, size)];
-}
-
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes[], size_t size, fmi2FMUstate *saved)
-{
-    REQUIRE(ANY, "fmi2DeSerializeFMUstate");
-    return STATUS[read_state(instance, bytes, size, saved)];
-}
 
 /* Derivatives, and missing features --------------------------------------------------------------------------------- */
 

@@ -22,6 +22,11 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
     Instance *instance = (Instance *)component; \
     if (refused(instance, phases, call)) return fmi3Error
 
+#define OF_FMI(name) fmi3##name
+#define STATE(before, after) fmi3##before##FMUState##after
+#define DESERIALIZE fmi3DeserializeFMUState
+#include "calls.h"
+
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -41,14 +46,6 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return new_instance(name, NULL, token, report, (void (*)(void))logger, environment, OWN_MEMORY);
 }
 
-void fmi3FreeInstance(fmi3Instance component) { free_instance((Instance *)component); }
-
-fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
-{
-    REQUIRE(ANY, "fmi3SetDebugLogging");
-    return STATUS[set_logging(instance, on, count, categories)];
-}
-
 fmi3Status fmi3EnterInitializationMode(fmi3Instance component, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
                                        fmi3Float64 start, fmi3Boolean stopDefined, fmi3Float64 stop)
 {
@@ -65,20 +62,6 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance component)
     REQUIRE(DURING, "fmi3ExitInitializationMode");
     if (refresh(instance) != GOOD) return fmi3Error;
     instance->state.phase = STEPPING;
-    return fmi3OK;
-}
-
-fmi3Status fmi3Terminate(fmi3Instance component)
-{
-    REQUIRE(AFTER, "fmi3Terminate");
-    instance->state.phase = TERMINATED;
-    return fmi3OK;
-}
-
-fmi3Status fmi3Reset(fmi3Instance component)
-{
-    REQUIRE(ANY, "fmi3Reset");
-    reset(instance);
     return fmi3OK;
 }
 
@@ -202,66 +185,29 @@ NO_SUCH_VARIABLES(UInt64)
 NO_SUCH_VARIABLES(Boolean)
 NO_SUCH_VARIABLES(String)
 
-/* States ------------------------------------------------------------------------------------------------------------- */
-
-fmi3Status fmi3GetFMUState(fmi3Instance component, fmi3FMUState *saved)
-{
-    REQUIRE(ANY, "fmi3GetFMUState");
-    return STATUS[keep_state(instance, &instance->state, saved)];
-}
-
-fmi3Status fmi3SetFMUState(fmi3Instance component, fmi3FMUState saved)
-{
-    REQUIRE(ANY, "fmi3SetFMUState");
-    return STATUS[restore_state(instance, saved)];
-}
-
-fmi3Status fmi3FreeFMUState(fmi3Instance component, fmi3FMUState *saved)
-{
-    free_state((Instance *)component, saved);
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance component, fmi3FMUState saved, size_t *size)
-{
-    (void)component;
-    (void)saved;
-    *size = sizeof(State);
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializeFMUState(fmi3Instance component, fmi3FMUState saved, fmi3Byte bytes[], size_t size)
-{
-    REQUIRE(ANY, "fmi3SerializeFMUState");
-    return STATUS[write_state(instance, saved, bytes, size)];
-}
-
-fmi3Status fmi3DeserializeFMUState(fmi3Instance component, const fmi3Byte bytes[], size_t size, fmi3FMUState *saved)
-{
-    REQUIRE(ANY, "fmi3DeserializeFMUState");
-    return STATUS[read_state(instance, bytes, size, saved)];
-}
-
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
 
-/* Write the places of all components of variables one after the other; returns their number, or -1 after saying why. */
-static long spread(const Instance *instance, const fmi3ValueReference references[], size_t count, size_t places[])
+/* Write the places of all components of variables one after the other; returns whether they are `size` places, or says
+   why not. */
+static int spread(const Instance *instance, const fmi3ValueReference references[], size_t count, size_t size,
+                  size_t places[])
 {
     size_t found = 0;
     for (size_t k = 0; k < count; k++) {
         const Array *array;
         if (references[k] >= N_ARRAYS) {
             unknown_reference(instance, references[k], "Float64");
-            return -1;
+            return 0;
         }
         array = &ARRAYS[references[k]];
         if (found + array->size > N_NUMBERS) {
             say(instance, ERROR, "more unknowns or knowns than the %d numbers were requested", N_NUMBERS);
-            return -1;
+            return 0;
         }
         for (size_t i = 0; i < array->size; i++) places[found++] = array->first + i;
     }
-    return (long)found;
+    if (found != size) wrong_count(instance, size);
+    return found == size;
 }
 
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance component, const fmi3ValueReference unknowns[],
@@ -270,13 +216,9 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance component, const fmi3ValueR
                                         size_t derivativeCount)
 {
     size_t of[N_NUMBERS] = {0}, by[N_NUMBERS] = {0};
-    long unknownPlaces, knownPlaces;
     REQUIRE(DURING | AFTER, "fmi3GetDirectionalDerivative");
-    unknownPlaces = spread(instance, unknowns, unknownCount, of);
-    knownPlaces = unknownPlaces < 0 ? -1 : spread(instance, knowns, knownCount, by);
-    if (knownPlaces < 0) return fmi3Error;
-    if ((size_t)knownPlaces != seedCount) return wrong_count(instance, seedCount);
-    if ((size_t)unknownPlaces != derivativeCount) return wrong_count(instance, derivativeCount);
+    if (!spread(instance, unknowns, unknownCount, derivativeCount, of)) return fmi3Error;
+    if (!spread(instance, knowns, knownCount, seedCount, by)) return fmi3Error;
     return STATUS[directional(instance, of, derivativeCount, by, seedCount, seeds, derivatives)];
 }
 
@@ -285,13 +227,9 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance component, const fmi3ValueRefer
                                     size_t seedCount, fmi3Float64 sensitivities[], size_t sensitivityCount)
 {
     size_t of[N_NUMBERS] = {0}, by[N_NUMBERS] = {0};
-    long unknownPlaces, knownPlaces;
     REQUIRE(DURING | AFTER, "fmi3GetAdjointDerivative");
-    unknownPlaces = spread(instance, unknowns, unknownCount, of);
-    knownPlaces = unknownPlaces < 0 ? -1 : spread(instance, knowns, knownCount, by);
-    if (knownPlaces < 0) return fmi3Error;
-    if ((size_t)unknownPlaces != seedCount) return wrong_count(instance, seedCount);
-    if ((size_t)knownPlaces != sensitivityCount) return wrong_count(instance, sensitivityCount);
+    if (!spread(instance, unknowns, unknownCount, seedCount, of)) return fmi3Error;
+    if (!spread(instance, knowns, knownCount, sensitivityCount, by)) return fmi3Error;
     return STATUS[adjoint(instance, of, seedCount, by, sensitivityCount, seeds, sensitivities)];
 }
 
@@ -302,17 +240,12 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance component, const fmi3ValueRefer
 #endif
 
 #define NOT_OFFERED(name, ...) \
-    fmi3Status name(fmi3Instance component, __VA_ARGS__) \
+    fmi3Status name(__VA_ARGS__) \
     { \
         REQUIRE(ANY, #name); \
         return STATUS[say(instance, ERROR, #name " is not offered: this is for co-simulation, without events or clocks")]; \
     }
-#define NOT_OFFERED_ALONE(name) \
-    fmi3Status name(fmi3Instance component) \
-    { \
-        REQUIRE(ANY, #name); \
-        return STATUS[say(instance, ERROR, #name " is not offered: this is for co-simulation, without events or clocks")]; \
-    }
+#define SELF fmi3Instance component
 typedef fmi3ValueReference Reference;
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -331,38 +264,38 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     return NULL;
 }
 
-NOT_OFFERED(fmi3GetBinary, const Reference r[], size_t n, size_t s[], fmi3Binary v[], size_t m)
-NOT_OFFERED(fmi3SetBinary, const Reference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t m)
-NOT_OFFERED(fmi3GetClock, const Reference r[], size_t n, fmi3Clock v[])
-NOT_OFFERED(fmi3SetClock, const Reference r[], size_t n, const fmi3Clock v[])
-NOT_OFFERED(fmi3GetNumberOfVariableDependencies, Reference r, size_t *n)
-NOT_OFFERED(fmi3GetVariableDependencies, Reference r, size_t a[], Reference b[], size_t c[], fmi3DependencyKind d[],
+NOT_OFFERED(fmi3GetBinary, SELF, const Reference r[], size_t n, size_t s[], fmi3Binary v[], size_t m)
+NOT_OFFERED(fmi3SetBinary, SELF, const Reference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t m)
+NOT_OFFERED(fmi3GetClock, SELF, const Reference r[], size_t n, fmi3Clock v[])
+NOT_OFFERED(fmi3SetClock, SELF, const Reference r[], size_t n, const fmi3Clock v[])
+NOT_OFFERED(fmi3GetNumberOfVariableDependencies, SELF, Reference r, size_t *n)
+NOT_OFFERED(fmi3GetVariableDependencies, SELF, Reference r, size_t a[], Reference b[], size_t c[], fmi3DependencyKind d[],
             size_t n)
-NOT_OFFERED_ALONE(fmi3EnterConfigurationMode)
-NOT_OFFERED_ALONE(fmi3ExitConfigurationMode)
-NOT_OFFERED_ALONE(fmi3EnterEventMode)
-NOT_OFFERED_ALONE(fmi3EnterContinuousTimeMode)
-NOT_OFFERED_ALONE(fmi3EnterStepMode)
-NOT_OFFERED_ALONE(fmi3EvaluateDiscreteStates)
-NOT_OFFERED(fmi3GetIntervalDecimal, const Reference r[], size_t n, fmi3Float64 v[], fmi3IntervalQualifier q[])
-NOT_OFFERED(fmi3GetIntervalFraction, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[],
+NOT_OFFERED(fmi3EnterConfigurationMode, SELF)
+NOT_OFFERED(fmi3ExitConfigurationMode, SELF)
+NOT_OFFERED(fmi3EnterEventMode, SELF)
+NOT_OFFERED(fmi3EnterContinuousTimeMode, SELF)
+NOT_OFFERED(fmi3EnterStepMode, SELF)
+NOT_OFFERED(fmi3EvaluateDiscreteStates, SELF)
+NOT_OFFERED(fmi3GetIntervalDecimal, SELF, const Reference r[], size_t n, fmi3Float64 v[], fmi3IntervalQualifier q[])
+NOT_OFFERED(fmi3GetIntervalFraction, SELF, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[],
             fmi3IntervalQualifier q[])
-NOT_OFFERED(fmi3GetShiftDecimal, const Reference r[], size_t n, fmi3Float64 v[])
-NOT_OFFERED(fmi3GetShiftFraction, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[])
-NOT_OFFERED(fmi3SetIntervalDecimal, const Reference r[], size_t n, const fmi3Float64 v[])
-NOT_OFFERED(fmi3SetIntervalFraction, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
-NOT_OFFERED(fmi3SetShiftDecimal, const Reference r[], size_t n, const fmi3Float64 v[])
-NOT_OFFERED(fmi3SetShiftFraction, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
-NOT_OFFERED(fmi3UpdateDiscreteStates, fmi3Boolean *a, fmi3Boolean *b, fmi3Boolean *c, fmi3Boolean *d, fmi3Boolean *e,
-            fmi3Float64 *t)
-NOT_OFFERED(fmi3CompletedIntegratorStep, fmi3Boolean n, fmi3Boolean *a, fmi3Boolean *b)
-NOT_OFFERED(fmi3SetTime, fmi3Float64 t)
-NOT_OFFERED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
-NOT_OFFERED(fmi3GetContinuousStateDerivatives, fmi3Float64 x[], size_t n)
-NOT_OFFERED(fmi3GetEventIndicators, fmi3Float64 x[], size_t n)
-NOT_OFFERED(fmi3GetContinuousStates, fmi3Float64 x[], size_t n)
-NOT_OFFERED(fmi3GetNominalsOfContinuousStates, fmi3Float64 x[], size_t n)
-NOT_OFFERED(fmi3GetNumberOfEventIndicators, size_t *n)
-NOT_OFFERED(fmi3GetNumberOfContinuousStates, size_t *n)
-NOT_OFFERED(fmi3GetOutputDerivatives, const Reference r[], size_t n, const fmi3Int32 o[], fmi3Float64 v[], size_t m)
-NOT_OFFERED(fmi3ActivateModelPartition, Reference r, fmi3Float64 t)
+NOT_OFFERED(fmi3GetShiftDecimal, SELF, const Reference r[], size_t n, fmi3Float64 v[])
+NOT_OFFERED(fmi3GetShiftFraction, SELF, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[])
+NOT_OFFERED(fmi3SetIntervalDecimal, SELF, const Reference r[], size_t n, const fmi3Float64 v[])
+NOT_OFFERED(fmi3SetIntervalFraction, SELF, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
+NOT_OFFERED(fmi3SetShiftDecimal, SELF, const Reference r[], size_t n, const fmi3Float64 v[])
+NOT_OFFERED(fmi3SetShiftFraction, SELF, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
+NOT_OFFERED(fmi3UpdateDiscreteStates, SELF, fmi3Boolean *a, fmi3Boolean *b, fmi3Boolean *c, fmi3Boolean *d,
+            fmi3Boolean *e, fmi3Float64 *t)
+NOT_OFFERED(fmi3CompletedIntegratorStep, SELF, fmi3Boolean n, fmi3Boolean *a, fmi3Boolean *b)
+NOT_OFFERED(fmi3SetTime, SELF, fmi3Float64 t)
+NOT_OFFERED(fmi3SetContinuousStates, SELF, const fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetContinuousStateDerivatives, SELF, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetEventIndicators, SELF, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetContinuousStates, SELF, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetNominalsOfContinuousStates, SELF, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetNumberOfEventIndicators, SELF, size_t *n)
+NOT_OFFERED(fmi3GetNumberOfContinuousStates, SELF, size_t *n)
+NOT_OFFERED(fmi3GetOutputDerivatives, SELF, const Reference r[], size_t n, const fmi3Int32 o[], fmi3Float64 v[], size_t m)
+NOT_OFFERED(fmi3ActivateModelPartition, SELF, Reference r, fmi3Float64 t)
