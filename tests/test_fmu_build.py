@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from fmpy import read_model_description
 from fmu_host import Host, described, fmu_file, in_a_process, scratch
+from native_fmu import Native
 from present import present
 
 import servocore as sc
@@ -148,17 +149,24 @@ def test_the_identifier_changes_with_the_content(
 
 
 def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another version of the slave, and of the library: the crane has a lighter load."""
+    """Another version of the slave, and of the library: the crane has a lighter load. Two native FMUs run beside."""
+    fmu_file()  # built while the slave is the usual one
     lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", host=OF_PYTHONFMU)
     slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
     (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
     monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))
     other = scratch() / "another.fmu"
     other.write_bytes(packed(lighter, ROTARY_CRANE))
-    with Host() as usual, Host(other) as another:
-        assert usual.start().step(0.0, 0.1)
-        assert another.start().step(0.0, 0.1)
+    with (
+        Host() as usual,
+        Host(other) as another,
+        Native("rotary_crane", 2) as first,
+        Native("rotary_crane", 3) as second,
+    ):
+        for host in (usual, another, first, second):
+            assert host.start().step(0.0, 0.1)
         assert (usual["tension"], another["tension"]) == pytest.approx((981.0, 490.5))
+        assert [host["F"] for host in (first, second)] == pytest.approx([usual["F"]] * 2)
         assert usual.step(0.1, 0.1)
         assert not another.step(0.1, 0.1)
         assert another.step(0.05, 0.1)
