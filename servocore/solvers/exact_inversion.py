@@ -18,8 +18,6 @@ from servocore.checks.motion import Motion, enough, motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
@@ -50,14 +48,13 @@ class Pointwise(JudgedRoute):
 
     Parameters
     ----------
-    formulation, method : Formulation, Method
-        The form; of the method nothing is left but its name.
+    formulation : Formulation
+        The form; all methods are one on it.
     native : bool, optional
         Whether as machine code; see `ExactInversion`.
     """
 
     formulation: Formulation
-    method: Method
     native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
@@ -67,7 +64,7 @@ class Pointwise(JudgedRoute):
         each from where the one before was heading.
         """
         evaluation, kept = self._evaluation(problem), slice(None)
-        program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
+        program = program_of(problem, self.formulation, native=bool(self.native) and evaluation is None)
         if problem.follow_branch:
             done, looked = run_steps(problem, program, times, progress), list[Array]()
         else:
@@ -105,7 +102,7 @@ class Pointwise(JudgedRoute):
         exact = self.formulation == Reduced() and not problem.follow_branch
         if not exact or inversion(problem.array).expression is None:
             return None
-        read = _looking(problem.resolved, program_of(problem, self.formulation, self.method))
+        read = _looking(problem.resolved, program_of(problem, self.formulation))
         evaluation = exact_evaluation(problem.resolved, read, self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         return evaluation
@@ -136,12 +133,12 @@ def exact_motion(problem: Problem, t: Array) -> Motion:
     """Return the exact motion of a flat problem at instants; raises `IntegrationFailed` as `motion_of`."""
     if not problem.follow_branch:
         return motion_of(problem, t)
-    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t).states)
+    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced()), t).states)
 
 
 def observed_motion(problem: Problem, t: Array) -> Motion:
     """Return the exact motion of a flat problem at instants, with all observed quantities."""
-    motion, program = exact_motion(problem, t), program_of(problem, Reduced(), BackwardEuler())
+    motion, program = exact_motion(problem, t), program_of(problem, Reduced())
     values = observed_at(problem, program, Moments(t, motion.states))
     continuous_angles(motion, program, values)
     return replace(motion, values=values)
@@ -367,4 +364,4 @@ def exact_values(_: Problem) -> BetterSolver:
     """Return the exact inversion as the reference for other solutions of a problem without internal dynamics."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
 
-    return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion")
+    return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
