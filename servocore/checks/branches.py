@@ -329,6 +329,9 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
+    lowest, highest = known.min(axis=1), known.max(axis=1)
+    if ((lowest > _ON_IT * highest) | (highest < _ON_IT * lowest)).all():
+        return [], []  # of one sign each, and of one size: no instant need be compared with its neighbours
     problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
     sizes = np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
