@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Looked, Moments, Rows, look
+from servocore.checks.branches import MANY
 from servocore.checks.findings import BISECTIONS, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -28,7 +29,6 @@ from servocore.structure.derivative_array import DerivativeArray
 
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _ASIDE = 1e-8  # of the duration: instants beside a jump
-_MOST_SWITCHES = 500  # switches that are looked for: of a model that rattles, not all
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -113,7 +113,8 @@ def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moment
         return np.asarray(np.nan_to_num(np.floor(found), nan=-np.inf))
 
     known = levels(at)
-    which, interval = (each[:_MOST_SWITCHES] for each in np.nonzero(known[:, 1:] != known[:, :-1]))
+    # Of a model that rattles not all.
+    which, interval = (each[:MANY] for each in np.nonzero(known[:, 1:] != known[:, :-1]))
     if not len(which):
         return at, none
     places, before = np.arange(len(which)), known[which, interval]
