@@ -20,11 +20,11 @@ import numpy.typing as npt
 from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.exact_evaluation import guessed_unknowns
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import (
     block_determinants,
@@ -162,9 +162,8 @@ class Branch:
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
-        jets = self.problem.reference.jet(t, self.problem.array.reference_order)
-        found = at_instants(determinants(self.problem.array), states, jets=jets, p=self.problem.p)
-        return block_determinants(self.problem.array, *found)
+        array = self.problem.array
+        return block_determinants(array, *along_path(self.problem, determinants(array), t, states))
 
     def follow(self, state: Array, begin: float, end: float, across: bool = False) -> tuple[Array, float]:
         """Follow the branch of an answer at `begin`; return the last answer and its time, `end` if it goes so far.

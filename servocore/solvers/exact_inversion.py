@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
-from servocore.checks.between_instants import Moments, continuous_angles, observed_at, read_at
+from servocore.checks.between_instants import Moments, continuous_angles, observed_at
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
 from servocore.checks.motion import Motion, enough, motion_of
@@ -29,7 +29,13 @@ from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
 from servocore.solvers.results import Run, Segment, require_derivatives, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities, unknowns_from
+from servocore.stepping.exact_evaluation import (
+    ExactEvaluation,
+    along_path,
+    exact_evaluation,
+    exact_quantities,
+    unknowns_from,
+)
 from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import block_determinants, determinants, inversion
 
@@ -72,7 +78,7 @@ class Pointwise(JudgedRoute):
             kept = slice(None, None, parts)
             done, looked = _at_every_instant(problem, program, times, evaluation, progress, kept)
         read = _looking(problem.resolved, program)
-        looked = looked or read_at(problem, read, Moments(times, done.states))
+        looked = looked or [*along_path(problem, read, times, done.states)]
         try:
             motion = motion_of(problem, times, done.states, block_determinants(problem.array, *looked[2:]))
         except IntegrationFailed as error:
@@ -84,7 +90,7 @@ class Pointwise(JudgedRoute):
             raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
         if motion.states is not done.states:
             done = replace(done, states=motion.states)
-            looked = read_at(problem, read, Moments(times, done.states))
+            looked = [*along_path(problem, read, times, done.states)]
         continuous_angles(motion, program, looked[0])
         branch = FOLLOWED if problem.follow_branch else motion.branch
         solution = solution_of(problem, [Segment(program, times, done, (looked[0], looked[1]))], branch=branch)
@@ -316,7 +322,10 @@ class ExactInversion:
         motion = self._motion
         followed = motion if isinstance(motion, Motion) and not motion.direct else None
         by_expression = self._evaluation.by_expression
-        results = self._from_branch(followed, instants) if followed else by_expression(self._problem, instants)
+        if followed:
+            results = [*along_path(self._problem, self._evaluation.read, instants, followed.at(instants))]
+        else:
+            results = by_expression(self._problem, instants)
         finite = bool(np.isfinite(results[0]).all())
         if not (finite or followed):
             results = self._evaluation.completed(self._problem, instants, results)
@@ -329,10 +338,6 @@ class ExactInversion:
         if not finite:
             require_solved(name, instants, inputs)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
-
-    def _from_branch(self, motion: Motion, t: Array) -> list[Array]:
-        """Return inputs and positive observables, shape (columns, N), read from the branch of a motion."""
-        return self._evaluation.of_unknowns(self._problem, t, motion.at(t))
 
 
 def require_solved(name: str, t: Array, values: Array) -> None:
