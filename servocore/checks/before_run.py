@@ -24,7 +24,7 @@ _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its sec
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
-def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
+def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge.
 
     Raises
@@ -78,11 +78,10 @@ def _warn_of_jumps(problem: Problem) -> None:
         )
 
 
-def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -> None:
+def _warn_of_index(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn before a method runs on a form of an index on which its inputs do not converge."""
     dae = problem.dae(formulation)
-    order = method.orders(dae.index).forces
-    if dae.index > 3 and order < 1:
+    if method is not None and dae.index > 3 and (order := method.orders(dae.index).forces) < 1:
         _warn(
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
             f" the step to the power {order} and no step is small enough; use the form Reduced()"

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -19,9 +18,10 @@ from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
+from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
@@ -232,13 +232,7 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
 
 def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
     """Return all observed quantities at moments, shape (channels, N)."""
-    return read_at(problem, program.observe, at)[0]
-
-
-def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]:
-    """Return the results of a function of (unknowns, gamma, p) at moments, shape (rows, N) each."""
-    jets = problem.reference.jet(at.t, function.size2_in(1) - 1)
-    return list(at_instants(function, at.states, jets=jets, p=problem.p))
+    return along_path(problem, program.observe, at.t, at.states)[0]
 
 
 # Angles ---------------------------------------------------------------------------------------------------------------
