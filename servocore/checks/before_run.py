@@ -109,10 +109,10 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     every = survey(problem.reference)
     for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
         margins = _margins(problem, limits, grid, native)
-        _require_kept(limits, margins, grid)
         bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
         if (margins.min(axis=1) > bends).all():
             return
+    _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
         k = int(margins[row].argmin())
         first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
