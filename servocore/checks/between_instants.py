@@ -20,7 +20,6 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
-from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
@@ -182,7 +181,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
     between, passing = _looked_at(motion)
     if not len(between.t):
         return
-    inside = observed_at(motion.problem, program, between)
+    inside = along_path(motion.problem, program.observe, between.t, between.states)[0]
     system, hidden = motion.problem.system, list[tuple[float, Quantity, str]]()
     times, watched = between.t, {*system.inputs, *system.observables}
     for k, quantity in enumerate(program.channels):
@@ -228,11 +227,6 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     near = np.searchsorted(motion.t, [each.before for each in inside]).repeat(2)
     beside = Moments(t, motion.beside(motion.t[near], motion.states[:, near], t))
     return between.and_then(beside), np.arange(len(between.t) + len(t)) >= len(between.t)
-
-
-def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
-    """Return all observed quantities at moments, shape (channels, N)."""
-    return along_path(problem, program.observe, at.t, at.states)[0]
 
 
 # Angles ---------------------------------------------------------------------------------------------------------------
@@ -289,6 +283,6 @@ def _turn(motion: Motion, program: Program, channel: int, ends: Sequence[int], a
                 f" {sides[1][0]:.6g} s, near t = {middle:.9g} s it turns by more than a quarter turn within"
                 f" {waiting[-1][0] - left[0]:.2g} s"
             )
-        found = observed_at(motion.problem, program, Moments(time, states))[channel, 0]
+        found = along_path(motion.problem, program.observe, time, states)[0][channel, 0]
         waiting.append((middle, states[:, 0], float(found)))
     return done

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
-from servocore.checks.between_instants import Moments, continuous_angles, observed_at
+from servocore.checks.between_instants import continuous_angles
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
 from servocore.checks.motion import Motion, enough, motion_of
@@ -145,7 +145,7 @@ def exact_motion(problem: Problem, t: Array) -> Motion:
 def observed_motion(problem: Problem, t: Array) -> Motion:
     """Return the exact motion of a flat problem at instants, with all observed quantities."""
     motion, program = exact_motion(problem, t), program_of(problem, Reduced())
-    values = observed_at(problem, program, Moments(t, motion.states))
+    values = along_path(problem, program.observe, t, motion.states)[0]
     continuous_angles(motion, program, values)
     return replace(motion, values=values)
 
