@@ -100,6 +100,13 @@ def test_what_a_log_cannot_show_is_named_and_stays_as_believed() -> None:
     assert result.prior_share["trolley_mass"] > 0.95
 
 
+def test_quick_reversals_of_a_drive_do_not_pass_for_noise_of_its_input() -> None:
+    row = study.attempted(study.Case("overhead_crane", "A", 1016))
+    assert not row.doubts
+    assert np.abs(row.z).max() < 4.0
+    assert np.abs(np.divide(row.errors, row.bounds)).max() < 4.0
+
+
 def test_a_wrong_model_is_noticed() -> None:
     with pytest.warns(sc.errors.ServocoreWarning, match="does not explain"):
         result = sc.identify(sc.scenes.overhead_crane(), log(), NAMES[:3])

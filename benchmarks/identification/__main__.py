@@ -17,7 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cranes", type=int, default=25, help="of each kind, for good and for coarse logs")
     parser.add_argument(
-        "--special", type=int, default=5, help="of each kind in motion, with two logs, and wrong plants"
+        "--special", type=int, default=3, help="of each kind in motion, with two logs, and wrong plants"
     )
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of page and results")

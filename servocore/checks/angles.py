@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
@@ -32,8 +33,8 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
             continue
         aside = np.arange(len(point)) == k
         here, there, round_again = (evaluate(point + turn * aside, point, p, time)[0] for turn in (0.0, 1.0, 2 * np.pi))
-        scale = 1e-9 * np.maximum(np.abs(here), np.abs(there))
-        if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > 1e3 * scale)).any():
+        scale = ROUND_OFF * np.maximum(np.abs(here), np.abs(there))
+        if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > scale)).any():
             periodic.append(quantity.name)
     return tuple(periodic)
 

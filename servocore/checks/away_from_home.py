@@ -21,6 +21,7 @@ from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
 from servocore.references.base import survey
+from servocore.stepping.exact_evaluation import along_path
 
 _WHY = "it follows from the others where the model is at home, and was left out"
 _INSTANTS = 9  # at which masses are looked at
@@ -34,8 +35,7 @@ def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.redundant:
         return
-    jets = problem.reference.jet(t, 0)
-    values, shares = at_instants(_compiled_left_out(problem.resolved), q, jets=jets, p=problem.p)
+    values, shares = along_path(problem, _compiled_left_out(problem.resolved), t, q)
     broken = np.abs(shares) > LEFT_OUT_HOLDS
     if broken.any():
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])

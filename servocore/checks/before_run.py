@@ -24,7 +24,7 @@ _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its sec
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
-def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
+def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge.
 
     Raises
@@ -78,11 +78,10 @@ def _warn_of_jumps(problem: Problem) -> None:
         )
 
 
-def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -> None:
+def _warn_of_index(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn before a method runs on a form of an index on which its inputs do not converge."""
     dae = problem.dae(formulation)
-    order = method.orders(dae.index).forces
-    if dae.index > 3 and order < 1:
+    if method is not None and dae.index > 3 and (order := method.orders(dae.index).forces) < 1:
         _warn(
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
             f" the step to the power {order} and no step is small enough; use the form Reduced()"
@@ -110,10 +109,10 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     every = survey(problem.reference)
     for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
         margins = _margins(problem, limits, grid, native)
-        _require_kept(limits, margins, grid)
         bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
         if (margins.min(axis=1) > bends).all():
             return
+    _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
         k = int(margins[row].argmin())
         first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]

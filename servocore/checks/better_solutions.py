@@ -15,6 +15,7 @@ import numpy as np
 
 from servocore.checks.wrong_inputs import (
     LARGEST_UNWARNED,
+    NOTICED,
     Comparison,
     steps_that_stand_out,
     warn_of_wrong_inputs,
@@ -39,7 +40,6 @@ LOOSE_TOLERANCE = 0.01
 _MOST_HALVINGS = 3
 _SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
 _FLOOR = 1e-11  # of the peak: round-off of the better values
-_SMOOTH = 0.02  # of the range: of third differences, those of a wave at 20 instants a period
 _COMPARED = 40, 400  # instants at which a run with internal dynamics is compared, at first and where it is doubtful
 
 
@@ -179,4 +179,4 @@ def is_smooth(problem: Problem, formulation: Formulation, method: Method, soluti
     index, values = problem.dae(formulation).index, solution.values
     if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < _COMPARED[0]:
         return False
-    return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= _SMOOTH * np.ptp(values, axis=0)).all())
+    return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= NOTICED * np.ptp(values, axis=0)).all())

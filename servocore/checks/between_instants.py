@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -19,9 +18,9 @@ from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
-from servocore.problem import Problem
+from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
@@ -182,7 +181,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
     between, passing = _looked_at(motion)
     if not len(between.t):
         return
-    inside = observed_at(motion.problem, program, between)
+    inside = along_path(motion.problem, program.observe, between.t, between.states)[0]
     system, hidden = motion.problem.system, list[tuple[float, Quantity, str]]()
     times, watched = between.t, {*system.inputs, *system.observables}
     for k, quantity in enumerate(program.channels):
@@ -228,17 +227,6 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     near = np.searchsorted(motion.t, [each.before for each in inside]).repeat(2)
     beside = Moments(t, motion.beside(motion.t[near], motion.states[:, near], t))
     return between.and_then(beside), np.arange(len(between.t) + len(t)) >= len(between.t)
-
-
-def observed_at(problem: Problem, program: Program, at: Moments) -> Array:
-    """Return all observed quantities at moments, shape (channels, N)."""
-    return read_at(problem, program.observe, at)[0]
-
-
-def read_at(problem: Problem, function: ca.Function, at: Moments) -> list[Array]:
-    """Return the results of a function of (unknowns, gamma, p) at moments, shape (rows, N) each."""
-    jets = problem.reference.jet(at.t, function.size2_in(1) - 1)
-    return list(at_instants(function, at.states, jets=jets, p=problem.p))
 
 
 # Angles ---------------------------------------------------------------------------------------------------------------
@@ -295,6 +283,6 @@ def _turn(motion: Motion, program: Program, channel: int, ends: Sequence[int], a
                 f" {sides[1][0]:.6g} s, near t = {middle:.9g} s it turns by more than a quarter turn within"
                 f" {waiting[-1][0] - left[0]:.2g} s"
             )
-        found = observed_at(motion.problem, program, Moments(time, states))[channel, 0]
+        found = along_path(motion.problem, program.observe, time, states)[0][channel, 0]
         waiting.append((middle, states[:, 0], float(found)))
     return done

@@ -20,11 +20,11 @@ import numpy.typing as npt
 from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.conditioning import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.exact_evaluation import guessed_unknowns
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import (
     block_determinants,
@@ -162,9 +162,8 @@ class Branch:
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
-        jets = self.problem.reference.jet(t, self.problem.array.reference_order)
-        found = at_instants(determinants(self.problem.array), states, jets=jets, p=self.problem.p)
-        return block_determinants(self.problem.array, *found)
+        array = self.problem.array
+        return block_determinants(array, *along_path(self.problem, determinants(array), t, states))
 
     def follow(self, state: Array, begin: float, end: float, across: bool = False) -> tuple[Array, float]:
         """Follow the branch of an answer at `begin`; return the last answer and its time, `end` if it goes so far.
@@ -329,6 +328,9 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
+    lowest, highest = known.min(axis=1), known.max(axis=1)
+    if ((lowest > _ON_IT * highest) | (highest < _ON_IT * lowest)).all():
+        return [], []  # of one sign each, and of one size: no instant need be compared with its neighbours
     problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
     sizes = np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):

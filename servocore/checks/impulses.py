@@ -16,19 +16,20 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Looked, Moments, Rows, look
+from servocore.checks.branches import MANY
 from servocore.checks.findings import BISECTIONS, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
 from servocore.problem import Problem, ResolvedSystem, equations_of
+from servocore.stepping.exact_evaluation import along_path
 from servocore.structure.derivative_array import DerivativeArray
 
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _ASIDE = 1e-8  # of the duration: instants beside a jump
-_MOST_SWITCHES = 500  # switches that are looked for: of a model that rattles, not all
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -108,12 +109,12 @@ def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moment
     n = len(rows) // 2
 
     def levels(some: Moments) -> Array:
-        q, jets = some.states[rows[:n]], problem.reference.jet(some.t, 0)
-        found = at_instants(function, q, some.states[rows[n:]], jets=jets, p=problem.p)[0]
+        found = along_path(problem, function, some.t, some.states[rows[:n]], some.states[rows[n:]])[0]
         return np.asarray(np.nan_to_num(np.floor(found), nan=-np.inf))
 
     known = levels(at)
-    which, interval = (each[:_MOST_SWITCHES] for each in np.nonzero(known[:, 1:] != known[:, :-1]))
+    # Of a model that rattles not all.
+    which, interval = (each[:MANY] for each in np.nonzero(known[:, 1:] != known[:, :-1]))
     if not len(which):
         return at, none
     places, before = np.arange(len(which)), known[which, interval]
@@ -162,11 +163,10 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
     stepped = _stepped_quantities(problem.resolved)
     if stepped is None or not len(left.t):
         return
-    rows, jets = _motion_rows(problem.array).values, problem.reference.jet(left.t, 0)  # not what depends on time alone
-    n = len(rows) // 2
-    before, after = (
-        at_instants(stepped.function, side.states[rows[:n]], jets=jets, p=problem.p)[0] for side in (left, right)
-    )
+    rows = _motion_rows(problem.array).values
+    q = rows[: len(rows) // 2]
+    # At one time, so that what depends on time alone is no step.
+    before, after = (along_path(problem, stepped.function, left.t, side.states[q])[0] for side in (left, right))
     for row, k in np.argwhere(np.abs(after - before) > _LEAST * np.maximum(np.abs(after), np.abs(before))):
         quantity, time = stepped.quantities[row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()

@@ -20,11 +20,12 @@ from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
+from servocore.stepping.exact_evaluation import along_path
 from servocore.structure.derivative_array import DerivativeArray
 
 HIDDEN = "limit "
@@ -167,8 +168,7 @@ class Watched:
 
     def values(self, problem: Problem, t: Array, states: Array) -> Array:
         """Return the values (limits, N) at instants (N,) where the unknowns of the derivative array are (size, N)."""
-        (found,) = at_instants(self.function, states, jets=problem.reference.jet(t, self.order), p=problem.p)
-        return found
+        return along_path(problem, self.function, t, states)[0]
 
 
 def watched_limits(problem: Problem) -> Watched:

@@ -22,7 +22,7 @@ from servocore.references.timed_path import TimeScaled
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
-_SLACK, _LONG = 0.02, 50.0  # times the median before: tensions below, lengths above
+_SLACK = 0.02  # of the median before: tensions below, lengths above as many times
 _LONGEST = 64.0  # times the duration
 
 
@@ -61,7 +61,7 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
         if each.unit == "N" and share < _SLACK:
             return f"the rope goes slack at t = {good:.6g} s: {each.name} comes to 0 N, and a rope cannot push"
-        if each.unit == "m" and share > _LONG:
+        if each.unit == "m" and share * _SLACK > 1.0:
             return (
                 f"the rope goes slack at t = {good:.6g} s: {each.name} grows beyond all bounds, for the load would fall"
                 " as fast as gravity pulls it"

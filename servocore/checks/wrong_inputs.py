@@ -27,11 +27,13 @@ from servocore.solution import ErrorEstimate, Solution
 LARGEST_UNWARNED = 0.05
 """Of an input's peak: an input further from the exact one is warned of."""
 
+NOTICED = 0.02
+"""Of a range: about the third differences of a wave at 20 instants a period, less than which says nothing."""
+
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
 _BEYOND = 1e4  # times the peak: the size of a larger error is not reported
 _SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
-_NOTICED = 0.02  # of the range of a coordinate
 _ELSEWHERE = 0.1  # of the range of a coordinate: further from the better motion may be another branch
 
 
@@ -96,7 +98,7 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
     # The first and the last step have neighbours on one side only, which are continued.
     before = np.vstack([2.0 * steps[1] - steps[2], steps[:-1]])
     after = np.vstack([steps[1:], 2.0 * steps[-2] - steps[-3]])
-    beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + _NOTICED * np.ptp(q, axis=0)
+    beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + NOTICED * np.ptp(q, axis=0)
     return np.flatnonzero((np.abs(steps - (before + after) / 2.0) > beside).any(axis=1))
 
 

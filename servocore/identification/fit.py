@@ -37,6 +37,7 @@ _GAINED = 1e-5
 _NEAR = 0.3  # standard errors: a last step that is longer leaves doubts
 _FARTHEST = 0.5  # change of a parameter in one step, by its believed value
 _LOOSE = 0.1, 0.01  # of the standard deviation of an input, of a position: the noise at the start
+_BLURS = 100.0, 10.0  # times their noise that positions have at first
 _RIDGE = 1e-13
 
 
@@ -290,7 +291,12 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
             loose.append(Weights(scales, factors))
         for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
             state = _descent(stage, state, loose, _ROUGHLY)
-        state = _descent(problem, state, problem.weights(state, True), _ROUGHLY)
+    # The inputs alone show the free swing of the load. Where a drive reverses quickly its acceleration jumps, and a
+    # path that has to meet positions there swings wrongly; that would pass for noise of the inputs, another optimum.
+    for more in _BLURS:
+        scales = np.where(np.arange(problem.stretches[0].values.shape[1]) < problem.inputs, 1.0, more)
+        weights = [Weights(scales, each.factors) for each in problem.weights(state, True)]
+        state = _descent(problem, state, weights, _ROUGHLY)
     for _ in range(_ROUNDS):
         weights = problem.weights(state, False)
         state = _descent(problem, state, weights, _SETTLED)

@@ -11,15 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
-from servocore.checks.between_instants import Moments, continuous_angles, observed_at, read_at
+from servocore.checks.between_instants import continuous_angles
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
 from servocore.checks.motion import Motion, enough, motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
@@ -31,7 +29,13 @@ from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
 from servocore.solvers.results import Run, Segment, require_derivatives, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities, unknowns_from
+from servocore.stepping.exact_evaluation import (
+    ExactEvaluation,
+    along_path,
+    exact_evaluation,
+    exact_quantities,
+    unknowns_from,
+)
 from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import block_determinants, determinants, inversion
 
@@ -50,14 +54,13 @@ class Pointwise(JudgedRoute):
 
     Parameters
     ----------
-    formulation, method : Formulation, Method
-        The form; of the method nothing is left but its name.
+    formulation : Formulation
+        The form; all methods are one on it.
     native : bool, optional
         Whether as machine code; see `ExactInversion`.
     """
 
     formulation: Formulation
-    method: Method
     native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
@@ -67,7 +70,7 @@ class Pointwise(JudgedRoute):
         each from where the one before was heading.
         """
         evaluation, kept = self._evaluation(problem), slice(None)
-        program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
+        program = program_of(problem, self.formulation, native=bool(self.native) and evaluation is None)
         if problem.follow_branch:
             done, looked = run_steps(problem, program, times, progress), list[Array]()
         else:
@@ -75,7 +78,7 @@ class Pointwise(JudgedRoute):
             kept = slice(None, None, parts)
             done, looked = _at_every_instant(problem, program, times, evaluation, progress, kept)
         read = _looking(problem.resolved, program)
-        looked = looked or read_at(problem, read, Moments(times, done.states))
+        looked = looked or [*along_path(problem, read, times, done.states)]
         try:
             motion = motion_of(problem, times, done.states, block_determinants(problem.array, *looked[2:]))
         except IntegrationFailed as error:
@@ -87,7 +90,7 @@ class Pointwise(JudgedRoute):
             raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
         if motion.states is not done.states:
             done = replace(done, states=motion.states)
-            looked = read_at(problem, read, Moments(times, done.states))
+            looked = [*along_path(problem, read, times, done.states)]
         continuous_angles(motion, program, looked[0])
         branch = FOLLOWED if problem.follow_branch else motion.branch
         solution = solution_of(problem, [Segment(program, times, done, (looked[0], looked[1]))], branch=branch)
@@ -105,7 +108,7 @@ class Pointwise(JudgedRoute):
         exact = self.formulation == Reduced() and not problem.follow_branch
         if not exact or inversion(problem.array).expression is None:
             return None
-        read = _looking(problem.resolved, program_of(problem, self.formulation, self.method))
+        read = _looking(problem.resolved, program_of(problem, self.formulation))
         evaluation = exact_evaluation(problem.resolved, read, self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         return evaluation
@@ -136,13 +139,13 @@ def exact_motion(problem: Problem, t: Array) -> Motion:
     """Return the exact motion of a flat problem at instants; raises `IntegrationFailed` as `motion_of`."""
     if not problem.follow_branch:
         return motion_of(problem, t)
-    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t).states)
+    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced()), t).states)
 
 
 def observed_motion(problem: Problem, t: Array) -> Motion:
     """Return the exact motion of a flat problem at instants, with all observed quantities."""
-    motion, program = exact_motion(problem, t), program_of(problem, Reduced(), BackwardEuler())
-    values = observed_at(problem, program, Moments(t, motion.states))
+    motion, program = exact_motion(problem, t), program_of(problem, Reduced())
+    values = along_path(problem, program.observe, t, motion.states)[0]
     continuous_angles(motion, program, values)
     return replace(motion, values=values)
 
@@ -319,7 +322,10 @@ class ExactInversion:
         motion = self._motion
         followed = motion if isinstance(motion, Motion) and not motion.direct else None
         by_expression = self._evaluation.by_expression
-        results = self._from_branch(followed, instants) if followed else by_expression(self._problem, instants)
+        if followed:
+            results = [*along_path(self._problem, self._evaluation.read, instants, followed.at(instants))]
+        else:
+            results = by_expression(self._problem, instants)
         finite = bool(np.isfinite(results[0]).all())
         if not (finite or followed):
             results = self._evaluation.completed(self._problem, instants, results)
@@ -332,10 +338,6 @@ class ExactInversion:
         if not finite:
             require_solved(name, instants, inputs)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
-
-    def _from_branch(self, motion: Motion, t: Array) -> list[Array]:
-        """Return inputs and positive observables, shape (columns, N), read from the branch of a motion."""
-        return self._evaluation.of_unknowns(self._problem, t, motion.at(t))
 
 
 def require_solved(name: str, t: Array, values: Array) -> None:
@@ -367,4 +369,4 @@ def exact_values(_: Problem) -> BetterSolver:
     """Return the exact inversion as the reference for other solutions of a problem without internal dynamics."""
     from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
 
-    return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion")
+    return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")

@@ -24,7 +24,7 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.exact_inversion import exact_values
@@ -40,6 +40,7 @@ from servocore.solvers.fixed_step_loop import (
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.route import JudgedRoute
 from servocore.solvers.stable_inversion import StableInversion
+from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import inversion, system_jacobian
@@ -184,8 +185,7 @@ def _best_states(problem: Problem, array: DerivativeArray, time: float, values: 
 
 def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
     """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite."""
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    (rows,) = at_instants(system_jacobian(problem.array), states, jets=jets, p=problem.p)
+    (rows,) = along_path(problem, system_jacobian(problem.array), t, states)
     matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
     return matrices
 

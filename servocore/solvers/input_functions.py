@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed, InvalidSetting, described
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -16,8 +17,6 @@ from servocore.solution import Solution
 
 Inputs = Callable[[float], Array]
 """Time in s -> inputs u, shape (m,)."""
-
-_ROUND_OFF = 1e-9  # of the duration
 
 
 def rising_times(t: Any, what: str = "the times at which to report") -> Array:
@@ -74,7 +73,7 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
         raise InvalidSetting(f"the inputs are given twice at t = {known[int((np.diff(known) <= 0.0).argmax())]:g} s")
     first, last = float(known[0]), float(known[-1])
     # Times that were written to a file and read again may differ in the last digit.
-    slack = _ROUND_OFF * (last - first)
+    slack = ROUND_OFF * (last - first)
     if t[0] < first - slack or t[-1] > last + slack:
         raise InvalidSetting(
             f"the inputs are known from t = {first:g} s to {last:g} s, the simulation is to go from {t[0]:g} s to"

@@ -11,9 +11,10 @@ import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidReference
 from servocore.model.quantity import run_quantities
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
+from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 
 _DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
@@ -120,8 +121,7 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
     program, t, states = segment.program, segment.t, segment.run.states
     if segment.observed is None:
-        jets = problem.reference.jet(t, program.start_order)
-        observed, violations = at_instants(program.observe, states, jets=jets, p=problem.p)
+        observed, violations = along_path(problem, program.observe, t, states)
     else:
         observed, violations = segment.observed
     table = observed.T

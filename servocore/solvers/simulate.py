@@ -16,7 +16,7 @@ from servocore.checks.impulses import steps_passed, with_switches
 from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, Call, at_instants
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
@@ -25,7 +25,7 @@ from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
 from servocore.solvers.results import with_run_quantities
-from servocore.stepping.exact_evaluation import exact_unknowns
+from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
 from servocore.stepping.prescribed_initial_values import with_initial_values
@@ -232,10 +232,8 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     known, function = _observation(problem.resolved)
     q = motion.states[: len(problem.system.coordinates)]
     told(problem.system.name, "", left_out(problem, motion.t, q))
-    jets = problem.reference.jet(motion.t, 1)
-    values, violations, deviations = at_instants(
-        function, motion.states, motion.multipliers.T, motion.inputs.T, jets=jets, p=problem.p
-    )
+    columns = motion.states, motion.multipliers.T, motion.inputs.T
+    values, violations, deviations = along_path(problem, function, motion.t, *columns)
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
             # atan2 jumps by a full turn where a motion is continuous.

@@ -26,7 +26,6 @@ from servocore.errors import (
 )
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array
@@ -110,7 +109,7 @@ def solve(
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
     if problem.start:
         require_start(problem)
-    route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
+    route = chosen_route(problem, form, method, step, native, checks)
     is_route = route is method  # a user's route has no checks, and chooses its instants
     checked = checks or is_route
     if checked:
@@ -220,7 +219,7 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
     if motion.values is not None:
         yield from passed(motion)
         if not problem.follow_branch:  # through singularities, beside which values are round-off
-            yield from hidden_values(motion, program_of(problem, Reduced(), BackwardEuler()), motion.values)
+            yield from hidden_values(motion, program_of(problem, Reduced()), motion.values)
 
 
 def _require_arguments(
@@ -250,7 +249,7 @@ def _require_arguments(
 def chosen_route(
     problem: Problem,
     formulation: Formulation,
-    method: Method | Route,
+    method: Method | Route | None,
     step: float | Adaptive | None,
     native: bool | None,
     checks: bool,
@@ -267,10 +266,15 @@ def chosen_route(
         method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))
     if isinstance(method, Route):
         return method
+    stepped = bool(problem.dae(formulation).x.numel())
+    if stepped and method is None:
+        from servocore.methods.backward_euler import BackwardEuler  # noqa: PLC0415 - a flat scene takes no steps
+
+        method = BackwardEuler()
     if checks:
         warn_before_run(problem, formulation, method)
-    if not problem.dae(formulation).x.numel():
-        return Pointwise(formulation, method, native)
+    if method is None or not stepped:
+        return Pointwise(formulation, native)
     if isinstance(step, Adaptive):
         from servocore.solvers.adaptive import ToTolerance  # noqa: PLC0415 - a flat scene takes no steps
 
@@ -321,12 +325,12 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
     return ErrorEstimate(dict(zip(names, apart, strict=True)), peaks, "fits to every second sample")
 
 
-def recommended(problem: Problem) -> tuple[Method | Route, str]:
-    """Return the method that the analysis recommends for the reduced form, and its advice."""
+def recommended(problem: Problem) -> tuple[Method | Route | None, str]:
+    """Return the method that the analysis recommends for the reduced form, None if it needs none, and its advice."""
     kind = internal_dynamics(problem).kind
     advice = f"{kind}: {ADVICE[kind]}"
     if problem.flat:
-        return BackwardEuler(), advice  # without differential states all methods are one
+        return None, advice  # without differential states all methods are one
     if kind != NON_MINIMUM_PHASE:
         from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.better_solutions import LOOSE_TOLERANCE, BetterSolver, compared_closely, stated_branch
+from servocore.checks.findings import ROUND_OFF
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
@@ -39,7 +40,6 @@ _Triplets = tuple[Array, tuple[Places, Places]]
 
 _MOST_HALVINGS = 8
 _MOST_ITERATIONS = 30
-_AT_REST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
         )
     size = float(np.abs(ends[:, 0]).max()) + 1.0
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
-        if not periodic and np.abs(jet[1]).max() > _AT_REST * size / reference.duration:
+        if not periodic and np.abs(jet[1]).max() > ROUND_OFF * size / reference.duration:
             raise InvalidReference(
                 f"a stable inversion needs a path that is at rest at its ends or periodic, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
@@ -219,7 +219,7 @@ def _repeats(ends: Array, duration: float) -> bool:
     weights = duration ** np.arange(ends.shape[1])[:, None]
     first, last = ends * weights
     moving = np.abs(ends[:, 1:] * weights[1:]).max()
-    return bool(moving > _AT_REST and np.abs(last - first).max() <= _AT_REST * (np.abs(first).max() + 1.0))
+    return bool(moving > ROUND_OFF and np.abs(last - first).max() <= ROUND_OFF * (np.abs(first).max() + 1.0))
 
 
 def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:

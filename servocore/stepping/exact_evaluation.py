@@ -65,8 +65,7 @@ class ExactEvaluation:
         """Return results of `by_expression` with Newton's method in the place of NaN."""
         left = self._left(results)
         if len(left):
-            jets = problem.reference.jet(t[left], self.by_expression.order)
-            for result, solved in zip(results, at_instants(self.by_newton, jets=jets, p=problem.p), strict=True):
+            for result, solved in zip(results, along_path(problem, self.by_newton, t[left]), strict=True):
                 result[:, left] = solved
         return results
 
@@ -81,11 +80,6 @@ class ExactEvaluation:
                 for result, values in zip(results, solved, strict=True):
                     result[case][:, left] = values
         return results
-
-    def of_unknowns(self, problem: Problem, t: Array, unknowns: Array) -> list[Array]:
-        """Return the results of given unknowns (size, N) at instants (N,)."""
-        jets = problem.reference.jet(t, self.by_expression.order)
-        return list(at_instants(self.read, unknowns, jets=jets, p=problem.p))
 
     def _left(self, results: Sequence[Array]) -> Sequence[int]:
         """Return the indices of the instants that need Newton's method."""
@@ -149,17 +143,23 @@ def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Functi
     return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
 
 
+def along_path(problem: Problem, function: ca.Function, t: Array, *columns: Array) -> tuple[Array, ...]:
+    """Return the results (rows, N) of a function of (*columns, gamma, p) at instants (N,), with columns (size, N)."""
+    jets = problem.reference.jet(t, function.size2_in(len(columns)) - 1)
+    return at_instants(function, *columns, jets=jets, p=problem.p)
+
+
 def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:
     """Return the unknowns of the derivative array (size, N) at instants, NaN where they are not found.
 
     The second value is whether they follow from the expression, without Newton's method.
     """
-    inverse, jets = inversion(problem.array), problem.reference.jet(t, problem.array.reference_order)
+    inverse = inversion(problem.array)
     if inverse.expression is not None:
-        states, _, residual = at_instants(inverse.expression, jets=jets, p=problem.p)
+        states, _, residual = along_path(problem, inverse.expression, t)
         if (residual < LARGEST_RESIDUAL).all():
             return states, True
-    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)  # compiled on use
+    states, _, residual = along_path(problem, inverse.function, t)  # compiled on use
     return np.where(np.isfinite(residual), states, np.nan), False
 
 
@@ -172,8 +172,7 @@ def unknowns_from(problem: Problem, t: Array, guess: Array) -> Array:
 
 def guessed_unknowns(problem: Problem, t: Array) -> Array:
     """Return the guess of the unknowns of the derivative array (size, N) at instants."""
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    return at_instants(inversion(problem.array).guess, jets=jets, p=problem.p)[0].copy()
+    return along_path(problem, inversion(problem.array).guess, t)[0].copy()
 
 
 @made_once

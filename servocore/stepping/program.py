@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.errors import IntegrationFailed
+from servocore.errors import IntegrationFailed, InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretization, Method, errs_less_with_smaller_steps, instantaneous
@@ -326,7 +326,11 @@ def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepR
 
 
 def program_of(
-    problem: Problem, formulation: Formulation, method: Method, native: bool | None = False, steps: int = 0
+    problem: Problem,
+    formulation: Formulation,
+    method: Method | None = None,
+    native: bool | None = False,
+    steps: int = 0,
 ) -> Program:
     """Return the program of a problem; the same object for the same system and settings.
 
@@ -334,14 +338,26 @@ def program_of(
     ----------
     problem : Problem
         The problem.
-    formulation, method : Formulation, Method
-        Formulation and method.
+    formulation : Formulation
+        Formulation.
+    method : Method, optional
+        Of no effect on a form without differential states, on which all methods are one.
     native : bool or None
         Whether to compile to machine code; with None in the background, for a program that is used again or for many
         steps.
     steps : int
         Number of steps to be taken.
+
+    Raises
+    ------
+    InvalidSetting
+        If a form with differential states has no method.
     """
+    dae = problem.dae(formulation)
+    if not dae.x.numel():
+        method = None
+    elif method is None:
+        raise InvalidSetting(f"{dae.name} has differential states, which need a method")
     program = _program(problem.resolved, formulation, method, problem.follow_branch)
     code = None if native is False else _in_machine_code(program, native)
     return program if code is None else code.best(steps) or program
@@ -354,20 +370,19 @@ def _in_machine_code(program: Program, native: bool | None) -> JustInTime[Progra
 
 
 @made_once
-def _program(resolved: ResolvedSystem, formulation: Formulation, method: Method, follow_branch: bool) -> Program:
+def _program(resolved: ResolvedSystem, formulation: Formulation, method: Method | None, follow_branch: bool) -> Program:
     array, dae = resolved.array, resolved.dae(formulation)
     if isinstance(formulation, Reduced):
         array = formulation.array(resolved.system)
     if array.states == resolved.array.states:
         array = resolved.array  # the usual states share one inversion with all other users
-    stepped = bool(dae.x.numel())
     return Program(
-        name=f"{dae.name}, {method.name}" if stepped else dae.name,
+        name=f"{dae.name}, {method.name}" if method else dae.name,
         array=array,
         dae=dae,
         reduced=resolved.dae(Reduced(states=array.named_states)),
-        discretization=method.discretize(dae) if stepped else instantaneous(dae),
+        discretization=method.discretize(dae) if method else instantaneous(dae),
         start_order=max(array.reference_order, dae.reference_order, 2),
-        smaller_steps_help=stepped and errs_less_with_smaller_steps(method, dae.index),
+        smaller_steps_help=method is not None and errs_less_with_smaller_steps(method, dae.index),
         follow_branch=follow_branch,
     )
