@@ -189,7 +189,7 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
 
 
 def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "at_instants", lambda *_, **__: pytest.fail("observed once more"))
+    monkeypatch.setattr(results, "along_path", lambda *_, **__: pytest.fail("observed once more"))
     scene = sc.scenes.gantry_crane()
     solution = sc.solve(scene, step=scene.reference.duration / 50)
     np.testing.assert_allclose(solution["F_x"], scene.exact(solution.t)["F_x"], rtol=1e-9)

@@ -25,14 +25,7 @@ _FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
-    """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge.
-
-    Raises
-    ------
-    InvalidReference
-        If the path is so rough that inputs hold impulses.
-    """
-    require_smooth(problem)
+    """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge."""
     _warn_of_growth(problem)
     _warn_of_jumps(problem)
     _warn_of_index(problem, formulation, method)

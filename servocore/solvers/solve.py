@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.checks.before_run import require_feasible, warn_before_run
+from servocore.checks.before_run import require_feasible, require_smooth, warn_before_run
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
@@ -266,6 +266,8 @@ def chosen_route(
         method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))
     if isinstance(method, Route):
         return method
+    if checks:
+        require_smooth(problem)  # which refuses inputs that drive nothing by their names, as no form of the problem does
     stepped = bool(problem.dae(formulation).x.numel())
     if stepped and method is None:
         from servocore.methods.backward_euler import BackwardEuler  # noqa: PLC0415 - a flat scene takes no steps
