@@ -267,7 +267,7 @@ def chosen_route(
     if isinstance(method, Route):
         return method
     if checks:
-        require_smooth(problem)  # which refuses inputs that drive nothing by their names, as no form of the problem does
+        require_smooth(problem)  # names inputs that drive nothing; forms of the problem do not
     stepped = bool(problem.dae(formulation).x.numel())
     if stepped and method is None:
         from servocore.methods.backward_euler import BackwardEuler  # noqa: PLC0415 - a flat scene takes no steps
