@@ -57,7 +57,7 @@ def main() -> None:
         print(f"{name}: largest stray on 64 elements {1e3 * found['tracking_error'].max():.3g} mm")
         axis.semilogy(found.t, np.maximum(1e3 * found["tracking_error"], 1e-5), label=name, lw=1.2)
     axis.set(xlabel="time in s", ylabel="distance of the load from its path in mm", ylim=(1e-4, 1e3))
-    axis.legend(loc="upper left", fontsize=8)
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2, fontsize=8, frameon=False)
     figure.savefig(PICTURE, dpi=110)
 
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.chart.candidate import OUTPUT_INTERVALS
-from benchmarks.chart.own import CLOSED_FORM, COMPILED, INVERTED, NAME, SOLVED
+from benchmarks.chart.own import CLOSED_FORM, COMPILED, INVERTED, LONG_STEPS, NAME, SOLVED
 from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
@@ -165,8 +165,11 @@ MEMBER_DASHES: tuple[object, ...] = ("-", (0, (6, 2)), (0, (4, 1, 1, 1)), (0, (2
 
 
 def _family(method: str) -> dict[str, Any]:
-    """Return the style of a method: colour by family, shade, dash and marker by member, which differ in grey too."""
-    adaptive = method.endswith("adaptive")
+    """Return the style of a method: colour by family, shade, dash and marker by member, which differ in grey too.
+
+    Prepared runs have hollow markers, and bold lines where they are machine code.
+    """
+    adaptive, prepared = method.endswith("adaptive"), LONG_STEPS in method
     for k, (start, family_dash) in enumerate(FAMILIES.items()):
         if method.startswith(start):
             dash = family_dash
@@ -180,9 +183,9 @@ def _family(method: str) -> dict[str, Any]:
                 "color": own,
                 "linestyle": (0, (1, 2)) if adaptive else dash,
                 "marker": "*" if adaptive else MARKERS[member % len(MARKERS)],
-                "markerfacecolor": "white" if k % 2 or adaptive else own,
+                "markerfacecolor": "white" if k % 2 or adaptive or prepared else own,
                 "markersize": 8 if adaptive else 5.5,
-                "linewidth": 1.4,
+                "linewidth": 2.6 if method.endswith(COMPILED) else 1.4,
             }
     return {"color": "0.5"}
 
