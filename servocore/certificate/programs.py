@@ -77,6 +77,20 @@ class Products:
         return np.where(within, np.cumsum(within) - 1, -1)
 
     @cached_property
+    def additions(self) -> list[list[tuple[Places, Places]]]:
+        """For each coefficient of a, terms of b and places of their products, which differ: `np.add.at` is slow."""
+        terms, found = prod(d + 1 for d in self.degrees), list[list[tuple[Places, Places]]]()
+        for places in self.places.reshape(terms, terms, -1):
+            found.append([])
+            for place in places.T:
+                left = np.arange(terms)
+                while left.size:
+                    different, first = np.unique(place[left], return_index=True)
+                    found[-1].append((left[first], different))
+                    left = np.delete(left, first)
+        return found
+
+    @cached_property
     def addresses(self) -> tuple[int, ...]:
         """Number of terms, of results of a pair and of coefficients of a product, and where the tables are."""
         sizes = prod(d + 1 for d in self.degrees), self.places.shape[1], len(self.kept)
@@ -96,10 +110,11 @@ class Products:
 
         Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
-        full, terms = np.zeros((len(self.kept), *a.shape[1:])), len(a) - 1
-        for k, places in enumerate(self.places.reshape(terms, terms, -1)):
-            for place in places.T:
-                np.add.at(full, place, a[k] * b[:-1] / places.shape[1])
+        full = np.zeros((len(self.kept), *a.shape[1:]))
+        for coefficient, parts in zip(a[:-1], self.additions, strict=True):
+            products = coefficient * b[:-1] / self.places.shape[1]
+            for terms, places in parts:
+                full[places] += products[terms]
         beyond, size_a, size_b = self.kept < 0, norm(a[:-1]), norm(b[:-1])
         crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
         r = (norm(full[beyond]) + self.rounding * size_a * size_b + crossed) * UP
