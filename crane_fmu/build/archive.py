@@ -184,5 +184,5 @@ def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str
     shim = (_HERE / "shim.c").read_text(encoding="utf-8")
     config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
     sources = {"shim.c": shim, "shim_config.h": config, **headers}
-    (built,) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
-    return built
+    ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+    return place, built.content

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,10 +13,10 @@ from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_model import InverseModel
 from servocore.export.operations import operations
 from servocore.export.sources import SHARED, rendered, tables
+from servocore.export.targets import host, libraries
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
-from servocore.numerics.machine_code import c_compiler, compile_in
 from servocore.numerics.newton import MAX_ITERATIONS
 
 _NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
@@ -94,7 +93,7 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "most_iterations": MAX_ITERATIONS,
         "blocks": _blocks(source),
         "memory_bytes": _memory_bytes(model, scratch),
-        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
+        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, name),
     }
     return {
         f"{name}.h": notice + header,
@@ -125,28 +124,22 @@ def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)
 
 
-def _measured(files: dict[str, str], file: str) -> dict[str, str]:
-    """Measure stack and code; the sum over all functions is an upper bound of the stack, since none is recursive."""
+def _measured(files: Mapping[str, str], name: str) -> dict[str, str]:
+    """Measure stack and code of a library of this machine."""
     try:
-        command = c_compiler()
-        with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
-            for name, text in files.items():
-                Path(folder, name).write_text(text, encoding="utf-8")
-            options = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fstack-usage", "-c", file, "-o", "object.o"]
-            compile_in(Path(folder), [*command, *options], file)
-            (usage,) = Path(folder).glob("*.su")
-            stack = sum(int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines())
-            code = _loaded_bytes(Path(folder, "object.o").read_bytes())
-    except (InvalidSetting, OSError, ValueError, IndexError, struct.error):
+        (library,) = libraries(files, [f"{name}.c"], name, [host()], 3).values()
+        code = _loaded_bytes(library.content)
+    except (InvalidSetting, KeyError, ValueError, struct.error):
         return dict.fromkeys(("stack", "code"), "not measured: no compiler that reports it was found")
-    by = f"measured with `{' '.join(command)} -O2`"
-    return {"stack": f"at most {stack} bytes, {by}", "code": f"{code} bytes, constants included, {by}"}
+    by = "measured in a library of this machine's compiler, with `-O3`"
+    stack = "not reported by the compiler" if library.stack is None else f"at most {library.stack} bytes, {by}"
+    return {"stack": stack, "code": f"{code} bytes, constants included, {by}"}
 
 
 def _loaded_bytes(elf: bytes) -> int:
-    """Return the size of code and constants in a 64-bit ELF object: allocated sections with content."""
+    """Return the size of code and constants in a 64-bit ELF file: allocated sections with content."""
     if elf[:5] != b"\x7fELF\x02":
-        raise ValueError("no 64-bit ELF object")
+        raise ValueError("no 64-bit ELF file")
     (table,), (size, count) = struct.unpack_from("<Q", elf, 40), struct.unpack_from("<HH", elf, 58)
     rows = [struct.unpack_from("<IIQQQQ", elf, table + k * size) for k in range(count)]
     return sum(length for _, kind, flags, _, _, length in rows if kind == 1 and flags & 2)

@@ -19,7 +19,7 @@ from servocore.export.parameter_sets import related_files
 from servocore.export.plant_model import PlantOptions, plant_model
 from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
-from servocore.export.targets import Progress, chosen_targets, libraries
+from servocore.export.targets import Library, Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
@@ -256,20 +256,21 @@ def require_version(fmi: int) -> int:
 
 
 def contents(
-    model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
+    model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, Library], targets: tuple[str, ...]
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
     unproven = [name for name in targets if name.endswith("darwin")]
     called = [each for name, each in model.functions.items() if not name.endswith("_tangent")]
     most = max(operations(each, at_most=True) for each in called)
     page = rendered(
-        "page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven, most=most, iterations=MAX_ITERATIONS
-    )
+        "page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven, most=most, iterations=MAX_ITERATIONS,
+        built=built,
+    )  # fmt: skip
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
         "documentation/index.html": page.encode(),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
-        **built,
+        **{place: each.content for place, each in built.items()},
     }
     icon = (SHARED / "icon.png").read_bytes()
     members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
