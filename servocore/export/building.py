@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
+from servocore.dae import Dae
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
@@ -27,18 +28,16 @@ from servocore.export.estimates import SampledEstimates
 from servocore.export.exported_quantities import Matrix, observation, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
 from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.inverse_model import InverseModel, Mathematics
-from servocore.export.native_model import Bound
+from servocore.export.native_model import Bound, NativeModel
 from servocore.export.variables import INPUT_TIME, Variable
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import instantaneous
+from servocore.methods.base import Discretization, instantaneous
 from servocore.methods.collocation import RadauIIA
 from servocore.model.drives import motors
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
@@ -56,6 +55,62 @@ TERMINALS = {
 """Groups of variables that a host connects together."""
 
 _ROUND_OFF = 1e-9  # share of a limit of the motion that may be exceeded by round-off
+
+
+class Mathematics(NamedTuple):
+    """Functions of flat arguments; a path is (m, orders), column after column, parameters p.
+
+    Attributes
+    ----------
+    functions : mapping of str to casadi.Function
+        ``begin`` (path, p, time, move of the internal states) -> (state, outputs, margins, residual), and its
+        ``begin_tangent`` (..., d path, d p) -> (d state, d outputs). Without a state ``quick`` (path, p, time) ->
+        (margins, outputs), NaN where ``begin`` must be called. With a state ``advance`` (state, paths at the nodes,
+        h, p, time at the beginning) -> (state, outputs, margins, residual), and its ``advance_tangent`` (..., d state,
+        d paths, d p) -> (d state, d outputs).
+    outputs : tuple of Quantity
+        Computed quantities.
+    limits : tuple of Bound
+        The bounds of the margins.
+    orders : int
+        Number of derivatives of the path among the arguments, the path itself included.
+    state_size : int
+        Numbers kept from step to step; 0 where instants are independent.
+    nodes : tuple of float
+        Fractions of a step at which the path is needed.
+    depends : ndarray of bool, shape (outputs, m * orders)
+        Which outputs depend on which numbers of the path.
+    """
+
+    functions: Mapping[str, ca.Function]
+    outputs: tuple[Quantity, ...]
+    limits: tuple[Bound, ...]
+    orders: int
+    state_size: int
+    nodes: tuple[float, ...]
+    depends: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InverseModel(NativeModel):
+    """The inverse model of a scene, ready to be written to files.
+
+    Attributes
+    ----------
+    orders, state_size : int
+    nodes : tuple of float
+        As of `Mathematics`, whose functions and depending outputs it has besides those of feedback and estimates.
+    components : int
+        Of the path.
+    method : str
+        Name of the method for internal dynamics; empty where there are none.
+    """
+
+    orders: int
+    state_size: int
+    nodes: tuple[float, ...]
+    components: int
+    method: str
 
 
 def inverse_model(
@@ -97,12 +152,17 @@ def inverse_model(
         require_feasible(problem)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
-    home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
-    variables = rows.placed(_variables(problem, compiled, scene.tracked, home, feedback))
-    moved = bool(feedback and scene.drives)  # motors, by inputs that are not those of the path alone
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
+    moved = bool(feedback and scene.drives)  # motors, by inputs that are not those of the path alone
+    more = dict[str, ca.Function]()
+    if feedback:
+        more |= {**feedback.laws, "judge": feedback.judge}
+    if estimates:
+        more |= estimates.functions
+    if moved:
+        more["motors"] = motors(system, scene.drives, compiled.outputs)
     return InverseModel(
         identifier=identifier,
         title=scene.name,
@@ -112,23 +172,32 @@ def inverse_model(
         f" {', '.join(quantity.name for quantity in system.outputs)}"
         " follow a path",
         kernel="inverse",
-        own=_own(compiled, len(system.outputs), scene.tracked, feedback)
-        | {"estimates": estimates.own() if estimates else None, "has_motors": int(moved)},
-        functions={
-            **compiled.functions,
-            **(named_in_c({**feedback.laws, "judge": feedback.judge}, identifier) if feedback else {}),
-            **(named_in_c(estimates.functions, identifier) if estimates else {}),
-            **(named_in_c({"motors": motors(system, scene.drives, compiled.outputs)}, identifier) if moved else {}),
+        own={
+            "components": len(system.outputs),
+            "orders": compiled.orders,
+            "order_names": [rows.order_name(order) for order in range(compiled.orders)],
+            "follower": scene.tracked or "path",
+            "state_size": compiled.state_size,
+            "routes": None,
+            "nodes": compiled.nodes,
+            "has_quick": int("quick" in compiled.functions),
+            "end_conditions": end_conditions(compiled.orders),
+            "feedback": feedback.own() if feedback else None,
+            "estimates": estimates.own() if estimates else None,
+            "has_motors": int(moved),
         },
-        variables=variables,
+        functions={**compiled.functions, **named_in_c(more, identifier)},
+        variables=rows.placed(_variables(problem, compiled, scene, feedback)),
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,
         limits=compiled.limits,
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
         terminals=TERMINALS,
-        mathematics=compiled,
         components=len(system.outputs),
+        orders=compiled.orders,
+        state_size=compiled.state_size,
+        nodes=compiled.nodes,
         method="" if problem.flat else METHOD.name,
         timed=bool(system.time.numel()),
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
@@ -153,16 +222,16 @@ def followed(problem: Problem) -> Problem:
 
 
 def _variables(
-    problem: Problem, compiled: Mathematics, tracked: str, home: Array, feedback: SampledFeedback | None
+    problem: Problem, compiled: Mathematics, scene: Scene, feedback: SampledFeedback | None
 ) -> Sequence[Variable]:
     system, array = problem.system, problem.array
-    variables = rows.path_variables(system.outputs, tracked, compiled.orders, home)
+    home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
+    variables = rows.path_variables(system.outputs, scene.tracked, compiled.orders, home)
     if feedback is not None:
         variables += rows.measured_variables(feedback.measured)
+        variables += rows.feedback_settings(system.inputs, feedback.distance)
     variables += rows.output_variables(compiled.outputs)
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
-    if feedback is not None:
-        variables += rows.feedback_settings(system.inputs, feedback.distance)
     if compiled.state_size:
         variables.append(rows.internal_step())
     if not problem.flat:
@@ -173,30 +242,14 @@ def _variables(
     return variables
 
 
-def _own(compiled: Mathematics, components: int, tracked: str, feedback: SampledFeedback | None) -> dict[str, Any]:
-    """Return values for the templates of the sources, by name."""
-    return {
-        "components": components,
-        "orders": compiled.orders,
-        "order_names": [rows.order_name(order) for order in range(compiled.orders)],
-        "follower": tracked or "path",
-        "state_size": compiled.state_size,
-        "routes": None,
-        "nodes": compiled.nodes,
-        "has_quick": int("quick" in compiled.functions),
-        "end_conditions": end_conditions(compiled.orders),
-        "feedback": feedback.own() if feedback else None,
-    }
-
-
 def _with_measured(compiled: Mathematics, feedback: SampledFeedback | None) -> npt.NDArray[np.bool_]:
     """Return which outputs depend on which inputs; inputs of the system and their motors also on measured values."""
     if feedback is None:
         return compiled.depends
     drives, measured = feedback.laws["feedback_start"].numel_out(1), feedback.numbers
     inputs = [each.name for each in compiled.outputs[:drives]]
-    rows = np.array([each.name.partition(".")[0] in inputs for each in compiled.outputs])
-    return np.hstack([compiled.depends, np.repeat(rows[:, None], measured, axis=1)])
+    chosen = np.array([each.name.partition(".")[0] in inputs for each in compiled.outputs])
+    return np.hstack([compiled.depends, np.repeat(chosen[:, None], measured, axis=1)])
 
 
 def end_conditions(orders: int) -> list[list[float]]:
@@ -257,11 +310,20 @@ class _Known:
         expressions = ca.vertcat(ca.SX(0, 1), *[each for _, each in self.wanted])
         return 1 + max(limits_order(system, self.of_path), highest_derivative(expressions, system.gamma))
 
-    def split(self, values: Matrix, margins: Matrix) -> tuple[Matrix, Matrix]:
-        """Return outputs and margins of all limits, from all values and the margins of the path."""
+    def seen(self, dae: Dae, step: Discretization, orders: int) -> Callable[..., tuple[Any, Any]]:
+        """Return the function (state, path, p) -> outputs and margins of all limits, for symbols of either kind."""
         count, sides = len(self.outputs), self.bounds[len(self.of_path) :]
-        kept = [side.side * (values[count + side.row] - side.bound) + _ROUND_OFF * abs(side.bound) for side in sides]
-        return values[:count], ca.vertcat(margins, *kept)
+        read = observation(self.problem.system, dae, step, self.wanted, orders - 1)
+        of_path = compile_margins(self.problem.system, self.of_path, orders - 1)
+
+        def seen(state: Matrix, path: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
+            values, margins = read(state, path, p), of_path(path, p)
+            kept = [
+                each.side * (values[count + each.row] - each.bound) + _ROUND_OFF * abs(each.bound) for each in sides
+            ]
+            return values[:count], ca.vertcat(margins, *kept)
+
+        return seen
 
 
 def bounds(problem: Problem) -> tuple[Bound, ...]:
@@ -298,12 +360,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     inverse = inversion(problem.array)
     rows = problem.array.reference_order + 1
     orders = max(rows, known.orders)
-    read = observation(system, dae, instantaneous(dae), known.wanted, orders - 1)
-    margins = compile_margins(system, known.of_path, orders - 1)
-
-    def seen(state: Matrix, path: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
-        return known.split(read(state, path, p), margins(path, p))
-
+    seen = known.seen(dae, instantaneous(dae), orders)
     G, P, T = _symbols(system, orders)
     path = timed_path(system, G, T)
     y, _, residual = inverse.search(path[:, :rows], P, inverse.guess(path[:, :rows], P))
@@ -329,33 +386,29 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
     orders = max(program.start_order + 1, known.orders)
-    method_step = program.discretization
-    read = observation(system, dae, method_step, known.wanted, orders - 1)
-    margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
+    nodes, method_step = program.nodes, program.discretization
+    seen = known.seen(dae, method_step, orders)
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
     path = timed_path(system, G, T)
     first, residual = _first(problem, program, path, P, D)
-    outputs, kept = known.split(read(first, path, P), margins(path, P))
+    outputs, kept = seen(first, path, P)
     S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", G.shape[0], orders * len(nodes))
     at_nodes = [
         timed_path(system, column, T + node * h) for column, node in zip(ca.horzsplit(N, orders), nodes, strict=True)
     ]
     used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
     after, _, left = program.step(S, used, h, P)
-
-    def seen(state: ca.MX) -> tuple[ca.MX, ca.MX]:
-        return known.split(read(state, at_nodes[-1], P), margins(at_nodes[-1], P))
-
-    stepped, within = seen(after)
+    stepped, within = seen(after, at_nodes[-1], P)
     step, by, begin = [S, N, h, P, T], [S, N, P], [G, P, T, D]
     if not dae.x.numel():  # instants are independent, except for the branch
         along = tangent(f"{identifier}_advance_tangent", step, [after, stepped], by)
     else:
         givens = ca.vertcat(S, ca.vec(used), h, P)
         along = tangent_of_step(
-            f"{identifier}_advance_tangent", method_step, step, by, givens, after, lambda state: [seen(state)[0]]
-        )
+            f"{identifier}_advance_tangent", method_step, step, by, givens, after,
+            lambda state: [seen(state, at_nodes[-1], P)[0]],
+        )  # fmt: skip
     functions = {
         "advance": ca.Function(f"{identifier}_advance", step, [after, stepped, within, left]),
         "begin": ca.Function(f"{identifier}_begin", begin, [first, outputs, kept, residual]),

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
-from servocore.export.building import inverse_model
+from servocore.export.building import InverseModel, inverse_model
 from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.identifiers import identifier_of
-from servocore.export.inverse_model import InverseModel
 from servocore.export.operations import operations
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.targets import host, libraries
@@ -67,7 +66,7 @@ def require_folder(scene: Scene, place: Path) -> None:
 
 def c_files(model: InverseModel) -> dict[str, str]:
     """Return all texts by file name."""
-    functions = {name: each for name, each in model.mathematics.functions.items() if name in _CALLED}
+    functions = {name: each for name, each in model.functions.items() if name in _CALLED}
     name, scratch = model.identifier, scratch_of(functions.values())
     source = c_source(f"{name}_mathematics", functions.values())[1]
     values = tables(model) | {
@@ -116,9 +115,8 @@ def _blocks(source: str) -> int:
 
 
 def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
-    mathematics = model.mathematics
-    inputs, state = model.components * mathematics.orders, max(mathematics.state_size, 1)
-    numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
+    inputs, state = model.components * model.orders, max(model.state_size, 1)
+    numbers = inputs * (1 + len(model.nodes)) + len(model.outputs) + 2 * state
     numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)

@@ -62,8 +62,8 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
     _experiment(root, model)
     if fmi == 2:
         _annotations(root, model, fmi)
-    (_fmi2_variables if fmi == 2 else _fmi3_variables)(_add(root, "ModelVariables"), model)
-    (_fmi2_structure if fmi == 2 else _fmi3_structure)(_add(root, "ModelStructure"), model)
+    _variables(_add(root, "ModelVariables"), model, fmi)
+    _structure(_add(root, "ModelStructure"), model, fmi)
     if fmi == 3:
         _annotations(root, model, fmi)
     return xml_document(root)
@@ -79,81 +79,71 @@ def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
             _add(each, "Entry", name=key, value=str(value))
 
 
-def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
-    for variable in model.variables:
-        for k, name in enumerate(variable.scalar_names):
-            row = _add(
-                table, "ScalarVariable", name=name, valueReference=str(variable.place + k),
-                description=_component_text(variable, k), **_causality(variable, fmi=2),
-            )  # fmt: skip
-            real = _add(row, "Real", **_attributes(variable))
-            if variable.starts:
-                real.set("start", repr(variable.starts[k]))
-    count = sum(len(each.scalar_names) for each in model.variables)
-    for k, choice in enumerate(model.choices):
-        row = _add(table, "ScalarVariable", name=choice.name, valueReference=str(count + k),
-                   description=choice.description, causality="parameter", variability=choice.variability)  # fmt: skip
-        _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
+def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
+    for reference, (variable, places) in enumerate(_numbered(model, fmi)):
+        name, text, starts = variable.name, variable.description, variable.starts
+        if fmi == 2 and variable.size is not None:
+            k = places.start - variable.place
+            name, text, starts = variable.scalar_names[k], f"{text}; component {k + 1}", starts[k : k + 1]
+        common = {"name": name, "valueReference": str(reference), "description": text, **_causality(variable, fmi)}
+        if fmi == 2:
+            number = _add(_add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
+        else:
+            number = _add(table, "Float64", **common, **_attributes(variable))
+        if starts:
+            number.set("start", " ".join(map(repr, starts)))
+        if fmi == 3 and variable.size is not None:
+            _add(number, "Dimension", start=str(variable.size))
+    for reference, choice in enumerate(model.choices, start=len(_numbered(model, fmi))):
+        common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
+                  "causality": "parameter", "variability": choice.variability}  # fmt: skip
+        kind = {"declaredType": choice.type_name, "start": str(choice.start)}
+        if fmi == 2:
+            _add(_add(table, "ScalarVariable", **common), "Enumeration", **kind)
+        else:
+            _add(table, "Enumeration", **common, **kind)
+    if fmi == 3:
+        _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
+             variability="continuous", unit="s")  # fmt: skip
 
 
-# Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
-# (FMI 3.0.2, 2.4.8): models with directional derivatives, which are those of the last step, list its inputs, others
-# none, so that they declare no algebraic loop.
-
-
-def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
-    outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
-    parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
-    count = sum(len(each.scalar_names) for each in model.variables)
-    parameters += range(count, count + len(model.choices))
-    for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
-        used = [k for k, each in enumerate(model.depends[row]) if each]
-        count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
-        first = [k for k in used if k < count]
-        for parent, on in ((outputs, used if model.differentiable else ()), (initial, [*first, *parameters])):
-            _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
-
-
-def _fmi3_variables(table: ET.Element, model: NativeModel) -> None:
-    for reference, variable in enumerate(model.variables):
-        row = _add(
-            table, "Float64", name=variable.name, valueReference=str(reference), description=variable.description,
-            **_causality(variable, fmi=3), **_attributes(variable),
-        )  # fmt: skip
-        if variable.starts:
-            row.set("start", " ".join(map(repr, variable.starts)))
-        if variable.size is not None:
-            _add(row, "Dimension", start=str(variable.size))
-    for reference, choice in enumerate(model.choices, start=len(model.variables)):
-        _add(
-            table, "Enumeration", name=choice.name, valueReference=str(reference), description=choice.description,
-            causality="parameter", variability=choice.variability, declaredType=choice.type_name,
-            start=str(choice.start),
-        )  # fmt: skip
-    _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
-                  variability="continuous", unit="s")  # fmt: skip
+def _numbered(model: NativeModel, fmi: int) -> list[tuple[Variable, range]]:
+    """Return variables with their places in the order of their references: FMI 2 has one for each component."""
+    every = [(each, range(each.place, each.place + (each.size or 1))) for each in model.variables]
+    return every if fmi == 3 else [(each, range(k, k + 1)) for each, places in every for k in places]
 
 
 def _time_reference(model: NativeModel) -> int:
     return len(model.variables) + len(model.choices)
 
 
-def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
-    numbers = {id(variable): k for k, variable in enumerate(model.variables)}
-    inputs = [numbers[id(variable)] for variable in model.of("input")]
-    parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
-    parameters += range(len(numbers), len(numbers) + len(model.choices))
-    time = [_time_reference(model)] if model.timed else []
-    unknowns, row = [], 0
-    for output in model.of("output"):
-        rows = slice(row, row := row + (output.size or 1))
-        used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
-        listed = [*(used if model.differentiable else ()), *time]
-        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(listed))
-        first = [k for k in used if model.variables[k].place < model.numbers("input") - model.measured]
-        unknowns.append((numbers[id(output)], [*first, *parameters, *time]))
-    for number, on in unknowns:
-        _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
+# Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
+# (FMI 3.0.2, 2.4.8): models with directional derivatives, which are those of the last step, list its inputs, others
+# none, so that they declare no algebraic loop. Measured values have no effect before the first step.
+
+
+def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
+    every, first_output = _numbered(model, fmi), model.numbers("input")
+    of = {k: places for k, (variable, places) in enumerate(every) if variable.causality == "input"}
+    parameters = [k for k, (variable, _) in enumerate(every)
+                  if variable.causality == "parameter" and variable.name != INTERNAL_STEP]  # fmt: skip
+    parameters += range(len(every), len(every) + len(model.choices))
+    time = [_time_reference(model)] if model.timed and fmi == 3 else []
+    listed = dict[int, tuple[list[int], list[int]]]()
+    for k, (variable, places) in enumerate(every):
+        if variable.causality == "output":
+            rows = slice(places.start - first_output, places.stop - first_output)
+            used = [j for j, columns in of.items() if model.depends[rows, columns].any()]
+            awaited = [j for j in used if of[j].start < first_output - model.measured]
+            listed[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
+    # FMI 2 counts from 1.
+    parents = [_add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
+    for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
+        for k, on in listed.items():
+            if fmi == 2:
+                _add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
+            else:
+                _add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
 
 
 def build_description(model: NativeModel) -> bytes:
@@ -232,17 +222,9 @@ def _attributes(variable: Variable) -> dict[str, str]:
     return attributes
 
 
-def _places(variable: Variable) -> range:
-    return range(variable.place, variable.place + (variable.size or 1))
-
-
 def _dependencies(on: Sequence[int]) -> dict[str, str]:
     return {"dependencies": _joined(on), "dependenciesKind": _joined("dependent" for _ in on)}
 
 
 def _joined(words: Iterable[object]) -> str:
     return " ".join(map(str, words))
-
-
-def _component_text(variable: Variable, k: int) -> str:
-    return variable.description if variable.size is None else f"{variable.description}; component {k + 1}"

@@ -10,8 +10,8 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.export.building import InverseModel
 from servocore.export.c_functions import c_source
-from servocore.export.inverse_model import InverseModel
 from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -73,7 +73,7 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     """
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    outputs, orders = made.outputs, made.mathematics.orders
+    outputs, orders = made.outputs, made.orders
     programs, functions = [], []
     for k, (model, name) in enumerate(product(options.models, options.formulations)):
         program = program_of(Problem.of(scene, model), options.formulations[name], options.method)

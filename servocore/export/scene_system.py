@@ -76,7 +76,7 @@ def export_ssp(
     require_played(scene.reference)
     progress("analysing")
     inverse, trajectory = inverse_model(scene, model), trajectory_model(scene, model)
-    jet = scene.reference.jet(scene.reference.start_time, inverse.mathematics.orders - 1)
+    jet = scene.reference.jet(scene.reference.start_time, inverse.orders - 1)
     start = {}
     if jet[1:].any():
         if inverse.method:
