@@ -97,10 +97,9 @@ def page_of(kind: FmuKind) -> str:
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
-    expected = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, *expected]
+        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs_with(starts))]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False

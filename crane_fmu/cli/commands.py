@@ -170,8 +170,6 @@ def run_demo(place: Place, certified: Certified) -> None:
             shown.add_row(*row)
         console.print(f"[bold]{table.title}[/bold]", f"[dim]{table.by}[/dim]", shown, sep="\n")
         console.print(table.note, "", sep="\n" if table.note else "")
-    for note in done.notes:
-        console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
 
 

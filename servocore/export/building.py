@@ -334,7 +334,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     InvalidModel
         If one is of an angle that counts turns, or of the rate of a force: neither follows from a single instant.
     """
-    path = [Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in problem.limits if e.of_path]
+    path = [Bound(e.quantity, e.unit, e.reason, e.bound) for e in problem.limits if e.of_path]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     bounds_of_limits = []
     for row, (limit, name) in enumerate(zip((e for e in problem.limits if not e.of_path), hidden, strict=True)):

@@ -72,7 +72,6 @@ def c_files(model: InverseModel) -> dict[str, str]:
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
-        "parameters": model.numbers("parameter") - len(model.settings),
         "functions": tuple(functions),
         "scratch": scratch,
         "integrated": bool(model.method),

@@ -7,6 +7,7 @@ from xml.etree import ElementTree as ET
 
 from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
+from servocore.export.parameter_sets import add
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
 from servocore.export.variables import INTERNAL_STEP, Choice, Variable
@@ -47,23 +48,23 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
          "generationTool": tool(), **naming},
     )  # fmt: skip
     abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
-    simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
+    simulation = add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     if fmi == 2:
-        files = _add(simulation, "SourceFiles")
+        files = add(simulation, "SourceFiles")
         for name in compiled_files(model, 2):
-            _add(files, "File", name=name)
+            add(files, "File", name=name)
     _unit_definitions(root, model)
-    types = _add(root, "TypeDefinitions")
+    types = add(root, "TypeDefinitions")
     for choice in model.choices:
         tag = "SimpleType" if fmi == 2 else "EnumerationType"
-        kind = _add(types, tag, name=choice.type_name, description=choice.description)
-        _items(_add(kind, "Enumeration") if fmi == 2 else kind, choice)
+        kind = add(types, tag, name=choice.type_name, description=choice.description)
+        _items(add(kind, "Enumeration") if fmi == 2 else kind, choice)
     _categories(root)
     _experiment(root, model)
     if fmi == 2:
         _annotations(root, model, fmi)
-    _variables(_add(root, "ModelVariables"), model, fmi)
-    _structure(_add(root, "ModelStructure"), model, fmi)
+    _variables(add(root, "ModelVariables"), model, fmi)
+    _structure(add(root, "ModelStructure"), model, fmi)
     if fmi == 3:
         _annotations(root, model, fmi)
     return xml_document(root)
@@ -72,11 +73,11 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
 def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
     if not model.about.annotations:
         return
-    parent = _add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
+    parent = add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
     for name, values in model.about.annotations.items():
-        each = _add(parent, "Tool", name=name) if fmi == 2 else _add(parent, "Annotation", type=name)
+        each = add(parent, "Tool", name=name) if fmi == 2 else add(parent, "Annotation", type=name)
         for key, value in values.items():
-            _add(each, "Entry", name=key, value=str(value))
+            add(each, "Entry", name=key, value=str(value))
 
 
 def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
@@ -87,23 +88,23 @@ def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
             name, text, starts = variable.scalar_names[k], f"{text}; component {k + 1}", starts[k : k + 1]
         common = {"name": name, "valueReference": str(reference), "description": text, **_causality(variable, fmi)}
         if fmi == 2:
-            number = _add(_add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
+            number = add(add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
         else:
-            number = _add(table, "Float64", **common, **_attributes(variable))
+            number = add(table, "Float64", **common, **_attributes(variable))
         if starts:
             number.set("start", " ".join(map(repr, starts)))
         if fmi == 3 and variable.size is not None:
-            _add(number, "Dimension", start=str(variable.size))
+            add(number, "Dimension", start=str(variable.size))
     for reference, choice in enumerate(model.choices, start=len(_numbered(model, fmi))):
         common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
                   "causality": "parameter", "variability": choice.variability}  # fmt: skip
         kind = {"declaredType": choice.type_name, "start": str(choice.start)}
         if fmi == 2:
-            _add(_add(table, "ScalarVariable", **common), "Enumeration", **kind)
+            add(add(table, "ScalarVariable", **common), "Enumeration", **kind)
         else:
-            _add(table, "Enumeration", **common, **kind)
+            add(table, "Enumeration", **common, **kind)
     if fmi == 3:
-        _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
+        add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
              variability="continuous", unit="s")  # fmt: skip
 
 
@@ -137,35 +138,35 @@ def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
             awaited = [j for j in used if of[j].start < first_output - model.measured]
             listed[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
     # FMI 2 counts from 1.
-    parents = [_add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
+    parents = [add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
     for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
         for k, on in listed.items():
             if fmi == 2:
-                _add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
+                add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
             else:
-                _add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
+                add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
 
 
 def build_description(model: NativeModel) -> bytes:
     """Return buildDescription.xml of FMI 3, for tools that compile the sources themselves."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = _add(root, "BuildConfiguration", modelIdentifier=model.identifier)
-    sources = _add(configuration, "SourceFileSet", language="C99")
+    configuration = add(root, "BuildConfiguration", modelIdentifier=model.identifier)
+    sources = add(configuration, "SourceFileSet", language="C99")
     for name in compiled_files(model, 3):
-        _add(sources, "SourceFile", name=name)
-    _add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
+        add(sources, "SourceFile", name=name)
+    add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
     return xml_document(root)
 
 
 def terminals(model: NativeModel) -> bytes:
     """Return terminalsAndIcons.xml of FMI 3: groups of variables that are connected together, such as the path."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    every = _add(root, "Terminals")
+    every = add(root, "Terminals")
     for name, (causality, text) in model.terminals.items():
-        terminal = _add(every, "Terminal", name=name, matchingRule="bus", description=text)
+        terminal = add(every, "Terminal", name=name, matchingRule="bus", description=text)
         for variable in model.variables:
             if variable.causality == causality:
-                _add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
+                add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
                               variableKind="signal")  # fmt: skip
     return xml_document(root)
 
@@ -173,35 +174,31 @@ def terminals(model: NativeModel) -> bytes:
 # Both versions of FMI -----------------------------------------------------------------------------------------------
 
 
-def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, tag, attributes)
-
-
 def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
-    definitions = _add(root, "UnitDefinitions")
+    definitions = add(root, "UnitDefinitions")
     for unit in sorted({variable.unit for variable in model.variables} | {"s"}):
-        element, exponents = _add(definitions, "Unit", name=unit), base_units(unit)
+        element, exponents = add(definitions, "Unit", name=unit), base_units(unit)
         if exponents is not None:
-            _add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})
+            add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})
         for display, factor in _DISPLAY_UNITS.get(unit, {}).items():
-            _add(element, "DisplayUnit", name=display, factor=repr(factor))
+            add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
 def _items(enumeration: ET.Element, choice: Choice) -> None:
     for value, (name, text) in enumerate(choice.items, start=1):
-        _add(enumeration, "Item", name=name, value=str(value), description=text)
+        add(enumeration, "Item", name=name, value=str(value), description=text)
 
 
 def _categories(root: ET.Element) -> None:
-    parent = _add(root, "LogCategories")
+    parent = add(root, "LogCategories")
     for name, text in _CATEGORIES.items():
-        _add(parent, "Category", name=name, description=text)
+        add(parent, "Category", name=name, description=text)
 
 
 def _experiment(root: ET.Element, model: NativeModel) -> None:
     step = model.duration / _FASTEST_STEPS
     start, stop = model.start_time, model.start_time + model.duration
-    _add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))
+    add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))
 
 
 def _causality(variable: Variable, fmi: int) -> dict[str, str]:

@@ -9,7 +9,7 @@ from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.fmu import archive, described, require_version
 from servocore.export.native_model import HostRules, NativeModel
-from servocore.export.plant_model import PlantOptions, plant_model
+from servocore.export.plant_model import plant_model
 from servocore.export.system import Element, packed_system, require_played, wires_by_name
 from servocore.export.targets import Progress, chosen_targets
 from servocore.export.trajectory_model import trajectory_model
@@ -75,20 +75,17 @@ def export_ssp(
     require_places({"the system": file})
     require_played(scene.reference)
     progress("analysing")
-    inverse, trajectory = inverse_model(scene, model), trajectory_model(scene, model)
+    inverse, trajectory, plant = inverse_model(scene, model), trajectory_model(scene, model), plant_model(scene)
     jet = scene.reference.jet(scene.reference.start_time, inverse.orders - 1)
-    start = {}
     if jet[1:].any():
         if inverse.method:
             raise InvalidReference(
                 f"the path starts in motion, and {scene.name} has internal dynamics: start it from rest"
             )
-        inverse = inverse.with_starts(_named(inverse, "input", "", jet.ravel().tolist()))
-        start = _named(plant_model(scene), "parameter", "MOTION", jet.ravel().tolist())
-        start |= _named(
-            plant_model(scene), "input", "", ExactInversion(scene, model)(scene.reference.start_time).tolist()
-        )
-    plant = plant_model(scene, None, PlantOptions(start=start))
+        moving, forces = jet.ravel().tolist(), ExactInversion(scene, model)(scene.reference.start_time).tolist()
+        inverse = inverse.with_starts(_named(inverse, "input", "", moving))
+        begun = _named(plant, "parameter", "MOTION", moving) | _named(plant, "input", "", forces)
+        plant = plant.with_starts(begun)
     elements = []
     for name, made in {"trajectory": trajectory, "inverse": inverse, "plant": plant}.items():
         fmu = archive(described(made, host, about), fmi, names, progress)

@@ -181,11 +181,8 @@ def _without_margins(begin: ca.Function) -> ca.Function:
 
 
 def _compiled(source: str, title: str) -> bytes:
-    command = zig()
-    if command is None:
-        raise InvalidSetting(f"WebAssembly is built by the package ziglang: {install('native')}")
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         Path(folder, "module.c").write_text(source, encoding="utf-8")
-        call = [*command, "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
+        call = [*(zig() or ()), "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
         compile_in(Path(folder), call, f"{title} to WebAssembly")
         return Path(folder, "module.wasm").read_bytes()
