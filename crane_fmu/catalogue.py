@@ -20,9 +20,6 @@ FORMULATIONS, METHODS = choices.FORMULATIONS, choices.METHODS
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""
 
-PROFILES = sc.TIME_LAWS
-"""Time laws of a straight line; the first is the default."""
-
 
 # Names that the variables of several FMUs have in common --------------------------------------------------------------
 

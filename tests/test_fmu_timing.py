@@ -34,13 +34,11 @@ def sine(t: Array | float) -> Array:
     return jets
 
 
-def driven(
-    t: Array, connected: str, jets: Array, at: str = "start", **settings: float | str
-) -> tuple[dict[str, Array], list[str]]:
+def driven(t: Array, connected: str, jets: Array, at: str = "start") -> tuple[dict[str, Array], list[str]]:
     """Outputs after each step, and what was said, of a host that connects derivatives up to one order."""
     rows = []
     with Host() as host:
-        host.set(input_time=at, **settings).start(_told(jets[0], connected), float(t[0]))
+        host.set(input_time=at, connected=connected).start(_told(jets[0], connected), float(t[0]))
         for k, (now, then) in enumerate(pairwise(t.tolist())):
             host.tell(_told(jets[k + (at == "end")], connected))
             assert host.step(now, then - now), host.messages
@@ -65,7 +63,7 @@ def even(step: float, stop: float = 3.0) -> Array:
 
 def error(name: str, step: float, connected: str = "snap", at: str = "start") -> float:
     t = even(step)
-    found, _ = driven(t, connected, sine(t), at, connected=connected)
+    found, _ = driven(t, connected, sine(t), at)
     return float(np.abs(found[name] - exact(t[1:])[name])[t[1:] > 1.0].max())
 
 
@@ -145,7 +143,7 @@ def uneven(step: float, share: float) -> Array:
 
 def drive_errors(times: Array, jets: Array | None = None) -> tuple[Array, list[str]]:
     """Largest errors of the drives' inputs as shares of their peaks with positions connected, and what was said."""
-    found, said = driven(times, "position", MANOEUVRE.jet(times, 4) if jets is None else jets, connected="position")
+    found, said = driven(times, "position", MANOEUVRE.jet(times, 4) if jets is None else jets)
     wanted = CRANE.exact(times[1:])
     shares = [np.abs(found[name] - wanted[name]) / np.abs(wanted[name]).max() for name in ("M_b", "F", "M_w")]
     return np.max(shares, axis=0), said

@@ -13,7 +13,7 @@ import re
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -25,9 +25,6 @@ from crane_fmu.files import put
 from crane_fmu.run import nothing_left
 from servocore.export.targets import libraries
 from servocore.files import xml_document, zipped
-
-Progress = Callable[[str], None]
-"""Called with a phrase for every stage."""
 
 PREFIX = "rotary_crane_"
 """Prefix of the names of all entry modules."""
@@ -71,7 +68,7 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     token = ET.fromstring(description).get("guid", "")
     behind = {name.removeprefix("binaries/"): each for name, each in given.items() if name.startswith("binaries/")}
     entry, files = _staged(kind, token, behind)
-    members = _rearranged(_packed_by_pythonfmu(kind, entry, files), entry)
+    members = _packed_by_pythonfmu(kind, entry, files)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
     members |= {
         "modelDescription.xml": _wrapped(description, kind.name, notes),
@@ -111,7 +108,8 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
     """Let PythonFMU pack an entry module and its bundle, and return the members of its archive.
 
     Modules that an FMU of the same content has left in this process are dropped first: the builder would import them
-    in place of those that it packs, and find no slave.
+    in place of those that it packs, and find no slave. The required modules of PythonFMU are moved into the bundle, and
+    imported from there.
     """
     from pythonfmu.builder import FmuBuilder  # noqa: PLC0415
 
@@ -128,15 +126,11 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
             canSerializeFMUstate=True,
         )
         with zipfile.ZipFile(archive) as members:
-            return {name: members.read(name) for name in members.namelist() if "__pycache__" not in name}
-
-
-def _rearranged(members: Mapping[str, bytes], entry: str) -> dict[str, bytes]:
-    """Move the required modules of PythonFMU into the bundle, and import them from there."""
+            packed_files = {name: members.read(name) for name in members.namelist() if "__pycache__" not in name}
     home = f"resources/{entry}_bundle/"
     kept = {f"resources/pythonfmu/{name}.py": f"{home}pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
     result = {f"{home}pythonfmu/__init__.py": b""}
-    for name, data in members.items():
+    for name, data in packed_files.items():
         if name.endswith(".py") and name.startswith(home):
             result[name] = re.sub(rb"(?m)^(\s*)from pythonfmu\b", rb"\1from %b_bundle.pythonfmu" % entry.encode(), data)
         elif name in kept or not name.startswith("resources/pythonfmu/"):

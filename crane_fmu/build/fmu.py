@@ -6,13 +6,13 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
 import servocore as sc
-from crane_fmu.build.archive import Progress, packed
+from crane_fmu.build.archive import packed
 from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
@@ -28,7 +28,7 @@ _CHECK_SECONDS = 300.0
 
 def build_fmu(
     directory: Path,
-    progress: Progress = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
     kind: FmuKind = ROTARY_CRANE,
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,

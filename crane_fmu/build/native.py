@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,6 +35,15 @@ ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
 
 OF_PYTHONFMU = sc.HostRules(deferred_refusals=True)
 """Its setters cannot fail."""
+
+PLANT = sc.PlantOptions(
+    errors={"mass_error": "load_mass"},
+    offsets={"start.swing": ("swing_in", "swing_out")},
+    ranges={"start.swing": (-1.5, 1.5)},
+    identifier=CRANE_PLANT.name,
+    reasons={"tension": "the rope goes slack: its"},
+)
+"""Differences of CranePlant.fmu from the model of the crane."""
 
 _DISTANCE = 0.5  # m, from the path
 
@@ -75,10 +85,13 @@ def native_fmu(
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
-            own = {name: value for name, value in starts.items() if name not in crane.parameter_values()}
-            sc.export_trajectory(crane, file, _trajectory(path, own, host == OF_PYTHONFMU), **common)
+            law, others = starts.get("profile"), ("profile", *crane.parameter_values())
+            own = {name: float(value) for name, value in starts.items() if name not in others}
+            named = None if law in (None, FROM_FILE) else str(law)
+            options = sc.TrajectoryOptions(path, named, own, kind.name, host == OF_PYTHONFMU)
+            sc.export_trajectory(crane, file, options, **common)
         elif kind is CRANE_PLANT:
-            sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
+            sc.export_plant(crane, file, replace(PLANT, start=starts), model="generalized", **common)
         else:
             along = crane if path is None else crane.with_reference(path)
             common |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
@@ -86,28 +99,14 @@ def native_fmu(
         return file.read_bytes()
 
 
-def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryOptions:
-    profile = starts.get("profile")
-    named = None if profile in (None, FROM_FILE) else str(profile)
-    numbers = {name: float(value) for name, value in starts.items() if name != "profile"}
-    return sc.TrajectoryOptions(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
-
-
-def _plant(starts: Starts) -> sc.PlantOptions:
-    return sc.PlantOptions(
-        errors={"mass_error": "load_mass"},
-        offsets={"start.swing": ("swing_in", "swing_out")},
-        ranges={"start.swing": (-1.5, 1.5)},
-        start=starts,
-        identifier=CRANE_PLANT.name,
-        reasons={"tension": "the rope goes slack: its"},
-    )
-
-
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
     """Return the feedback of the crane for the export of its inverse model."""
+    units = {each.name: each.unit for each in crane.model().observables}
+    motion = [sc.Quantity(name, units[name], name) for name in ("phi", "s", "l")]
+    rates = [sc.Quantity(f"{each.name}_dot", f"{each.unit}/s", f"rate of {each.name}") for each in motion]
+    load = [sc.Quantity(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
     return sc.SampledFeedback(
-        measured=_measured(crane),
+        measured=(*((each, None) for each in (*motion, *rates)), *((each, DIMENSION) for each in load)),
         laws=feedback_functions(crane.model(LAW_MODEL)),
         judge=_judge(),
         not_measured="the measured rope length is %g m and the measured height of the load %g m: the feedback needs the"
@@ -117,16 +116,6 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         too_long="with this load, trolley and rope it",
         distance=_DISTANCE,
     )
-
-
-def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
-    """Return the measured quantities with the sizes of vectors, in the order of the law's arguments."""
-    units = {each.name: each.unit for each in crane.model().observables}
-    motion = [(name, units[name]) for name in ("phi", "s", "l")]
-    rates = [(f"{name}_dot", f"{unit}/s", f"rate of {name}") for name, unit in motion]
-    load = [(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
-    scalars = [(name, unit, name) for name, unit in motion] + rates
-    return *((sc.Quantity(*each), None) for each in scalars), *((sc.Quantity(*each), DIMENSION) for each in load)
 
 
 def _judge() -> ca.Function:

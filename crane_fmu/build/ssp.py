@@ -5,7 +5,7 @@ Cross-check files of its FMUs lie beside it: inputs, results and options of a ru
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import floor
 from pathlib import Path
@@ -14,7 +14,6 @@ import fmpy
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.archive import Progress
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import (
@@ -25,7 +24,6 @@ from crane_fmu.catalogue import (
     LOAD_TRAJECTORY,
     ORDERS,
     PATH_INPUTS,
-    PROFILES,
     ROTARY_CRANE,
     Starts,
     components,
@@ -87,15 +85,15 @@ class SystemOptions:
     def __post_init__(self) -> None:
         """Refuse options that exclude each other."""
         if self.profile is not None:
-            if self.profile not in PROFILES:
-                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(PROFILES)}")
+            if self.profile not in sc.TIME_LAWS:
+                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(sc.TIME_LAWS)}")
             if self.path is not None:
                 raise sc.InvalidSetting("a path has its own time law: give either a path or a profile")
 
 
 def build_ssp(
     directory: Path,
-    progress: Progress = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
     options: SystemOptions = SystemOptions(),
 ) -> tuple[Path, ...]:
     """Build the three FMUs, those with Python with their cross-check files, and pack them.

@@ -376,7 +376,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     begun = [ca.MX(0, 1), outputs]
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
     functions["begin_tangent"] = tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
-    depends = _dependence(functions.get("quick", functions["begin"]), 1)
+    depends = ca.DM(functions.get("quick", functions["begin"]).jac_sparsity(1, 0), 1).full() > 0.0
     return Mathematics(functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
 
 
@@ -435,11 +435,3 @@ def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca
     else:
         unknowns, _, residual = inverse.function(used, p)
     return program.restart(unknowns, path, 0, p), residual
-
-
-def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:
-    """Return which rows of a result depend on which numbers of the first argument."""
-    pattern = function.jac_sparsity(result, 0)
-    depends = np.zeros(pattern.shape, dtype=bool)
-    depends[tuple(np.array(pattern.get_triplet(), dtype=np.intp))] = True
-    return depends

@@ -69,13 +69,14 @@ def c_files(model: InverseModel) -> dict[str, str]:
     functions = {name: each for name, each in model.functions.items() if name in _CALLED}
     name, scratch = model.identifier, scratch_of(functions.values())
     source = c_source(f"{name}_mathematics", functions.values())[1]
+    path = (SHARED / "path.h").read_text(encoding="utf-8")  # without the lines that make it a header
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
         "functions": tuple(functions),
         "scratch": scratch,
         "integrated": bool(model.method),
-        "path_source": _path_functions(),
+        "path_source": path[path.index("/* Continue a path") : path.rindex("#endif")].rstrip(),
         "mathematics_source": source,
     }
     notice = model.about.notice
@@ -89,7 +90,7 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "operations": operations(functions[usual], at_most=False),
         "most_operations": sum(operations(functions[each], at_most=True) for each in {usual, longest}),
         "most_iterations": MAX_ITERATIONS,
-        "blocks": _blocks(source),
+        "blocks": source.count("casadi_newton(&") // 2,  # each has a fast and a damped loop
         "memory_bytes": _memory_bytes(model, scratch),
         "measured": _measured({f"{name}.h": header, f"{name}.c": code}, name),
     }
@@ -100,17 +101,6 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "CMakeLists.txt": rendered("CMakeLists.txt.j2", **values),
         "README.md": rendered("README.md.j2", **page),
     }
-
-
-def _path_functions() -> str:
-    """Return the functions in `path.h`, without the lines that make it a header."""
-    text = (SHARED / "path.h").read_text(encoding="utf-8")
-    return text[text.index("/* Continue a path") : text.rindex("#endif")].rstrip()
-
-
-def _blocks(source: str) -> int:
-    """Count the systems solved by Newton's method; each has a fast and a damped loop."""
-    return source.count("casadi_newton(&") // 2
 
 
 def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 from servocore.export.about import tool
@@ -10,7 +10,7 @@ from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import add
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
-from servocore.export.variables import INTERNAL_STEP, Choice, Variable
+from servocore.export.variables import INTERNAL_STEP, Variable
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -58,9 +58,14 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
     for choice in model.choices:
         tag = "SimpleType" if fmi == 2 else "EnumerationType"
         kind = add(types, tag, name=choice.type_name, description=choice.description)
-        _items(add(kind, "Enumeration") if fmi == 2 else kind, choice)
-    _categories(root)
-    _experiment(root, model)
+        items = add(kind, "Enumeration") if fmi == 2 else kind
+        for value, (name, text) in enumerate(choice.items, start=1):
+            add(items, "Item", name=name, value=str(value), description=text)
+    categories = add(root, "LogCategories")
+    for name, text in _CATEGORIES.items():
+        add(categories, "Category", name=name, description=text)
+    stop, step = model.start_time + model.duration, model.duration / _FASTEST_STEPS
+    add(root, "DefaultExperiment", startTime=repr(model.start_time), stopTime=repr(stop), stepSize=repr(step))
     if fmi == 2:
         _annotations(root, model, fmi)
     _variables(add(root, "ModelVariables"), model, fmi)
@@ -104,18 +109,15 @@ def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
         else:
             add(table, "Enumeration", **common, **kind)
     if fmi == 3:
-        add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
-             variability="continuous", unit="s")  # fmt: skip
+        last = len(model.variables) + len(model.choices)
+        add(table, "Float64", name="time", valueReference=str(last), causality="independent",
+            variability="continuous", unit="s")  # fmt: skip
 
 
 def _numbered(model: NativeModel, fmi: int) -> list[tuple[Variable, range]]:
     """Return variables with their places in the order of their references: FMI 2 has one for each component."""
     every = [(each, range(each.place, each.place + (each.size or 1))) for each in model.variables]
     return every if fmi == 3 else [(each, range(k, k + 1)) for each, places in every for k in places]
-
-
-def _time_reference(model: NativeModel) -> int:
-    return len(model.variables) + len(model.choices)
 
 
 # Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
@@ -129,7 +131,7 @@ def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
     parameters = [k for k, (variable, _) in enumerate(every)
                   if variable.causality == "parameter" and variable.name != INTERNAL_STEP]  # fmt: skip
     parameters += range(len(every), len(every) + len(model.choices))
-    time = [_time_reference(model)] if model.timed and fmi == 3 else []
+    time = [len(every) + len(model.choices)] if model.timed and fmi == 3 else []
     listed = dict[int, tuple[list[int], list[int]]]()
     for k, (variable, places) in enumerate(every):
         if variable.causality == "output":
@@ -184,23 +186,6 @@ def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
             add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _items(enumeration: ET.Element, choice: Choice) -> None:
-    for value, (name, text) in enumerate(choice.items, start=1):
-        add(enumeration, "Item", name=name, value=str(value), description=text)
-
-
-def _categories(root: ET.Element) -> None:
-    parent = add(root, "LogCategories")
-    for name, text in _CATEGORIES.items():
-        add(parent, "Category", name=name, description=text)
-
-
-def _experiment(root: ET.Element, model: NativeModel) -> None:
-    step = model.duration / _FASTEST_STEPS
-    start, stop = model.start_time, model.start_time + model.duration
-    add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))
-
-
 def _causality(variable: Variable, fmi: int) -> dict[str, str]:
     if variable.causality in ("output", "local"):
         return {"causality": variable.causality, "variability": "continuous", "initial": "calculated"}
@@ -220,8 +205,4 @@ def _attributes(variable: Variable) -> dict[str, str]:
 
 
 def _dependencies(on: Sequence[int]) -> dict[str, str]:
-    return {"dependencies": _joined(on), "dependenciesKind": _joined("dependent" for _ in on)}
-
-
-def _joined(words: Iterable[object]) -> str:
-    return " ".join(map(str, words))
+    return {"dependencies": " ".join(map(str, on)), "dependenciesKind": " ".join(["dependent"] * len(on))}

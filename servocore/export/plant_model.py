@@ -99,7 +99,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     offsets = options.offsets or (
         {}
         if problem.system.lam.numel()
-        else {f"start.{coordinate}": (coordinate,) for coordinate in _coordinates(problem)}
+        else {f"start.{coordinate}": (coordinate,) for coordinate in problem.system.coordinates.names}
     )
     variables = _variables(problem, scene.tracked, used, offsets, options)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
@@ -143,10 +143,6 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
 def _start_orders(problem: Problem) -> int:
     """Return the number of derivatives of the output, itself included, that determine coordinates and their rates."""
     return max(2, problem.array.reference_order)  # the highest one determines their accelerations
-
-
-def _coordinates(problem: Problem) -> list[str]:
-    return [quantity.name for quantity in problem.system.coordinates.quantities]
 
 
 def _used(problem: Problem, plant: Plant) -> list[Quantity]:
@@ -237,7 +233,7 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) ->
     motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())
     path = ca.horzcat(motion, ca.MX.zeros(servo, 1))[:, : array.reference_order + 1]
     unknowns = inversion(problem.array).function(path, p)[0]
-    coordinates = _coordinates(problem)
+    coordinates = problem.system.coordinates.names
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
     names = [each for of in offsets.values() for each in of]
     missing = [each for each in names if each not in coordinates]

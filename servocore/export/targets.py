@@ -203,7 +203,7 @@ def libraries(
             progress(f"compiling for {compiler.target.name}")
             place = f"{compiler.target.folder(fmi)}/{identifier}.{compiler.target.ending}"
             found.setdefault(place, []).append(compiler.linked([each.result() for each in objects]))
-    return {place: parts[0] if len(parts) == 1 else _universal(parts) for place, parts in found.items()}
+    return {place: parts[0] if len(parts) == 1 else universal(parts) for place, parts in found.items()}
 
 
 @dataclass(frozen=True)
@@ -279,19 +279,14 @@ def _has_own_compiler() -> bool:
         return False
 
 
-def _universal(slices: Sequence[Library]) -> Library:
-    """Join libraries of several processors into one."""
-    stacks = [each.stack for each in slices if each.stack is not None]
-    return Library(universal([each.content for each in slices]), max(stacks, default=None))
-
-
-def universal(slices: Sequence[bytes]) -> bytes:
+def universal(slices: Sequence[Library]) -> Library:
     """Join Mach-O files of several processors into one, behind a fat header."""
     step = 1 << _SLICE_ALIGNMENT
     header, body, offset = struct.pack(">II", 0xCAFEBABE, len(slices)), b"", step
-    for binary in slices:
+    for binary in (each.content for each in slices):
         processor, kind = struct.unpack_from("<II", binary, 4)
         header += struct.pack(">IIIII", processor, kind, offset, len(binary), _SLICE_ALIGNMENT)
         padded = binary + bytes(-len(binary) % step)
         body, offset = body + padded, offset + len(padded)
-    return header + bytes(step - len(header)) + body
+    stack = max((each.stack for each in slices if each.stack is not None), default=None)
+    return Library(header + bytes(step - len(header)) + body, stack)

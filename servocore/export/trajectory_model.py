@@ -25,7 +25,7 @@ from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
 from servocore.references.rest_to_rest import RestToRest, rest_to_rest
 
-LAWS: Mapping[str, str] = {
+LAWS = {
     name: f"one polynomial of degree {law.degree}"
     if isinstance(law, PolynomialProfile)
     else "acceleration, cruise, deceleration"
@@ -105,7 +105,12 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
             *rows.line_settings(servo, scene.tracked, ends, times),
         ]
     )
-    choice = _choice(baked is not None or options.offers_file, profile)
+    has_file = baked is not None or options.offers_file
+    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_file else {})).items())
+    names = [name for name, _ in items]
+    if profile not in names:
+        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
+    choice = Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
@@ -155,14 +160,6 @@ def _line(path: Reference) -> tuple[str, float, float]:
             if path.profile == law:
                 return name, path.start_time, 0.0
     return "", 0.0, 0.0
-
-
-def _choice(has_path: bool, profile: str) -> Choice:
-    items = [*LAWS.items(), *([(FROM_FILE, "the built-in path")] if has_path else [])]
-    names = [name for name, _ in items]
-    if profile not in names:
-        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    return Choice("profile", "time law along the line, or a path", tuple(items), names.index(profile) + 1, fixed=False)
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
