@@ -36,17 +36,19 @@ if TYPE_CHECKING:
         ServocoreWarning as ServocoreWarning,
     )
     from servocore.export.about import About as About
-    from servocore.export.estimates import SampledEstimates as SampledEstimates
-    from servocore.export.feedback import SampledFeedback as SampledFeedback
     from servocore.export.fmu import (
         export_fmu as export_fmu,
         export_plant as export_plant,
+        export_ssp as export_ssp,
         export_trajectory as export_trajectory,
     )
     from servocore.export.native_model import HostRules as HostRules
     from servocore.export.plant_model import PlantOptions as PlantOptions
     from servocore.export.routes import SteppedRoutes as SteppedRoutes
-    from servocore.export.scene_system import export_ssp as export_ssp
+    from servocore.export.sampled_laws import (
+        SampledEstimates as SampledEstimates,
+        SampledFeedback as SampledFeedback,
+    )
     from servocore.export.trajectory_model import TrajectoryOptions as TrajectoryOptions
     from servocore.export.wasm import export_wasm as export_wasm
     from servocore.formulations.base import Formulation as Formulation

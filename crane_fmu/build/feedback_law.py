@@ -36,11 +36,13 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.flatness import (
+from crane_fmu.build.sampling import (
     DRIVES,
     LOAD,
     POINTS,
+    SHORT_TURN,
     STATES,
+    advance,
     continued,
     fastest_pendulum,
     flat_motion,
@@ -48,9 +50,11 @@ from crane_fmu.build.flatness import (
     measured_state,
     offset,
     offset_at_start,
+    resting,
+    riccati_functions,
+    riccati_steps,
+    sampled,
 )
-from crane_fmu.build.riccati import riccati_functions, riccati_steps
-from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
 LAW_MODEL = "points"

@@ -14,7 +14,7 @@ import casadi as ca
 import servocore as sc
 from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
-from crane_fmu.build.flatness import fastest_pendulum
+from crane_fmu.build.sampling import fastest_pendulum
 from crane_fmu.catalogue import (
     CRANE_PLANT,
     DIMENSION,

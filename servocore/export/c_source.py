@@ -8,9 +8,8 @@ from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.export.building import InverseModel, inverse_model
-from servocore.export.c_functions import c_source, scratch_of
+from servocore.export.c_functions import c_source, operations, scratch_of
 from servocore.export.identifiers import identifier_of
-from servocore.export.operations import operations
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.targets import host, libraries
 from servocore.export.variables import INTERNAL_STEP
