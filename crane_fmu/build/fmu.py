@@ -168,10 +168,11 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     entry, files = _staged(kind, token, behind)
     members = _packed_by_pythonfmu(kind, entry, files)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
+    licence = next(each for each in metadata.files("pythonfmu") or () if each.name.upper().startswith("LICENSE"))
     members |= {
         "modelDescription.xml": _wrapped(description, kind.name, notes),
         "documentation/index.html": documentation_page(kind, native).encode(),
-        "documentation/licenses/pythonfmu.txt": _licence("pythonfmu"),
+        "documentation/licenses/pythonfmu.txt": licence.read_binary(),
         "model.png": (_HERE / "resources" / "model.png").read_bytes(),
     }
     of_linux = [path for path in behind if path.startswith("linux64/")]
@@ -258,14 +259,6 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
     ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
     root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
     return xml_document(root)
-
-
-def _licence(package: str) -> bytes:
-    """Return the licence of a package."""
-    found = [file for file in metadata.files(package) or () if file.name.upper().startswith("LICENSE")]
-    if not found:
-        raise sc.ServocoreError(f"the installed {package} has no licence file to distribute with the FMU")
-    return found[0].read_binary()
 
 
 def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:

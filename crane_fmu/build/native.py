@@ -105,10 +105,14 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
     motion = [sc.Quantity(name, units[name], name) for name in ("phi", "s", "l")]
     rates = [sc.Quantity(f"{each.name}_dot", f"{each.unit}/s", f"rate of {each.name}") for each in motion]
     load = [sc.Quantity(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
+    path, measured, p, h = (ca.SX.sym(*each) for each in (("path", 15), ("measured", 12), ("p", 6), ("h",)))
+    turn = fastest_pendulum(path, measured[2], p) * h
+    distance = ca.norm_2(measured[6:9] - path[:3])
+    sensible = ca.logic_and(measured[2] > 0, measured[8] < 0)  # length of the rope, and height of the load
     return sc.SampledFeedback(
         measured=(*((each, None) for each in (*motion, *rates)), *((each, DIMENSION) for each in load)),
         laws=feedback_functions(crane.model(LAW_MODEL)),
-        judge=_judge(),
+        judge=ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, turn)]),
         not_measured="the measured rope length is %g m and the measured height of the load %g m: the feedback needs the"
         " length above 0 m, the height below 0 m and all measured values connected; feedback = 0 does without",
         shown=(FEEDBACK_INPUTS.index("measured.l"), FEEDBACK_INPUTS.index("measured.position[3]")),
@@ -116,13 +120,3 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         too_long="with this load, trolley and rope it",
         distance=_DISTANCE,
     )
-
-
-def _judge() -> ca.Function:
-    """Return (path before, measured, p, h) -> (whether the values are possible, distance from the path, turn)."""
-    path, measured, p, h = (ca.SX.sym(*each) for each in (("path", 15), ("measured", 12), ("p", 6), ("h",)))
-    length, height = measured[2], measured[8]
-    turn = fastest_pendulum(path, length, p) * h
-    distance = ca.norm_2(measured[6:9] - path[:3])
-    sensible = ca.logic_and(length > 0, height < 0)
-    return ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, turn)])
