@@ -16,9 +16,8 @@ from present import of_kind, present
 
 import servocore as sc
 from servocore.cli.commands import app
-from servocore.effects.closed_loop import Driven, run_loop
+from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
-from servocore.effects.position_loops import Gains
 from servocore.effects.report import EffectsReport
 from servocore.model.effects import Extended
 from servocore.problem import Problem
@@ -166,8 +165,7 @@ def test_the_own_inputs_of_every_effects_model_drive_its_plant_along_the_path(na
         problem, measured = Problem.of(scene), scene.effects.measured
         fine = 4 if effect == "friction" else 1  # it turns from one side to the other within a fiftieth of a second
         own = inverted(problem, measured, 3000 * fine + 1)
-        alone = Driven(own, own.inputs, Gains.none(len(problem.system.inputs)))
-        assert run_loop(problem, alone, own, measured, coarsest=1e-3 / fine).error < 1e-9, effect
+        assert run_loop(own, own, own.gains(None), coarsest=1e-3 / fine).error < 1e-9, effect
 
 
 def test_a_stiff_elastic_rope_has_inputs_without_noise() -> None:

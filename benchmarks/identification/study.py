@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 import servocore as sc
 from benchmarks.identification.cranes import KINDS, WRONG, changed, crane, multisine, sensors, without_friction
-from servocore.effects.closed_loop import Driven, run_loop
+from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
-from servocore.effects.position_loops import gains_of
 from servocore.errors import ServocoreError
 from servocore.identification.fit import Weights
 
@@ -143,5 +142,4 @@ def strayed(plant: sc.Scene, scene: sc.Scene, job: sc.Reference, loops: sc.Posit
     model, real = (sc.Problem.of(each.with_reference(job)) for each in (scene, plant))
     drives = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
     motion, own = (inverted(each, drives, 600) for each in (model, real))
-    gains = gains_of(model.system, drives, motion.end, model.p, loops)
-    return 1e3 * run_loop(real, Driven(motion, motion.inputs, gains), own, drives).error
+    return 1e3 * run_loop(own, motion, motion.gains(loops)).error

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servocore.effects.closed_loop import Driven, run_loop
+from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
-from servocore.effects.position_loops import PositionLoops, gains_of
+from servocore.effects.position_loops import PositionLoops
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
@@ -66,21 +66,16 @@ def strayed(
     """
     measured = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
     moved = scene.with_reference(path)
-    problem = Problem.of(moved)
     count = max(_FEWEST, int(np.ceil(path.duration / _INSTANT))) + 1
-    motion = inverted(problem, measured, count)
-    gains = gains_of(problem.system, measured, motion.end, problem.p, loops)
-    values = scene.parameter_values()
-    base = run_loop(problem, Driven(motion, motion.inputs, gains), motion, measured).deviation
-    slopes = []
+    motion = inverted(Problem.of(moved), measured, count)
+    gains, values = motion.gains(loops), scene.parameter_values()
+    base, slopes = run_loop(motion, motion, gains).deviation, []
     for k, name in enumerate(names):
         change = min(_SHARE * float(np.sqrt(covariance[k, k])), _SMALL * abs(values[name]) or np.inf)
-        plant = Problem.of(moved.with_parameters(**{name: values[name] + change}))
-        own = inverted(plant, measured, count)
-        deviation = run_loop(plant, Driven(motion, motion.inputs, gains), own, measured).deviation
-        at = np.linspace(0.0, 1.0, len(base))
-        aligned = np.column_stack([np.interp(at, np.linspace(0.0, 1.0, len(deviation)), each) for each in deviation.T])
-        slopes.append((aligned - base) / change)
+        plant = inverted(Problem.of(moved.with_parameters(**{name: values[name] + change})), measured, count)
+        deviation = run_loop(plant, motion, gains).deviation
+        at, own = np.linspace(0.0, 1.0, len(base)), np.linspace(0.0, 1.0, len(deviation))
+        slopes.append((np.column_stack([np.interp(at, own, each) for each in deviation.T]) - base) / change)
     random = np.random.default_rng(0)
     drawn = random.multivariate_normal(np.zeros(len(names)), covariance, _SAMPLES, method="eigh")
     samples = np.tensordot(drawn, np.array(slopes), axes=1)
@@ -88,5 +83,5 @@ def strayed(
     t, residual = unexplained
     at = (motion.t - motion.t[0]) % np.ptp(t)
     disturbance = np.column_stack([np.interp(at, t - t[0], each) for each in residual.T])
-    rest = run_loop(problem, Driven(motion, motion.inputs + disturbance, gains), motion, measured).error
+    rest = run_loop(motion, motion, gains, disturbance).error
     return Stray(1e3 * (by_parameters + rest), 1e3 * by_parameters)  # both in one direction at worst
