@@ -114,7 +114,7 @@ def effects(
         if loops is None
         else (f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}")
     )
-    return EffectsReport(scene, tuple(judged), float(tolerance), of_plant, scene.model().outputs[0].unit)
+    return EffectsReport(scene, tuple(judged), float(tolerance), of_plant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +165,10 @@ class _Study:
             raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
         system, model = factory(), self.scene.model()
         require_kind(system, MechanicalSystem, f"the result of the plant {name}", "a MechanicalSystem", InvalidModel)
-        for what, present, expected in (
-            ("inputs", system.inputs, model.inputs),
-            ("outputs", system.outputs, model.outputs),
-        ):
-            names, known = ([quantity.name for quantity in quantities] for quantities in (present, expected))
-            if len(names) != len(known):
-                raise InvalidModel(
-                    f"the plant {name} has the {what} {', '.join(names)}, {self.scene.name} has {', '.join(known)}"
-                )
+        for what in ("inputs", "outputs"):
+            names, known = (", ".join(each.name for each in getattr(of, what)) for of in (system, model))
+            if len(getattr(system, what)) != len(getattr(model, what)):
+                raise InvalidModel(f"the plant {name} has the {what} {names}, {self.scene.name} has {known}")
         return system
 
     def cases(self, plant: Mapping[str, ModelFactory]) -> Iterator[_Case]:
