@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -55,30 +54,26 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
     drive : Drive
         Its drive.
     """
-    t, rated = solution.t, drive.rated
-    corners = drive.corners or ((0.0, math.nan), (math.nan, math.nan))
-    limits = {"motor_torque": math.nan, "motor_speed": corners[-1][0], "power": rated.get("rated_power", math.nan)}
-    for quantity, limit in {**limits, "current": math.nan}.items():
-        if f"{name}.{quantity}" in solution:
-            values, unit = np.abs(solution[f"{name}.{quantity}"]), solution.unit(f"{name}.{quantity}")
-            yield _row(
-                f"{quantity.replace('_', ' ')}, peak", float(values.max()), float(t[values.argmax()]), limit, unit
-            )
-    effective = float(solution[f"{name}.rms_torque"][-1])
-    yield _row("motor torque, rms", effective, math.nan, rated.get("rated_torque", math.nan), "N.m")
-    if drive.corners:
-        reserve = solution[f"{name}.torque_reserve"]
-        k, most = int(reserve.argmin()), max(torque for _, torque in corners)
-        share = f"{100.0 * reserve[k] / most:.0f} %"
-        yield "torque reserve, least", _shown(float(reserve[k]), "N.m"), f"{t[k]:.4g} s", _shown(0.0, "N.m"), share
-    yield _row("energy", float(solution[f"{name}.energy"][-1]), math.nan, math.nan, "J")
-
-
-def _row(quantity: str, value: float, time: float, limit: float, unit: str) -> tuple[str, str, str, str, str]:
-    at = "" if math.isnan(time) else f"{time:.4g} s"
-    margin = "" if math.isnan(limit) else f"{100.0 * (1.0 - value / limit):.0f} %"
-    return quantity, _shown(value, unit), at, "" if math.isnan(limit) else _shown(limit, unit), margin
-
-
-def _shown(value: float, unit: str) -> str:
-    return f"{value:.4g} {unit}"
+    speeds, torques = zip(*drive.corners, strict=True) if drive.corners else ((None,), ())
+    shown = [
+        ("motor torque, peak", "motor_torque", None),
+        ("motor speed, peak", "motor_speed", speeds[-1]),
+        ("power, peak", "power", drive.rated_power),
+        ("current, peak", "current", None),
+        ("motor torque, rms", "rms_torque", drive.rated_torque),
+        ("torque reserve, least", "torque_reserve", 0.0),
+        ("energy", "energy", None),
+    ]
+    for text, quantity, limit in shown:
+        if (full := f"{name}.{quantity}") not in solution:
+            continue
+        values, unit = solution[full], solution.unit(full)
+        at = int(values.argmin()) if quantity == "torque_reserve" else int(np.abs(values).argmax())
+        if whole := quantity in ("rms_torque", "energy"):  # of the run, at its end
+            at = -1
+        value = float(values[at] if whole or limit == 0.0 else abs(values[at]))
+        margin = value / max(torques) if limit == 0.0 else 1.0 - value / float(limit or np.inf)
+        yield (
+            text, f"{value:.4g} {unit}", "" if whole else f"{solution.t[at]:.4g} s",
+            "" if limit is None else f"{limit:.4g} {unit}", "" if limit is None else f"{100.0 * margin:.0f} %",
+        )  # fmt: skip

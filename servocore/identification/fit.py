@@ -26,7 +26,9 @@ DELAY = 0.005
 """Standard deviation of the delay of an input behind the positions before anything is measured, in s."""
 
 _STEPS, _ROUNDS = 25, 3
-_HUBER = 3.0  # standard deviations from which on a residual counts less
+HUBER = 3.0
+"""Standard deviations from which on a residual counts less."""
+
 _CREEP = 4.0  # times the usual slope of an input by velocities: in creep dry friction is not known well enough
 _BESIDE = 7  # blocks
 _LEFT, _BLURRED = 0.03, 0.3  # weights of inputs and positions there
@@ -175,6 +177,13 @@ class Fit:
         ]
         return _state(change, count, state.offsets.shape, tuple(moved)), information
 
+    def creeping(self, k: int, predicted: Predicted) -> npt.NDArray[np.bool_]:
+        """Return where drives rest or creep, so that dry friction is not known well enough, shape (N, inputs)."""
+        m, values = self.prediction.inputs, self.stretches[k].values[:, self.inputs :]
+        slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
+        still = np.ptp(values[:, :m], axis=0) < MOVES
+        return np.asarray(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), dtype=bool)
+
     def weights(self, state: State, first: bool) -> list[Weights]:
         """Return weights by the residuals of a state, or by the noise of the data alone at first."""
         from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
@@ -183,11 +192,8 @@ class Fit:
         for k, data in enumerate(self.stretches):
             predicted = self.predicted(state, k)
             factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
-            slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
             # Beside creep too: the path bends there faster than its spline.
-            near = np.ones((2 * _BESIDE + 1, 1), dtype=bool)
-            still = np.ptp(data.values[:, self.inputs : self.inputs + m], axis=0) < MOVES
-            creeping = binary_dilation(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), near)
+            creeping = binary_dilation(self.creeping(k, predicted), np.ones((2 * _BESIDE + 1, 1), dtype=bool))
             factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
             if not first:
                 # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
@@ -211,7 +217,7 @@ class Fit:
             scales[self.inputs :] = np.maximum(scales[self.inputs :], 1.0)
             for k in own:
                 far = np.abs(raw[k][1]) / scales
-                found.append(Weights(scales, raw[k][0] * np.sqrt(np.minimum(1.0, _HUBER / np.maximum(far, 1e-12)))))
+                found.append(Weights(scales, raw[k][0] * np.sqrt(np.minimum(1.0, HUBER / np.maximum(far, 1e-12)))))
         return found
 
 

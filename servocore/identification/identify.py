@@ -163,7 +163,7 @@ def _fit(
 ) -> Fit:
     """Return the maximum likelihood problem of logs; positions of drives come first, as their inputs do."""
     resolved, inputs = released(problem.resolved), [quantity.name for quantity in problem.system.inputs]
-    measured = sorted(set(read[0].columns) - set(inputs), key=lambda label: [*drives, label].index(label))
+    measured = sorted((each for each in read[0].columns if each not in inputs), key=[*drives, *read[0].columns].index)
     for record in read[1:]:
         if {*record.columns} != {*read[0].columns}:
             raise InvalidReference(f"{record.name} has other columns than {read[0].name}: one fit needs the same")

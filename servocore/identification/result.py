@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.effects.position_loops import PositionLoops
+from servocore.effects.report import aligned
 from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import csv_text
-from servocore.identification.fit import Converged, Fit, persistence, used
+from servocore.identification.fit import HUBER, Converged, Fit, persistence, used
 from servocore.identification.information import showing
 from servocore.identification.stray import Stray, strayed
 from servocore.model.scene import Scene
@@ -22,6 +23,7 @@ from servocore.references.base import Reference
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
 _NAMED = 0.3  # entry of a combination from which on a parameter is named
 _PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of white noise; correlation at lag one
+_OCTAVES, _BY_SPEED = 5, 25.0  # of speed below the highest; chi-squared that noise exceeds once in ten thousand
 _FAR = 4.0  # standard deviations of an estimate from what was believed, and from no delay
 _SLOW = 10  # blocks of a moving average
 
@@ -108,18 +110,19 @@ class Identified:
 
     @cached_property
     def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
-        """Of each stretch: residuals, which of them count, and their weights."""
-        parts = []
-        for k, (data, weight) in enumerate(zip(self.fit.stretches, self.estimate.weights, strict=True)):
-            residual, _ = self.fit.residuals(self.estimate.state, k)
-            parts.append((residual, used(data, weight.factors), weight.factors))
+        """Of each stretch: residuals, which of them count, and rates of the positions, NaN where friction creeps."""
+        parts, fit, m = [], self.fit, self.fit.inputs
+        for k, (data, weight) in enumerate(zip(fit.stretches, self.estimate.weights, strict=True)):
+            predicted = fit.predicted(self.estimate.state, k)
+            rates = np.gradient(predicted.values[:, m : m + len(self._inputs)], data.t, axis=0)
+            residual, counted = fit.residuals(self.estimate.state, k, predicted)[0], used(data, weight.factors)
+            parts.append((residual, counted, np.where(fit.creeping(k, predicted), np.nan, rates)))
         return parts
 
     @cached_property
     def residuals(self) -> dict[str, Array]:
         """Measured less predicted channels by name, shape (blocks,), with ``time``; NaN where friction creeps."""
-        rows = [np.where(counted, residual, np.nan) for residual, counted, _ in self._parts]
-        return self._by_name(rows)
+        return self._by_name([np.where(counted, residual, np.nan) for residual, counted, _ in self._parts])
 
     @cached_property
     def measured(self) -> dict[str, Array]:
@@ -132,13 +135,28 @@ class Identified:
         return columns | dict(zip(names, np.concatenate(rows).T, strict=True))
 
     @cached_property
-    def whiteness(self) -> dict[str, tuple[float, float]]:
-        """Of the residuals of each input: spectral density near zero by that of white noise, correlation at lag one."""
+    def whiteness(self) -> dict[str, tuple[float, float, float]]:
+        """Of the residuals of each input: spectral density near zero, correlation at lag one, dependence on the speed.
+
+        The density is by that of white noise. The dependence is chi-squared of five octaves of the speed of the drive:
+        the sum of the squares of the means of residuals by direction, each by its standard deviation. It sees friction
+        of another kind, which is so short or so weak that it hides in correlations.
+        """
         found = {}
+        fastest = np.nanmax([np.nanmax(np.abs(rates), axis=0) for *_, rates in self._parts], axis=0)
         for k, name in enumerate(self._inputs):
-            parts = [(residual * factors)[counted[:, k], k] for residual, counted, factors in self._parts]
+            parts, sums = [], np.zeros((2, _OCTAVES))
+            rows = zip(self._parts, self.fit.stretches, self.estimate.weights, strict=True)
+            for (residual, counted, rates), data, weight in rows:
+                parts.append((residual * weight.factors)[counted[:, k], k])
+                known = np.isfinite(data.noise[:, k]) & (np.abs(rates[:, k]) > 0.0)
+                rate, sizes = rates[known, k], weight.scales[k] * data.noise[known, k]
+                octave = np.clip(np.log2(fastest[k] / np.abs(rate)).astype(int), 0, _OCTAVES - 1)
+                signed = np.sign(rate) * np.clip(residual[known, k] / sizes, -HUBER, HUBER)
+                sums += [np.bincount(octave, each, _OCTAVES) for each in (signed, np.ones(len(octave)))]
             total = sum(float(part @ part) for part in parts) or 1.0
-            found[name] = persistence(parts), sum(float(part[1:] @ part[:-1]) for part in parts) / total
+            correlated = sum(float(part[1:] @ part[:-1]) for part in parts) / total
+            found[name] = persistence(parts), correlated, float(np.sum(sums[0] ** 2 / np.maximum(sums[1], 1.0)))
         return found
 
     @cached_property
@@ -225,12 +243,19 @@ class Identified:
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
-        for name, (persistent, correlated) in self.whiteness.items():
+        for (name, (persistent, correlated, by_speed)), position in zip(
+            self.whiteness.items(), self.fit.prediction.measured, strict=False
+        ):
+            size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
             if persistent > _PERSISTENT or correlated > _CORRELATED:
-                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
                 found.append(
                     f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
                     f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
+                )
+            elif by_speed > _BY_SPEED:
+                found.append(
+                    f"the model does not explain {name}: its residuals of {size:.3g} depend on the speed of {position}"
+                    f" (chi-squared {by_speed:.0f} of {_OCTAVES} octaves), so that friction is of another kind"
                 )
         spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
         for k in np.flatnonzero(np.abs(list(self.values.values()) - self.fit.center) > _FAR * spreads):
@@ -292,9 +317,7 @@ class Identified:
         return [head, *zip(self.names, before, after, shares, strict=True)]
 
     def __str__(self) -> str:
-        widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
-        rows = ("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)) for row in self.table)
-        return "\n".join([*map(str.rstrip, rows), f"verdict: {self.verdict}"])
+        return f"{aligned(self.table)}\nverdict: {self.verdict}"
 
 
 def _combined(names: tuple[str, ...], direction: Array) -> str:
