@@ -6,7 +6,7 @@ import json
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -129,8 +129,8 @@ def cramer_rao(found: sc.Identified, true: dict[str, float]) -> dict[str, float]
 
     The noise is that of the samples, all of which count; the motion is free, and so are biases and delays.
     """
-    fit, values = found.fit, np.array([true[name] for name in found.names])
-    state = replace(found.estimate.state, theta=values / fit.scales)
+    fit, values, state = found.fit, np.array([true[name] for name in found.names]), found.estimate.state
+    state = state._replace(x=np.concatenate([values / fit.scales, state.x[len(values) :]]))
     factors = [np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0) for data in fit.stretches]
     information = fit.step(state, [Weights(np.ones(each.shape[1]), each) for each in factors], 0.0)[1]
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))[: len(values)] * fit.scales / np.abs(values)

@@ -38,10 +38,6 @@ class Blocks:
         Averages.
     noise : ndarray
         Their standard deviations; infinite where all samples are missing.
-    samples : ndarray
-        Number of samples in each average.
-    outliers : int
-        Samples left out.
     log : int
         Number of the log that the stretch belongs to: its biases and delays are shared.
     """
@@ -49,7 +45,6 @@ class Blocks:
     t: Array
     values: Array
     noise: Array
-    outliers: int
     log: int = 0
 
 
@@ -73,13 +68,8 @@ def stretches(t: Array, values: Array, inputs: int, log: int = 0) -> list[Blocks
 
 
 def _blocks(t: Array, values: Array, inputs: int, log: int) -> Blocks:
-    cleaned, wrong = values.copy(), 0
-    sizes = []
-    for k in range(values.shape[1]):
-        outlying = _outliers(values[:, k])
-        wrong += int(outlying.sum())
-        cleaned[outlying, k] = np.nan
-        sizes.append(_sample_noise(cleaned[:, k]))
+    cleaned = np.where(np.column_stack([_outliers(column) for column in values.T]), np.nan, values)
+    sizes = [_sample_noise(column) for column in cleaned.T]
     length = max(BLOCK, float(np.median(np.diff(t))))
     _, first = np.unique(np.floor((t - t[0]) / length + 1e-6), return_index=True)
     count = np.diff(np.append(first, len(t)))
@@ -94,7 +84,7 @@ def _blocks(t: Array, values: Array, inputs: int, log: int) -> Blocks:
             passed = np.abs(np.gradient(means[:, k])) / quantum
             independent[:, k] = np.minimum(present[:, k], np.maximum(passed, 1.0))
     noise = np.array(sizes) / np.sqrt(np.maximum(independent, 1.0))
-    return Blocks(np.add.reduceat(t, first) / count, means, np.where(present > 0, noise, np.inf), wrong, log)
+    return Blocks(np.add.reduceat(t, first) / count, means, np.where(present > 0, noise, np.inf), log)
 
 
 def _outliers(x: Array) -> npt.NDArray[np.bool_]:

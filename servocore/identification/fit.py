@@ -11,6 +11,7 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -43,12 +44,10 @@ _BLURS = 100.0, 10.0  # times their noise that positions have at first
 _RIDGE = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """Estimates: parameters by their scales, biases and delays (logs, 2, inputs), and coefficients by stretch."""
+class State(NamedTuple):
+    """Estimates: parameters by their scales and behind them biases and delays (logs, 2, inputs), and paths."""
 
-    theta: Array
-    offsets: Array
+    x: Array
     paths: tuple[Array, ...]
 
 
@@ -100,28 +99,50 @@ class Fit:
         """Number of logs."""
         return 1 + max(each.log for each in self.stretches)
 
-    def parameters(self, theta: Array) -> Array:
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Center and precision of parameters, biases and delays before anything is measured."""
+        offsets = np.concatenate([self.biases**-2, np.full(self.inputs, DELAY**-2)])
+        center = np.concatenate([self.center / self.scales, np.zeros(self.logs * len(offsets))])
+        return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
+
+    def offsets(self, state: State) -> Array:
+        """Return biases and delays of the inputs, shape (logs, 2, inputs)."""
+        return state.x[len(self.scales) :].reshape(self.logs, 2, self.inputs)
+
+    def parameters(self, state: State) -> Array:
         """Return all parameters of the model with estimates in their places."""
         p = self.p.copy()
-        p[list(self.prediction.columns)] = theta * self.scales
+        p[list(self.prediction.columns)] = state.x[: len(self.scales)] * self.scales
         return p
+
+    def start(self, places: list[Array], x: Array | None = None) -> State:
+        """Return the state at the believed parameters with paths near some positions of the output (N, outputs)."""
+        paths = []
+        for spline, place in zip(self.splines, places, strict=True):
+            m = spline.components
+            by_path = np.zeros((len(place), m, spline.orders, m))
+            by_path[:, range(m), 0, range(m)] = 1.0
+            band, right = spline.normal(by_path, place, np.zeros((*place.shape, 0)))
+            band[0] += 1e-6 * band[0].mean()
+            paths.append(scipy.linalg.solveh_banded(band, right[:, 0], lower=True).reshape(-1, m))
+        return State(self.prior[0] if x is None else x, tuple(paths))
 
     def refined(self, state: State, spacing: float) -> tuple[Fit, State]:
         """Return the problem with another distance of knots, and its state with the same paths."""
-        splines = tuple(replace(each, spacing=spacing) for each in self.splines)
-        finer = replace(self, splines=splines)
+        finer = replace(self, splines=tuple(replace(each, spacing=spacing) for each in self.splines))
         places = [old.jets(path)[:, 0] for old, path in zip(self.splines, state.paths, strict=True)]
-        return finer, replace(state, paths=start(finer, places).paths)
+        return finer, finer.start(places, state.x)
 
     def predicted(self, state: State, k: int) -> Predicted:
         """Return the channels of a stretch."""
-        return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
+        return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state))
 
     def residuals(self, state: State, k: int, predicted: Predicted | None = None) -> tuple[Array, Array]:
         """Return measured less predicted channels of a stretch (N, channels), and the rates of its inputs (N, m)."""
         values = (predicted or self.predicted(state, k)).values
         data, m = self.stretches[k], self.inputs
-        bias, delay = state.offsets[data.log]
+        bias, delay = self.offsets(state)[data.log]
         u = values[:, :m]
         rate = np.gradient(u, data.t, axis=0)
         rate -= delay * np.gradient(rate, data.t, axis=0)
@@ -129,17 +150,10 @@ class Fit:
         expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)
         return self.prediction.wrapped(data.values - expected), rate
 
-    def prior(self) -> tuple[Array, Array]:
-        """Return center and precision of parameters, biases and delays before anything is measured."""
-        m = self.inputs
-        offsets = np.concatenate([self.biases**-2, np.full(m, DELAY**-2)])
-        center = np.concatenate([self.center / self.scales, np.zeros(2 * m * self.logs)])
-        return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
-
     def cost(self, state: State, weights: list[Weights]) -> float:
         """Return the weighted sum of squares; infinite where the model has no solution."""
-        center, precision = self.prior()
-        total = float(precision @ (_all(state) - center) ** 2)
+        center, precision = self.prior
+        total = float(precision @ (state.x - center) ** 2)
         for k, weight in enumerate(weights):
             residual, _ = self.residuals(state, k)
             total += float(np.sum((weight.factors * residual / weight.scales) ** 2))
@@ -147,8 +161,8 @@ class Fit:
 
     def step(self, state: State, weights: list[Weights], damping: float) -> tuple[State, Array]:
         """Return the change of a Gauss-Newton step, and the information on all but the paths."""
-        center, precision = self.prior()
-        information, right = np.diag(precision), precision * (center - _all(state))
+        center, precision = self.prior
+        information, right = np.diag(precision), precision * (center - state.x)
         solved = []
         count, m = len(self.scales), self.inputs
         for k, weight in enumerate(weights):
@@ -175,7 +189,7 @@ class Fit:
             (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
             for answer, places in solved
         ]
-        return _state(change, count, state.offsets.shape, tuple(moved)), information
+        return State(change, tuple(moved)), information
 
     def creeping(self, k: int, predicted: Predicted) -> npt.NDArray[np.bool_]:
         """Return where drives rest or creep, so that dry friction is not known well enough, shape (N, inputs)."""
@@ -248,33 +262,9 @@ def persistence(parts: list[Array]) -> float:
     return max(1.0, 1.0 + 2.0 * sum(sums))
 
 
-def _all(state: State) -> Array:
-    return np.concatenate([state.theta, state.offsets.ravel()])
-
-
-def _state(x: Array, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
-    return State(x[:count], x[count:].reshape(shape), paths)
-
-
 def _moved(state: State, change: State, share: float) -> State:
-    return State(
-        state.theta + share * change.theta,
-        state.offsets + share * change.offsets,
-        tuple(a + share * b for a, b in zip(state.paths, change.paths, strict=True)),
-    )
-
-
-def start(problem: Fit, places: list[Array]) -> State:
-    """Return the state at the believed parameters with paths near some positions of the output (N, outputs)."""
-    paths = []
-    for spline, place in zip(problem.splines, places, strict=True):
-        m = spline.components
-        by_path = np.zeros((len(place), m, spline.orders, m))
-        by_path[:, range(m), 0, range(m)] = 1.0
-        band, right = spline.normal(by_path, place, np.zeros((*place.shape, 0)))
-        band[0] += 1e-6 * band[0].mean()
-        paths.append(scipy.linalg.solveh_banded(band, right[:, 0], lower=True).reshape(-1, m))
-    return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
+    paths = zip(state.paths, change.paths, strict=True)
+    return State(state.x + share * change.x, tuple(a + share * b for a, b in paths))
 
 
 class Converged(NamedTuple):
@@ -308,7 +298,7 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
         state = _descent(problem, state, weights, _SETTLED)
     change, information = problem.step(state, weights, 0.0)
     sizes = np.sqrt(np.diag(np.linalg.inv(information)))
-    return Converged(state, weights, information, bool((np.abs(_all(change)) < _NEAR * sizes).all()))
+    return Converged(state, weights, information, bool((np.abs(change.x) < _NEAR * sizes).all()))
 
 
 def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> State:
@@ -316,8 +306,8 @@ def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: floa
     damping, cost = 0.0, problem.cost(state, weights)
     for _ in range(_STEPS):
         change, information = problem.step(state, weights, damping)
-        small = float(np.max(np.abs(_all(change)) * np.sqrt(np.diag(information)))) < tolerance
-        share = full = min(1.0, _FARTHEST / max(float(np.abs(change.theta).max()), 1e-12))
+        small = float(np.max(np.abs(change.x) * np.sqrt(np.diag(information)))) < tolerance
+        share = full = min(1.0, _FARTHEST / max(float(np.abs(change.x[: len(problem.scales)]).max()), 1e-12))
         candidate = _moved(state, change, share)
         while (better := problem.cost(candidate, weights)) > cost * (1 + 1e-9) and share > 0.02 * full:
             share /= 2

@@ -19,7 +19,7 @@ from servocore.errors import (
     require_real,
 )
 from servocore.identification.blocks import Blocks, stretches
-from servocore.identification.fit import Converged, Fit, minimized, start
+from servocore.identification.fit import Converged, Fit, minimized
 from servocore.identification.logs import Log, Record, records
 from servocore.identification.prediction import Prediction, positions_of, released
 from servocore.identification.result import Identified
@@ -120,7 +120,7 @@ def identify(
     names = chosen_parameters(parameters, problem)
     read = records(log, extended, positions_of(problem.resolved))
     fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
-    found = minimized(fit, start(fit, [_equilibria(fit, data) for data in fit.stretches]))
+    found = minimized(fit, fit.start([_equilibria(fit, data) for data in fit.stretches]))
     bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
     if bent or not found.settled:  # measured positions bend faster than the splines can
         fit, state = fit.refined(found.state, _SPACINGS[1])

@@ -61,7 +61,13 @@ class Identified:
     @property
     def values(self) -> dict[str, float]:
         """Estimates by name."""
-        return dict(zip(self.names, (self.estimate.state.theta * self.fit.scales).tolist(), strict=True))
+        return dict(
+            zip(
+                self.names,
+                self.fit.parameters(self.estimate.state)[list(self.fit.prediction.columns)].tolist(),
+                strict=True,
+            )
+        )
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -101,7 +107,7 @@ class Identified:
         return self._offsets(0)
 
     def _offsets(self, row: int) -> dict[str, tuple[float, ...]]:
-        values = self.estimate.state.offsets[:, row]
+        values = self.fit.offsets(self.estimate.state)[:, row]
         return {name: tuple(values[:, k].tolist()) for k, name in enumerate(self._inputs)}
 
     @property
@@ -110,13 +116,13 @@ class Identified:
 
     @cached_property
     def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
-        """Of each stretch: residuals, which of them count, and rates of the positions, NaN where friction creeps."""
+        """Of each stretch: residuals, which of them count, and rates of the positions, 0 where drives creep."""
         parts, fit, m = [], self.fit, self.fit.inputs
         for k, (data, weight) in enumerate(zip(fit.stretches, self.estimate.weights, strict=True)):
             predicted = fit.predicted(self.estimate.state, k)
             rates = np.gradient(predicted.values[:, m : m + len(self._inputs)], data.t, axis=0)
             residual, counted = fit.residuals(self.estimate.state, k, predicted)[0], used(data, weight.factors)
-            parts.append((residual, counted, np.where(fit.creeping(k, predicted), np.nan, rates)))
+            parts.append((residual, counted, np.where(fit.creeping(k, predicted), 0.0, rates)))
         return parts
 
     @cached_property
@@ -143,7 +149,7 @@ class Identified:
         of another kind, which is so short or so weak that it hides in correlations.
         """
         found = {}
-        fastest = np.nanmax([np.nanmax(np.abs(rates), axis=0) for *_, rates in self._parts], axis=0)
+        fastest = np.max([np.abs(rates).max(axis=0) for *_, rates in self._parts], axis=0)
         for k, name in enumerate(self._inputs):
             parts, sums = [], np.zeros((2, _OCTAVES))
             rows = zip(self._parts, self.fit.stretches, self.estimate.weights, strict=True)
@@ -172,7 +178,7 @@ class Identified:
             if size < _UNKNOWN**2:
                 break
             own = direction * relative
-            unit, p = own / np.linalg.norm(own), fit.parameters(self.estimate.state.theta)
+            unit, p = own / np.linalg.norm(own), fit.parameters(self.estimate.state)
             spread = float(np.sqrt(size) * np.linalg.norm(own))
             remedy = showing(fit.prediction, path.mean(axis=0), p, fit.scales, noise, unit, spread)
             sentences.append(
@@ -186,16 +192,12 @@ class Identified:
 
         Parameters of effects that vanish where the effect does; beyond 2.8 the logs ask for the effect.
         """
-        found, theta, declared = {}, self.estimate.state.theta, self.based_on.effects.parameters
-        precision = np.diag((self.fit.scales / self.fit.spread) ** 2)
-        for k, name in enumerate(self.names):
-            if name not in declared or declared[name].lower != 0.0:
-                continue
-            free = np.linalg.inv(self._relative)
-            free[k, k] = max(free[k, k] - precision[k, k], 1e-12)
-            inverse = np.linalg.inv(free)
-            alone = theta[k] + inverse[k, k] * precision[k, k] * (theta[k] - self.fit.center[k] / self.fit.scales[k])
-            found[name] = float(alone / np.sqrt(inverse[k, k]))
+        found, declared = dict[str, float](), self.based_on.effects.parameters
+        for (name, value), center in zip(self.values.items(), self.fit.center, strict=True):
+            if name in declared and declared[name].lower == 0.0:
+                known = max(1.0 - self.prior_share[name], 1e-12)  # its own prior alone is taken away again
+                alone = value + self.prior_share[name] / known * (value - center)
+                found[name] = float(alone / self.standard_errors[name] * np.sqrt(known))
         return found
 
     def scene(self) -> Scene:
@@ -246,17 +248,20 @@ class Identified:
         for (name, (persistent, correlated, by_speed)), position in zip(
             self.whiteness.items(), self.fit.prediction.measured, strict=False
         ):
-            size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
+            why = ""
             if persistent > _PERSISTENT or correlated > _CORRELATED:
-                found.append(
-                    f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
-                    f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
+                why = (
+                    f"are no noise (correlation {correlated:.2f} from block to block), so that an effect is missing or"
+                    " a sensor is wrong"
                 )
             elif by_speed > _BY_SPEED:
-                found.append(
-                    f"the model does not explain {name}: its residuals of {size:.3g} depend on the speed of {position}"
-                    f" (chi-squared {by_speed:.0f} of {_OCTAVES} octaves), so that friction is of another kind"
+                why = (
+                    f"depend on the speed of {position} (chi-squared {by_speed:.0f} of {_OCTAVES} octaves), so that"
+                    " friction is of another kind"
                 )
+            if why:
+                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
+                found.append(f"the model does not explain {name}: its residuals of {size:.3g} {why}")
         spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
         for k in np.flatnonzero(np.abs(list(self.values.values()) - self.fit.center) > _FAR * spreads):
             name = self.names[k]
