@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -21,7 +20,7 @@ from servocore.errors import (
 from servocore.identification.blocks import Blocks, stretches
 from servocore.identification.fit import Converged, Fit, minimized
 from servocore.identification.logs import Log, Record, records
-from servocore.identification.prediction import Prediction, positions_of, released
+from servocore.identification.prediction import positions_of, prediction_of
 from servocore.identification.result import Identified
 from servocore.identification.splines import PathSpline
 from servocore.model.scene import Scene, require_scene
@@ -162,34 +161,29 @@ def _fit(
     problem: Problem, read: Sequence[Record], drives: Sequence[str], names: tuple[str, ...], spreads: Array, bias: float
 ) -> Fit:
     """Return the maximum likelihood problem of logs; positions of drives come first, as their inputs do."""
-    resolved, inputs = released(problem.resolved), [quantity.name for quantity in problem.system.inputs]
+    inputs = [quantity.name for quantity in problem.system.inputs]
     measured = sorted((each for each in read[0].columns if each not in inputs), key=[*drives, *read[0].columns].index)
     for record in read[1:]:
         if {*record.columns} != {*read[0].columns}:
             raise InvalidReference(f"{record.name} has other columns than {read[0].name}: one fit needs the same")
-    columns = tuple(problem.system.parameters.names.index(name) for name in names)
-    prediction = Prediction(resolved, tuple(measured), columns, len(inputs))
+    prediction, scales = prediction_of(problem, names, measured)
+    forces = [each.name for each in prediction.quantities[len(inputs) : -len(measured)]]
     peaks = np.max([[np.nanmax(np.abs(record.columns[label])) for label in inputs] for record in read], axis=0)
-    known_forces = np.zeros(len(resolved.system.inputs) - len(inputs))
-    parts = []
+    parts = list[Blocks]()
     for k, record in enumerate(read):
-        for part in stretches(
-            record.t, np.column_stack([record.columns[each] for each in inputs + measured]), len(inputs), k
-        ):
-            values, noise = (
-                np.insert(each, [len(inputs)] * len(known_forces), given, axis=1)
-                for each, given in ((part.values, 0.0), (part.noise, _FORCE * peaks.max()))
-            )
-            parts.append(replace(part, values=values, noise=noise))
+        known = {**record.columns, **dict.fromkeys(forces, np.zeros(len(record.t)))}
+        values = np.column_stack([known[each] for each in (*inputs, *forces, *measured)])
+        parts += stretches(record.t, values, len(inputs) + len(forces), k)
+    for part in parts:
+        part.noise[:, len(inputs) : -len(measured)] = _FORCE * peaks.max()
     if {part.log for part in parts} != set(range(len(read))):
         raise InvalidReference("a log has so many gaps that no second of it is left")
-    order, center = resolved.array.reference_order, problem.p[list(columns)]
-    scales = np.where(center != 0.0, np.abs(center), 1.0)
-    outputs = len(resolved.system.outputs)
+    resolved, center = prediction.resolved, problem.p[list(prediction.columns)]
+    order, outputs = resolved.array.reference_order, len(resolved.system.outputs)
     splines = tuple(PathSpline(part.t, order + 2, order + 1, outputs, _SPACINGS[0]) for part in parts)
     spread = np.where(center != 0.0, spreads * scales, 1e6)  # relative to zero nothing is known
-    biases = np.concatenate([np.maximum(bias, _NONE) * np.maximum(peaks, _NONE), known_forces + _NONE * peaks.max()])
-    return Fit(prediction, problem.p, center, scales, spread, biases, tuple(parts), splines)
+    biases = [*(max(bias, _NONE) * np.maximum(peaks, _NONE)), *(_NONE * peaks.max() for _ in forces)]
+    return Fit(prediction, problem.p, center, scales, spread, np.array(biases), tuple(parts), splines)
 
 
 def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
-from servocore.problem import ResolvedSystem, resolve
+from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.stepping.exact_evaluation import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
@@ -83,6 +84,17 @@ class Prediction:
         by_path, by_parameter = np.split(slopes.T.reshape(len(jets), -1, len(values)), [jets[0].size], axis=1)
         shaped = by_path.reshape(*jets.shape, -1)
         return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
+
+
+def prediction_of(problem: Problem, names: Sequence[str], measured: Sequence[str] = ()) -> tuple[Prediction, Array]:
+    """Return the channels of a problem with the derivatives by some parameters, and the units of these: their values.
+
+    A parameter that is zero has the unit one.
+    """
+    columns = [problem.system.parameters.names.index(name) for name in names]
+    scales = np.abs(problem.p[columns])
+    inputs, resolved = len(problem.system.inputs), released(problem.resolved)
+    return Prediction(resolved, tuple(measured), tuple(columns), inputs), np.where(scales > 0.0, scales, 1.0)
 
 
 def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
