@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import rich.box
-import rich.table
 
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.options import GivenPath, Rows, Subject
+from servocore.effects.report import aligned
 from servocore.errors import InvalidSetting
 from servocore.model.drives import Drive
 from servocore.solution import Solution
@@ -33,13 +32,9 @@ def show_drives(subject: Subject, path: GivenPath, rows: Rows) -> None:
     rows.require(scene.reference.duration)
     with PatientProgress("solving"):
         solution = solve(scene, step=rows.step, model=subject.model)
-    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("drive", "quantity", "value", "at", "limit", "margin"):
-        table.add_column(heading, justify="left" if heading in ("drive", "quantity") else "right")
-    for name, drive in scene.drives.items():
-        for k, row in enumerate(duty(solution, name, drive)):
-            table.add_row("" if k else name, *row)
-    table_console().print(table)
+    head = ("drive", "quantity", "value", "at", "limit", "margin")
+    rows_ = [(name, *row) for name, drive in scene.drives.items() for row in duty(solution, name, drive)]
+    table_console().print(aligned([head, *rows_]), markup=False, highlight=False, soft_wrap=True)
 
 
 def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str, str, str, str]]:
@@ -54,26 +49,16 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
     drive : Drive
         Its drive.
     """
-    speeds, torques = zip(*drive.corners, strict=True) if drive.corners else ((None,), ())
-    shown = [
-        ("motor torque, peak", "motor_torque", None),
-        ("motor speed, peak", "motor_speed", speeds[-1]),
-        ("power, peak", "power", drive.rated_power),
-        ("current, peak", "current", None),
-        ("motor torque, rms", "rms_torque", drive.rated_torque),
-        ("torque reserve, least", "torque_reserve", 0.0),
-        ("energy", "energy", None),
-    ]
-    for text, quantity, limit in shown:
-        if (full := f"{name}.{quantity}") not in solution:
+    speed, most = (max(column) for column in zip(*drive.corners, strict=True)) if drive.corners else (None, 1.0)
+    limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None}
+    for kind, limit in {**limits, "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}.items():
+        if (full := f"{name}.{kind}") not in solution:
             continue
-        values, unit = solution[full], solution.unit(full)
-        at = int(values.argmin()) if quantity == "torque_reserve" else int(np.abs(values).argmax())
-        if whole := quantity in ("rms_torque", "energy"):  # of the run, at its end
-            at = -1
-        value = float(values[at] if whole or limit == 0.0 else abs(values[at]))
-        margin = value / max(torques) if limit == 0.0 else 1.0 - value / float(limit or np.inf)
-        yield (
-            text, f"{value:.4g} {unit}", "" if whole else f"{solution.t[at]:.4g} s",
-            "" if limit is None else f"{limit:.4g} {unit}", "" if limit is None else f"{100.0 * margin:.0f} %",
-        )  # fmt: skip
+        values, unit, text, k = solution[full], solution.unit(full), kind.replace("_", " "), -1
+        if kind == "torque_reserve":
+            k, text = int(values.argmin()), f"{text}, least"
+        elif kind in limits:
+            k, text, values = int(np.abs(values).argmax()), f"{text}, peak", np.abs(values)
+        left = values[k] / most if kind == "torque_reserve" else 1.0 - values[k] / float(limit or np.inf)
+        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * left:.0f} %")
+        yield text, f"{values[k]:.4g} {unit}", "" if k < 0 else f"{solution.t[k]:.4g} s", *bound

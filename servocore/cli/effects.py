@@ -11,7 +11,7 @@ from servocore.cli.kinds import FILE, NUMBER, quantity, text
 from servocore.cli.options import GivenPath, Subject
 from servocore.effects.position_loops import PositionLoops
 from servocore.effects.study import effects
-from servocore.errors import InvalidModel, InvalidSetting
+from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.model.parameter_files import read_parameters
 from servocore.model.units import unit_of
@@ -68,17 +68,13 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
             f" --deviation {path.tolerance}"
         )
     scene, loops = subject.driven(), question.loops()
-    if not scene.effects.declared:
-        raise InvalidModel(
-            f"{scene.name} declares no effects: this command compares those that a scene declares, as cranes do; plants"
-            " of your own are compared by servocore.effects in Python"
-        )
     declared = scene.effects.parameters
     given = {} if subject.parameters is None else read_parameters(subject.parameters, scene, declared.values())
     own = scene.model().parameters.names
     scene = scene.with_parameters(**{name: value for name, value in given.items() if name in own})
     moved = path.along(scene)
-    allowed = question.allowed(moved.model().outputs[0].unit)
+    # A scene without effects is refused for that, whatever the unit of its outputs.
+    allowed = question.allowed(moved.model().outputs[0].unit) if declared else 1.0
     with PatientProgress("estimating"):
         found = effects(
             moved,
