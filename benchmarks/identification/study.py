@@ -131,8 +131,8 @@ def cramer_rao(found: sc.Identified, true: dict[str, float]) -> dict[str, float]
     """
     fit, values, state = found.fit, np.array([true[name] for name in found.names]), found.estimate.state
     state = state._replace(x=np.concatenate([values / fit.scales, state.x[len(values) :]]))
-    factors = [np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0) for data in fit.stretches]
-    information = fit.step(state, [Weights(np.ones(each.shape[1]), each) for each in factors], 0.0)[1]
+    weights = [Weights(np.ones(data.noise.shape[1]), 1.0 / data.noise) for data in fit.stretches]
+    information = fit.step(state, weights, 0.0)[1]
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))[: len(values)] * fit.scales / np.abs(values)
     return dict(zip(found.names, bounds.tolist(), strict=True))
 

@@ -105,7 +105,7 @@ def effects(
     study.require_parameters(plant or {})
     require_feasible(Problem.of(scene))
     judged, total = list[EffectRow](), 0.0
-    for row in sorted(map(study.row, study.cases(plant or {})), key=lambda row: row.error):
+    for row in sorted((study.row(*case) for case in study.cases(plant or {})), key=lambda row: row.error):
         refused = row.how == REFUSED
         total += 0.0 if refused else row.error
         judged.insert(0, replace(row, needed=total > tolerance and not refused))
@@ -115,16 +115,6 @@ def effects(
         else (f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}")
     )
     return EffectsReport(scene, tuple(judged), float(tolerance), of_plant)
-
-
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """An effect: the model with it, and the model without it."""
-
-    name: str
-    large: Scene
-    small: Scene
-    left_out: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,29 +161,29 @@ class _Study:
                 raise InvalidModel(f"the plant {name} has the {what} {names}, {self.scene.name} has {known}")
         return system
 
-    def cases(self, plant: Mapping[str, ModelFactory]) -> Iterator[_Case]:
-        """Yield all effects, declared ones first."""
+    def cases(self, plant: Mapping[str, ModelFactory]) -> Iterator[tuple[str, Scene, Scene, bool]]:
+        """Yield name, model with it, model without it, and whether it is left out, of every effect."""
         scene, declared = self.scene, self.scene.effects
         base = self._set(scene.with_effects()) if declared.declared else scene
         for effect in declared.declared:
             if not effect.listed or effect.name in declared.added | declared.left_out:
                 continue
             if effect.left_out:
-                yield _Case(effect.name, base, self._set(scene.with_effects(without=[effect.name])), True)
+                yield effect.name, base, self._set(scene.with_effects(without=[effect.name])), True
             else:
-                yield _Case(effect.name, self._set(scene.with_effects(effect.name)), base)
+                yield effect.name, self._set(scene.with_effects(effect.name)), base, False
         for name, factory in plant.items():
-            yield _Case(name, self._set(replace(scene, models={"plant": factory})), base)
+            yield name, self._set(replace(scene, models={"plant": factory})), base, False
 
     def _set(self, scene: Scene) -> Scene:
         known, values = scene.model().parameters.names, {**self.scene.parameters, **self.parameters}
         return replace(scene, parameters={name: value for name, value in values.items() if name in known})
 
-    def row(self, case: _Case) -> EffectRow:
+    def row(self, name: str, large: Scene, small: Scene, left_out: bool) -> EffectRow:
         """Return the row of an effect; of one that cannot be judged with the reason."""
-        row = EffectRow(case.name, left_out=case.left_out)
+        row = EffectRow(name, left_out=left_out)
         try:
-            array = Problem.of(case.large).resolved.outcome
+            array = Problem.of(large).resolved.outcome
             if not isinstance(array, InvalidModel):
                 row = replace(
                     row,
@@ -202,21 +192,22 @@ class _Study:
                     derivatives=array.reference_order,
                     unknowns=len(array.unknowns),
                 )
-            order = max(row.derivatives or 0, Problem.of(case.small).array.reference_order)
-            reference = smooth_enough(case.large.reference, order)
-            return self._compared(replace(row, law=_law(reference)), case, reference)
+            order = max(row.derivatives or 0, Problem.of(small).array.reference_order)
+            reference = smooth_enough(large.reference, order)
+            moved = (scene.with_reference(reference) for scene in (large, small))
+            return self._compared(replace(row, law=_law(reference)), *moved)
         except ServocoreError as error:
-            return EffectRow(case.name, left_out=case.left_out, how=REFUSED, reason=str(error))
+            return EffectRow(name, left_out=left_out, how=REFUSED, reason=str(error))
 
-    def _compared(self, row: EffectRow, case: _Case, reference: Reference) -> EffectRow:
+    def _compared(self, row: EffectRow, large: Scene, small: Scene) -> EffectRow:
         """Return a row with its error: estimated, and simulated where an estimate is weak or impossible."""
-        instants = max(math.ceil(reference.duration / COARSEST), _FEWEST) + 1
-        plant, model = (Problem.of(scene.with_reference(reference)) for scene in (case.large, case.small))
-        measured, hanging = case.large.effects.measured or self.measured, self.scene.effects.hanging
+        instants = max(math.ceil(large.reference.duration / COARSEST), _FEWEST) + 1
+        plant, model = Problem.of(large), Problem.of(small)
+        measured, hanging = large.effects.measured or self.measured, self.scene.effects.hanging
         without = inverted(model, self.measured, instants)
         with_effect = inverted(plant, measured, instants) if row.internal_states == 0 else at_rest(plant, measured)
-        gains = (with_effect if case.left_out else without).gains(self.loops)
-        tail, reason = _TAIL if _rests(reference) else 0.0, _NOT_FLAT
+        gains = (with_effect if row.left_out else without).gains(self.loops)
+        tail, reason = _TAIL if _rests(large.reference) else 0.0, _NOT_FLAT
         if row.internal_states == 0:
             # delta of the head of this file.
             inputs, positions, rates = np.split(with_effect.signals - without.signals, 3, axis=1)

@@ -12,8 +12,7 @@ from servocore.checks.motion_limits import limited_values
 from servocore.effects.report import aligned
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
-from servocore.identification.information import information
-from servocore.identification.prediction import Prediction, prediction_of
+from servocore.identification.prediction import Prediction, information, prediction_of
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.numerics.compiled_calls import Array

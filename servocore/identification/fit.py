@@ -19,12 +19,9 @@ import numpy.typing as npt
 import scipy.linalg
 
 from servocore.identification.blocks import MOVES, Blocks
-from servocore.identification.prediction import Predicted, Prediction
+from servocore.identification.prediction import DELAY, Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array
-
-DELAY = 0.005
-"""Standard deviation of the delay of an input behind the positions before anything is measured, in s."""
 
 _STEPS, _ROUNDS = 25, 3
 HUBER = 3.0
@@ -198,32 +195,30 @@ class Fit:
         still = np.ptp(values[:, :m], axis=0) < MOVES
         return np.asarray(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), dtype=bool)
 
-    def weights(self, state: State, first: bool) -> list[Weights]:
-        """Return weights by the residuals of a state, or by the noise of the data alone at first."""
+    def factors(self, k: int, predicted: Predicted, blurred: float = 1.0) -> Array:
+        """Return the inverse noise of a stretch (N, channels), less beside creep: of inputs, and of positions."""
         from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
 
-        raw, m = [], self.prediction.inputs
-        for k, data in enumerate(self.stretches):
+        factors, m = 1.0 / self.stretches[k].noise, self.prediction.inputs
+        # Beside creep too: the path bends there faster than its spline.
+        creeping = binary_dilation(self.creeping(k, predicted), np.ones((2 * _BESIDE + 1, 1), dtype=bool))
+        factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
+        factors[:, self.inputs : self.inputs + m] *= np.where(creeping, blurred, 1.0)
+        return factors
+
+    def weights(self, state: State) -> list[Weights]:
+        """Return weights by the residuals of a state."""
+        raw, found = list[tuple[Array, Array]](), list[Weights]()
+        for k in range(len(self.stretches)):
             predicted = self.predicted(state, k)
-            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
-            # Beside creep too: the path bends there faster than its spline.
-            creeping = binary_dilation(self.creeping(k, predicted), np.ones((2 * _BESIDE + 1, 1), dtype=bool))
-            factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
-            if not first:
-                # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
-                factors[:, self.inputs : self.inputs + m] *= np.where(creeping, _BLURRED, 1.0)
+            # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
+            factors = self.factors(k, predicted, _BLURRED)
             raw.append((factors, factors * self.residuals(state, k, predicted)[0]))
-        ones = [Weights(np.ones(factors.shape[1]), factors) for factors, _ in raw]
-        if first:
-            return ones
-        found = []
         for log in range(self.logs):
             own = [k for k, data in enumerate(self.stretches) if data.log == log]
             counted = [used(self.stretches[k], raw[k][0]) for k in own]
-            channels = range(self.inputs + len(self.prediction.measured))
-            scales = np.array(
-                [_scale([raw[k][1][each[:, c], c] for k, each in zip(own, counted, strict=True)]) for c in channels]
-            )
+            parts = [list(zip(raw[k][1].T, each.T, strict=True)) for k, each in zip(own, counted, strict=True)]
+            scales = np.array([_scale([x[use] for x, use in channel]) for channel in zip(*parts, strict=True)])
             # The path takes degrees of freedom from the residuals: s^2 = RSS / (N - unknowns).
             rows = sum(int(each.sum()) for each in counted)
             unknowns = sum(self.splines[k].count * self.splines[k].components for k in own)
@@ -237,8 +232,7 @@ class Fit:
 
 def used(data: Blocks, factors: Array) -> npt.NDArray[np.bool_]:
     """Return which values count in full: neither missing, nor creeping, nor far off."""
-    finite = np.isfinite(data.noise)
-    return finite & (factors * np.where(finite, data.noise, 0.0) > _COUNTED)
+    return np.asarray(factors > _COUNTED / data.noise, dtype=bool)
 
 
 def _scale(parts: list[Array]) -> float:
@@ -250,16 +244,15 @@ def _scale(parts: list[Array]) -> float:
     return float(max(size * persistence(parts) ** 0.5, 0.1))
 
 
+def correlation(parts: list[Array], lag: int) -> float:
+    """Return the correlation of residuals some blocks apart."""
+    products = sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag)
+    return products / (sum(float(part @ part) for part in parts) or 1.0)
+
+
 def persistence(parts: list[Array]) -> float:
     """Return the spectral density of residuals near zero by that of white noise, at least 1 (Bartlett's estimate)."""
-    total = sum(float(part @ part) for part in parts)
-    if total <= 0.0:
-        return 1.0
-    sums = [
-        (1 - lag / _LAGS) * sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag) / total
-        for lag in range(1, _LAGS)
-    ]
-    return max(1.0, 1.0 + 2.0 * sum(sums))
+    return max(1.0, 1.0 + 2.0 * sum((1 - lag / _LAGS) * correlation(parts, lag) for lag in range(1, _LAGS)))
 
 
 def _moved(state: State, change: State, share: float) -> State:
@@ -282,19 +275,19 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
         loose = []
         for data in problem.stretches:
             share = np.where(np.arange(data.values.shape[1]) < problem.inputs, *_LOOSE)
-            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
             scales = np.maximum(1.0, share * data.values.std(axis=0) / np.median(data.noise, axis=0))
-            loose.append(Weights(scales, factors))
+            loose.append(Weights(scales, 1.0 / data.noise))
         for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
             state = _descent(stage, state, loose, _ROUGHLY)
     # The inputs alone show the free swing of the load. Where a drive reverses quickly its acceleration jumps, and a
     # path that has to meet positions there swings wrongly; that would pass for noise of the inputs, another optimum.
     for more in _BLURS:
         scales = np.where(np.arange(problem.stretches[0].values.shape[1]) < problem.inputs, 1.0, more)
-        weights = [Weights(scales, each.factors) for each in problem.weights(state, True)]
+        every = range(len(problem.stretches))
+        weights = [Weights(scales, problem.factors(k, problem.predicted(state, k))) for k in every]
         state = _descent(problem, state, weights, _ROUGHLY)
     for _ in range(_ROUNDS):
-        weights = problem.weights(state, False)
+        weights = problem.weights(state)
         state = _descent(problem, state, weights, _SETTLED)
     change, information = problem.step(state, weights, 0.0)
     sizes = np.sqrt(np.diag(np.linalg.inv(information)))

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from servocore.effects.closed_loop import run_loop
+from servocore.effects.model_inversion import inverted
 from servocore.effects.position_loops import PositionLoops
 from servocore.effects.report import aligned
 from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import csv_text
-from servocore.identification.fit import HUBER, Converged, Fit, persistence, used
-from servocore.identification.information import showing
-from servocore.identification.stray import Stray, strayed
+from servocore.identification.fit import HUBER, Converged, Fit, correlation, persistence, used
+from servocore.identification.prediction import showing
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
@@ -26,6 +28,25 @@ _PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of wh
 _OCTAVES, _BY_SPEED = 5, 25.0  # of speed below the highest; chi-squared that noise exceeds once in ten thousand
 _FAR = 4.0  # standard deviations of an estimate from what was believed, and from no delay
 _SLOW = 10  # blocks of a moving average
+_SAMPLES, _QUANTILE = 2000, 0.95
+_INSTANT, _FEWEST = 0.02, 500  # s between instants of a motion, and their least number
+_SHARE = 0.3  # of a standard error: the change of a parameter by which the motion is differentiated
+_SMALL = 1e-3  # or of the parameter, where that is less
+
+
+class Stray(NamedTuple):
+    """How far the output will go off a path in 95 of 100 cases, in mm (thousandths of its unit).
+
+    Attributes
+    ----------
+    total : float
+        With what the residuals of the inputs do beside.
+    by_parameters : float
+        By the uncertainty of the parameters alone.
+    """
+
+    total: float
+    by_parameters: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +82,15 @@ class Identified:
     @property
     def values(self) -> dict[str, float]:
         """Estimates by name."""
-        return dict(
-            zip(
-                self.names,
-                self.fit.parameters(self.estimate.state)[list(self.fit.prediction.columns)].tolist(),
-                strict=True,
-            )
-        )
+        return self._named(self.estimate.state.x[: len(self.names)] * self.fit.scales)
+
+    def _named(self, values: Array) -> dict[str, float]:
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     @property
     def standard_errors(self) -> dict[str, float]:
         """Standard errors by name, those of the residuals' own noise and its persistence."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return self._named(np.sqrt(np.diag(self.covariance)))
 
     @cached_property
     def covariance(self) -> Array:
@@ -93,8 +111,7 @@ class Identified:
     @property
     def prior_share(self) -> dict[str, float]:
         """Share of each estimate that is from what was believed: 0 where the logs alone say it, 1 where they do not."""
-        share = np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2
-        return dict(zip(self.names, share.tolist(), strict=True))
+        return self._named(np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2)
 
     @property
     def delays(self) -> dict[str, tuple[float, ...]]:
@@ -160,9 +177,8 @@ class Identified:
                 octave = np.clip(np.log2(fastest[k] / np.abs(rate)).astype(int), 0, _OCTAVES - 1)
                 signed = np.sign(rate) * np.clip(residual[known, k] / sizes, -HUBER, HUBER)
                 sums += [np.bincount(octave, each, _OCTAVES) for each in (signed, np.ones(len(octave)))]
-            total = sum(float(part @ part) for part in parts) or 1.0
-            correlated = sum(float(part[1:] @ part[:-1]) for part in parts) / total
-            found[name] = persistence(parts), correlated, float(np.sum(sums[0] ** 2 / np.maximum(sums[1], 1.0)))
+            by_speed = float(np.sum(sums[0] ** 2 / np.maximum(sums[1], 1.0)))
+            found[name] = persistence(parts), correlation(parts, 1), by_speed
         return found
 
     @cached_property
@@ -217,6 +233,9 @@ class Identified:
     def stray(self, path: Reference) -> Stray:
         """Return how far the output will go off a path in 95 of 100 cases, in mm, under the position loops.
 
+        By parameters it is the quantile of max over t of |S zeta|, S = d output / d theta, for zeta of the normal
+        distribution with the covariance of the estimates.
+
         Parameters
         ----------
         path : Reference
@@ -237,17 +256,37 @@ class Identified:
             raise InvalidModel(
                 f"{self.based_on.name} has internal dynamics: how far it goes off a path is not computed"
             )
-        parts = self.residuals
-        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs])
-        return strayed(self.scene(), self.names, self.covariance, path, self.loops, (parts["time"], slow))
+        scene = self.scene().with_reference(path)
+        measured = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
+        count = max(_FEWEST, int(np.ceil(path.duration / _INSTANT))) + 1
+        motion = inverted(Problem.of(scene), measured, count)
+        gains, slopes = motion.gains(self.loops), []
+        base = run_loop(motion, motion, gains).deviation
+        # S = d output / d theta by simulations of changed plants.
+        for name, error in self.standard_errors.items():
+            value = scene.parameter_values()[name]
+            change = min(_SHARE * error, _SMALL * abs(value) or np.inf)
+            plant = inverted(Problem.of(scene.with_parameters(**{name: value + change})), measured, count)
+            deviation = run_loop(plant, motion, gains).deviation
+            at, own = np.linspace(0.0, 1.0, len(base)), np.linspace(0.0, 1.0, len(deviation))
+            slopes.append((np.column_stack([np.interp(at, own, each) for each in deviation.T]) - base) / change)
+        normal = np.random.default_rng(0).multivariate_normal
+        drawn = normal(np.zeros(len(self.names)), self.covariance, _SAMPLES, method="eigh")
+        samples = np.linalg.norm(np.tensordot(drawn, np.array(slopes), axes=1), axis=2)
+        by_parameters = float(np.quantile(samples.max(axis=1), _QUANTILE))
+        # Residuals that stay act on the plant as a disturbance.
+        t = self.residuals["time"] - self.residuals["time"][0]
+        at = (motion.t - motion.t[0]) % t[-1]
+        known, window = (np.nan_to_num(self.residuals[name]) for name in self._inputs), np.ones(_SLOW) / _SLOW
+        slow = [np.interp(at, t, np.convolve(each, window, mode="same")) for each in known]
+        rest = run_loop(motion, motion, gains, np.column_stack(slow)).error
+        return Stray(1e3 * (by_parameters + rest), 1e3 * by_parameters)  # both in one direction at worst
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
-        for (name, (persistent, correlated, by_speed)), position in zip(
-            self.whiteness.items(), self.fit.prediction.measured, strict=False
-        ):
+        for k, (name, (persistent, correlated, by_speed)) in enumerate(self.whiteness.items()):
             why = ""
             if persistent > _PERSISTENT or correlated > _CORRELATED:
                 why = (
@@ -256,16 +295,16 @@ class Identified:
                 )
             elif by_speed > _BY_SPEED:
                 why = (
-                    f"depend on the speed of {position} (chi-squared {by_speed:.0f} of {_OCTAVES} octaves), so that"
-                    " friction is of another kind"
+                    f"depend on the speed of {self.fit.prediction.measured[k]} (chi-squared {by_speed:.0f} of"
+                    f" {_OCTAVES} octaves), so that friction is of another kind"
                 )
             if why:
                 size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
                 found.append(f"the model does not explain {name}: its residuals of {size:.3g} {why}")
         spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
-        for k in np.flatnonzero(np.abs(list(self.values.values()) - self.fit.center) > _FAR * spreads):
-            name = self.names[k]
-            found.append(f"{name} = {self.values[name]:.4g} is far from the believed {self.fit.center[k]:.4g}")
+        for (name, value), center, spread in zip(self.values.items(), self.fit.center, spreads, strict=True):
+            if abs(value - center) > _FAR * spread:
+                found.append(f"{name} = {value:.4g} is far from the believed {center:.4g}")
         return tuple(found)
 
     @cached_property
@@ -308,18 +347,14 @@ class Identified:
         return csv_text(list(self.names), [self.covariance])
 
     @property
-    def table(self) -> list[tuple[str, ...]]:
+    def table(self) -> list[tuple[str, str, str, str]]:
         """Rows of texts with a header: values before and after with standard errors, and the share of the former."""
-        before, after = (
-            [f"{value:.4g} ± {error:.2g}" for value, error in zip(values, errors, strict=True)]
-            for values, errors in (
-                (self.fit.center, self.fit.spread),
-                (self.values.values(), self.standard_errors.values()),
-            )
-        )
-        shares = [f"{share:.0%}" for share in self.prior_share.values()]
-        head = ("parameter", "believed", "identified", "from what was believed")
-        return [head, *zip(self.names, before, after, shares, strict=True)]
+        rows = [("parameter", "believed", "identified", "from what was believed")]
+        for k, (name, value) in enumerate(self.values.items()):
+            before = f"{self.fit.center[k]:.4g} ± {self.fit.spread[k]:.2g}"
+            after = f"{value:.4g} ± {self.standard_errors[name]:.2g}"
+            rows.append((name, before, after, f"{self.prior_share[name]:.0%}"))
+        return rows
 
     def __str__(self) -> str:
         return f"{aligned(self.table)}\nverdict: {self.verdict}"
@@ -332,7 +367,3 @@ def _combined(names: tuple[str, ...], direction: Array) -> str:
         [name for name, share in zip(names, direction, strict=True) if sign * share > _NAMED] for sign in (1, -1)
     )
     return " and ".join(up) + (f" against {' and '.join(down)}" if down else " together" if len(up) > 1 else "")
-
-
-def _smoothed(residual: Array) -> Array:
-    return np.convolve(np.nan_to_num(residual), np.ones(_SLOW) / _SLOW, mode="same")
