@@ -12,6 +12,7 @@ from servocore.errors import InvalidModel, InvalidSetting, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.stepping.observation import observed
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,7 @@ class PositionLoops:
 
 def reported(system: MechanicalSystem) -> dict[str, tuple[Quantity, ca.SX]]:
     """Return observables, outputs and coordinates by name, with their expressions."""
-    known = [
-        *system.observables.items(),
-        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
-        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
-    ]
+    known = ((each, expression) for each, expression in observed(system) if each not in system.inputs)
     return {each.name: (each, expression) for each, expression in known}
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from servocore.identification.blocks import MOVES, Blocks
+from servocore.identification.logs import MOVES, Blocks
 from servocore.identification.prediction import DELAY, Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array

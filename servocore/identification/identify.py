@@ -17,9 +17,8 @@ from servocore.errors import (
     require_kind,
     require_real,
 )
-from servocore.identification.blocks import Blocks, stretches
 from servocore.identification.fit import Converged, Fit, minimized
-from servocore.identification.logs import Log, Record, records
+from servocore.identification.logs import Blocks, Log, Record, records, stretches
 from servocore.identification.prediction import positions_of, prediction_of
 from servocore.identification.result import Identified
 from servocore.identification.splines import PathSpline
