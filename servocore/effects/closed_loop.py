@@ -13,7 +13,7 @@ from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, Call, chained, mapped
 from servocore.numerics.memoization import made_once
 from servocore.problem import ResolvedSystem
-from servocore.stepping.forward_dynamics import forward_rate
+from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
 
 COARSEST = 0.02
 """Largest step of a run, in s."""
@@ -74,11 +74,11 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
         at, moving = read(now)
         return rate(now, held(quantities, signal, at - zero, moving, gains), ca.DM.zeros(m), p)[0]
 
-    first = driven(x, signals[:, 0])
-    second = driven(x + h / 2 * first, signals[:, 1])
-    third = driven(x + h / 2 * second, signals[:, 1])
-    last = driven(x + h * third, signals[:, 2])
-    after = x + h / 6 * (first + 2 * second + 2 * third + last)
+    def given(time: ca.MX | float) -> ca.MX:  # the parabola through begin, middle and end
+        s = 2 * time / h
+        return signals @ ca.vertcat((s - 1) * (s - 2) / 2, s * (2 - s), s * (s - 1) / 2)
+
+    after = runge_kutta(lambda now, time: driven(now, given(time)), x, h)
     swing = [expression for quantity, expression in system.observables.items() if quantity.name in hanging]
     signal = ca.MX.sym("now", 3 * m)
     seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
