@@ -186,16 +186,14 @@ def test_equal_scenes_with_effects_share_what_was_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "without", "words"),
+    ("words", "names", "without"),
     [
-        (("stiction",), (), "no effect is called stiction; there are elastic rope"),
-        (("rope mass", "rope mass 2"), (), "choose one number of lumps"),
-        (("hook",), ("hook",), "cannot be both with and without hook"),
+        ("no effect is called stiction; there are elastic rope", ["stiction"], []),
+        ("choose one number of lumps", ["rope mass", "rope mass 2"], []),
+        ("cannot be both with and without hook", ["hook"], ["hook"]),
     ],
 )
-def test_effects_that_make_no_sense_are_refused_by_name(
-    names: tuple[str, ...], without: tuple[str, ...], words: str
-) -> None:
+def test_effects_that_make_no_sense_are_refused_by_name(words: str, names: list[str], without: list[str]) -> None:
     with pytest.raises(sc.InvalidModel, match=words):
         crane("rotary_crane").with_effects(*names, without=without)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from problems import as_scene
 
 import servocore as sc
 from benchmarks.identification import study
@@ -135,9 +136,7 @@ def axis() -> sc.Scene:
         input_matrix=ca.SX(-1), force=-p["dry"] * ca.tanh(c.v / 0.01) - p["viscous"] * c.v - p["offset"],
         guess=gamma[0, 0], gamma=gamma,
     )  # fmt: skip
-    return sc.Scene(
-        "axis", {"only": lambda: system}, sc.through([[0.0], [0.6], [0.1], [0.9], [0.0]], [0, 5, 11, 16, 25])
-    )
+    return as_scene(system, sc.through([[0.0], [0.6], [0.1], [0.9], [0.0]], [0, 5, 11, 16, 25]))
 
 
 @pytest.mark.parametrize(
@@ -252,8 +251,8 @@ def test_a_study_continues_where_it_was_interrupted_and_its_page_counts(
         ones = np.ones(len(KINDS[case.kind]))
         errors = 0.03 * ones if len(run) == 1 else 0.005 * ones  # one log lies outside its intervals
         predicted = 1.0 if case.wrong else 3.0
-        given = [(each * ones).tolist() for each in (0.01, 0.005)]
-        return study.Row(case, errors.tolist(), *given, 2.0, [], True, 2.0, predicted, 9.0)
+        spread, bound = (0.01 * ones).tolist(), (0.005 * ones).tolist()
+        return study.Row(case, errors.tolist(), spread, bound, 2.0, [], True, 2.0, predicted, 9.0)
 
     monkeypatch.setattr(study, "attempted", attempted)
     file, wanted = tmp_path / "study.jsonl", list(study.cases(2, 1, 7))
