@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel, InvalidSetting, require_real
+from servocore.errors import InvalidModel, require_positive
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -35,9 +34,7 @@ class PositionLoops:
 
     def __post_init__(self) -> None:
         for what, value in (("bandwidth", self.bandwidth), ("damping", self.damping)):
-            require_real(value, f"the {what} of position loops", "a number", InvalidSetting)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidSetting(f"the {what} of position loops must be positive and finite, not {value:g}")
+            require_positive(value, f"the {what} of position loops", "a number")
 
 
 def reported(system: MechanicalSystem) -> dict[str, tuple[Quantity, ca.SX]]:

@@ -33,7 +33,7 @@ from servocore.errors import (
     ServocoreError,
     described,
     require_kind,
-    require_real,
+    require_positive,
 )
 from servocore.model.scene import ModelFactory, Scene, require_scene
 from servocore.model.system import MechanicalSystem
@@ -98,9 +98,7 @@ def effects(
     require_scene(scene, "effects")
     if loops is not None:
         require_kind(loops, PositionLoops, "loops", "PositionLoops(...) or None", InvalidSetting)
-    require_real(tolerance, "the tolerance", "a length", InvalidSetting)
-    if not (math.isfinite(tolerance) and tolerance > 0.0):
-        raise InvalidSetting(f"the tolerance must be positive and finite, not {tolerance:g}")
+    require_positive(tolerance, "the tolerance", "a length")
     study = _Study(scene, loops, float(tolerance), dict(parameters or {}), measured or scene.effects.measured, simulate)
     study.require_parameters(plant or {})
     require_feasible(Problem.of(scene))

@@ -15,7 +15,7 @@ from servocore.errors import (
     InvalidSetting,
     ServocoreWarning,
     require_kind,
-    require_real,
+    require_positive,
 )
 from servocore.identification.fit import Converged, Fit, minimized
 from servocore.identification.logs import Blocks, Log, Record, records, stretches
@@ -112,9 +112,7 @@ def identify(
     problem = Problem.of(extended)
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
-    require_real(bias, "the bias of the inputs", "a fraction, such as 0.01", InvalidSetting)
-    if not 0.0 <= bias < np.inf:
-        raise InvalidSetting(f"the bias of the inputs must be finite and not negative, not {bias:g}")
+    require_positive(bias, "the bias of the inputs", "a fraction, such as 0.01", or_zero=True)
     names = chosen_parameters(parameters, problem)
     read = records(log, extended, positions_of(problem.resolved))
     fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
@@ -147,9 +145,7 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
     """Return the relative standard uncertainty of each parameter."""
     given = believed if isinstance(believed, Mapping) else {"*": believed}
     for pattern, value in given.items():
-        require_real(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2", InvalidSetting)
-        if not 0.0 < value < np.inf:
-            raise InvalidSetting(f"the uncertainty of {pattern} must be positive and finite, not {value:g}")
+        require_positive(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
     own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)

@@ -7,7 +7,7 @@ import numpy as np
 
 from servocore.effects.model_inversion import at_rest, inverted
 from servocore.effects.position_loops import PositionLoops, held, measured_in, wrapped
-from servocore.errors import IntegrationFailed, InvalidSetting, require_real
+from servocore.errors import IntegrationFailed, InvalidSetting, require_positive
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, chained
@@ -79,9 +79,7 @@ def measured(
     require_scene(plant := plant or scene, "measured")
     sensors = {"step": step, "resolution": resolution, "noise": noise, "bias": bias, "delay": delay}
     for name, value in {**sensors, "outliers": outliers, "missing": missing}.items():
-        require_real(value, f"the {name} of a synthetic log", "a number", InvalidSetting)
-        if not 0.0 <= value < np.inf:
-            raise InvalidSetting(f"the {name} of a synthetic log must be finite and not negative, not {value:g}")
+        require_positive(value, f"the {name} of a synthetic log", "a number", or_zero=True)
     each = round(step / _CYCLE)
     if each < 1 or abs(each * _CYCLE - step) > 1e-9:
         raise InvalidSetting(f"a synthetic log needs a step of whole milliseconds, not {step:g} s")
