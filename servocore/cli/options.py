@@ -33,7 +33,7 @@ from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.drive_files import read_drives
+from servocore.model.drives import read_drives
 from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_parameters, read_table

@@ -37,10 +37,11 @@ def identified_page(found: Identified, note: str = "") -> str:
     InvalidSetting
         If matplotlib is missing.
     """
-    residuals = [("input", "correlation at lag one", "density near zero by white noise", "delay, s", "bias")]
-    for name, (persistence, correlation) in found.whiteness.items():
+    head = ("correlation at lag one", "density near zero by white noise", "dependence on speed, chi-squared of 5")
+    residuals = [("input", *head, "delay, s", "bias")]
+    for name, (persistence, correlation, by_speed) in found.whiteness.items():
         delay, bias = (", ".join(f"{each:.3g}" for each in of[name]) for of in (found.delays, found.biases))
-        residuals.append((name, f"{correlation:.2f}", f"{persistence:.2g}", delay, bias))
+        residuals.append((name, f"{correlation:.2f}", f"{persistence:.2g}", f"{by_speed:.3g}", delay, bias))
     unknown = "".join(f"<li>{escape(each)}</li>" for each in found.unidentifiable or ("nothing",))
     return "\n".join([
         "<!doctype html>\n<html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
