@@ -10,7 +10,7 @@ from itertools import dropwhile, takewhile
 import casadi as ca
 import numpy as np
 
-from servocore.importers.options import Options
+from servocore.importers.options import Options, driven_joints
 from servocore.importers.recursion import Motion, Place, stages_of
 from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tree
 from servocore.model.quantity import Quantity
@@ -36,12 +36,11 @@ class Layout:
         The mechanism.
     options : Options
         Choices of the user.
-    driven : sequence of str
-        Joints with a drive.
     """
 
-    def __init__(self, tree: Tree, options: Options, driven: frozenset[str]) -> None:
-        self.tree = tree
+    def __init__(self, tree: Tree, options: Options) -> None:
+        options.require_known(tree)
+        self.tree, driven = tree, driven_joints(tree, options)
         self.ropes = {body: rope_hinges(tree, body, driven) for body in options.ropes}
         on_way = {name for hinges in self.ropes.values() for name in _below(tree, hinges)}
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
@@ -58,6 +57,7 @@ class Layout:
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
             *(Quantity(f"{name}.{axis}", "m") for name in (*options.points, *options.ropes) for axis in "xyz"),
         )
+        self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
 
     def _declared(self) -> list[Parameter]:

@@ -182,7 +182,7 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
             what = f"{name}{RATE}" if rate else name
             limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
 
-    for joint in assembly.layout.moving:
+    for joint in assembly.moving:
         if joint.kind != "ball":
             unit = "rad" if joint.kind == "hinge" else "m"
             add(joint.name, unit, joint.lower, joint.upper)
@@ -203,25 +203,24 @@ class _Drawing:
     def __call__(self, v: Mapping[str, Any]) -> list[Part]:
         """Return the parts for symbols of the reported quantities by name."""
         assembly = Assembly(self.tree, self.options)
-        layout, q = assembly.layout, assembly.q
-        values = ca.vertcat(*[v[name] for name in layout.coordinates.names])
+        values = ca.vertcat(*[v[name] for name in assembly.coordinates.names])
         loads = {*self.options.points, *self.options.ropes}
         named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
         tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
-        origins = [position for _, position in layout.motion.world]
+        origins = [position for _, position in assembly.motion.world]
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
         parts += [
             ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
-            for stage, origin in zip(layout.stages, origins, strict=True)
+            for stage, origin in zip(assembly.stages, origins, strict=True)
         ]
-        parts += [("rope", (origins[layout.anchor(body)], layout.point(body)), "") for body in layout.ropes]
+        parts += [("rope", (origins[assembly.anchor(body)], assembly.point(body)), "") for body in assembly.ropes]
         for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
-            tip, stage = layout.position(name), layout.place(name).stage
+            tip, stage = assembly.position(name), assembly.place(name).stage
             parts += [("body", (tip,), name)]
             parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
 
         def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, q, values)))
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, assembly.q, values)))
             return x, y, z
 
         apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]

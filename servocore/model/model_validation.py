@@ -102,14 +102,14 @@ def _require_names(system: MechanicalSystem) -> None:
                 raise InvalidModel(
                     f"{system.name}: two of the {kind} are called {name}, one of them needs another name"
                 )
-            if other != kind and not _same(same_expression, expression):
+            if other != kind and not equal_at_a_point(same_expression, expression):
                 raise InvalidModel(
                     f"{system.name}: {name} is the name of two quantities, one of the {other} and one of the {kind};"
                     " one of them needs another name"
                 )
 
 
-def _same(one: ca.SX, other: ca.SX) -> bool:
+def equal_at_a_point(one: ca.SX, other: ca.SX) -> bool:
     """Whether two expressions have the same value at a point without symmetry."""
     if ca.is_equal(one, other):
         return True

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, described, require_kind
+from servocore.model.model_validation import equal_at_a_point
 from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
 from servocore.model.rotationless.flexible import Line
@@ -226,21 +227,11 @@ class Assembly:
             if not (isinstance(row, Distance) and row.is_rope(self.coordinates.q)):
                 continue
             tension = row.tension(lam[name])
-            same = [quantity for quantity, value in with_tensions.items() if self._equal(value, tension, lam)]
+            same = [quantity for quantity, value in with_tensions.items() if equal_at_a_point(value, tension)]
             with_tensions = {replace(k, tension=True) if k in same else k: value for k, value in with_tensions.items()}
             if not same:
                 with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)] = tension
         return with_tensions
-
-    def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:
-        """Whether two expressions have the same value at a point without symmetry."""
-        symbols = [self.coordinates.q, ca.vertcat(*lam.values()), self.parameters.p]
-        compare = ca.Function("sc_compare", symbols, [one, other], {"allow_free": True})
-        if compare.get_free():
-            return False
-        point = [np.sin(1.0 + 7 * k + np.arange(symbol.numel())) for k, symbol in enumerate(symbols[:2])]
-        first, second = (float(value) for value in compare(*point, self.parameters.values()))
-        return abs(first - second) <= 1e-9 * max(abs(first), abs(second))
 
     def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
         """Name every row by its joint, with a number where that has several."""

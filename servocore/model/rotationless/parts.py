@@ -296,7 +296,7 @@ def _orthonormality(frame: Frame) -> ca.SX:
     )  # fmt: skip
 
 
-def turned(axis: Sequence[float], angle: Scalar) -> ca.SX:
+def turned(axis: Sequence[float] | Array, angle: Scalar) -> ca.SX:
     """Return directors turned by `angle` (rad) about `axis`, which must not be zero, shape (3, 3)."""
     e, angle = _unit(axis, "axis"), as_expression(angle, "the angle")
     cross = ca.SX(ca.sparsify(ca.skew(ca.DM(e))))
@@ -315,7 +315,7 @@ def _triad(axis: Sequence[float], normal: Sequence[float] | None) -> tuple[Array
     return n, np.cross(e, n), e
 
 
-def _unit(direction: Sequence[float], what: str) -> Array:
+def _unit(direction: Sequence[float] | Array, what: str) -> Array:
     try:
         values = np.array([float(entry) for entry in direction])
     except (TypeError, ValueError, RuntimeError):
