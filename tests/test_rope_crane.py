@@ -33,7 +33,6 @@ def load(solution: sc.Solution) -> Array:
     return np.array([solution[axis] for axis in "xyz"])
 
 
-
 # Hoisting -------------------------------------------------------------------------------------------------------------
 
 

@@ -19,7 +19,6 @@ from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
 from servocore.importers.options import Options, driven_joints
-from servocore.importers.outputs import rows_of_outputs
 from servocore.importers.recursion import rounded, sparse
 from servocore.importers.tree import Closure, Tendon, Tree
 from servocore.model.quantity import Quantity
@@ -69,7 +68,7 @@ class Assembly(Layout):
         gamma, lam = reference_symbols(len(self.drives)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
-        outputs = rows_of_outputs(self, self.output_names, posture)
+        outputs = self.output_rows(self.output_names, posture)
         if len(outputs) != len(self.drives):
             one, other = (
                 ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.drives])
