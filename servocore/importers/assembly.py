@@ -8,9 +8,11 @@ For an elastic joint with motor theta behind its gear and link q (Spong),
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +23,7 @@ from servocore.importers.drives import Drive, chosen_drives, rotors
 from servocore.importers.options import Options, driven_joints
 from servocore.importers.recursion import rounded, sparse
 from servocore.importers.tree import Closure, Tendon, Tree
+from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.compiled_calls import Array
@@ -57,6 +60,35 @@ class Mechanism:
         taut = {f"range of tendon {name}" for name in self.options.taut}
         own = [each for each in self.tree.left_out if each.partition(",")[0] not in taut]
         return [*own, *Assembly(self.tree, self.options).left_out]
+
+    def drawing(self, v: Mapping[str, Any]) -> list[Part]:
+        """Return the parts for symbols of the reported quantities by name.
+
+        Links are bars between joints, joints pins, frames that follow a path bodies.
+        """
+        assembly = Assembly(self.tree, self.options)
+        values = ca.vertcat(*[v[name] for name in assembly.coordinates.names])
+        loads = {*self.options.points, *self.options.ropes}
+        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
+        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
+        origins = [position for _, position in assembly.motion.world]
+        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
+        parts += [
+            ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
+            for stage, origin in zip(assembly.stages, origins, strict=True)
+        ]
+        parts += [("rope", (origins[assembly.anchor(body)], assembly.point(body)), "") for body in assembly.ropes]
+        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+            tip, stage = assembly.position(name), assembly.place(name).stage
+            parts += [("body", (tip,), name)]
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
+
+        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, assembly.q, values)))
+            return x, y, z
+
+        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
+        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]
 
 
 class Assembly(Layout):
@@ -239,17 +271,12 @@ class Assembly(Layout):
         """Return the rows of a constraint beside the tree."""
         tree = self.tree
         if closure.kind in ("joint", "tendon"):
-            one, other = (
-                None
-                if not name
-                else self.motion.q[name]
-                if closure.kind == "joint"
-                else self.length(tree.tendons[name])
-                for name in (closure.first, closure.second)
+            of: Callable[[str], ca.SX] = (
+                self.motion.q.__getitem__ if closure.kind == "joint" else lambda name: self.length(tree.tendons[name])
             )
-            moved = ca.SX(0) if other is None else other - closure.rest[1]
-            assert one is not None
-            return [one - closure.rest[0] - sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))]
+            moved = of(closure.second) - closure.rest[1] if closure.second else ca.SX(0)
+            polynomial = sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))
+            return [of(closure.first) - closure.rest[0] - polynomial]
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
             turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
