@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,7 +25,7 @@ _DIRECTED = 12  # coordinates of a node with directors
 _ROUND_OFF = 1e-9  # relative: an inertia is physical within this
 
 
-class Part(ABC):
+class Part:
     """A part of a mechanism: one node, or several, each a position or a position with three directors.
 
     Attributes
@@ -60,15 +59,14 @@ class Part(ABC):
         )
 
     @property
-    @abstractmethod
     def mass_matrix(self) -> ca.SX:
-        """Constant mass matrix of the coordinates."""
+        """Constant mass matrix of the coordinates; zero of a part without mass."""
+        return ca.SX(len(self.quantities), len(self.quantities))
 
-    @abstractmethod
-    def first_moment(self, q: ca.SX) -> ca.SX:
+    def first_moment(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - of the coordinates of a part with mass
         """Return mass times position of the centre of mass, shape (3,), kg m."""
+        return ca.SX(3, 1)
 
-    @abstractmethod
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
 
@@ -109,18 +107,6 @@ class Augmented(Part):
     def quantities(self) -> tuple[Quantity, ...]:
         """The coordinate."""
         return (self.quantity,)
-
-    @property
-    def mass_matrix(self) -> ca.SX:
-        """Zero, shape (1, 1)."""
-        return ca.SX(1, 1)
-
-    def first_moment(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - as for a body
-        """Return zero."""
-        return ca.SX(3, 1)
-
-    def check(self, parameters: Parameters) -> None:
-        """Accept any: `Coordinates` checks quantities."""
 
 
 @dataclass(frozen=True, eq=False)
