@@ -109,7 +109,7 @@ def _reactions(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.S
         return {}
     mu, nu = coordinates.q, coordinates.v
     nu_dot, d, v_dot = (ca.SX.sym("", len(each)) for each in (coordinates, system.outputs, system.coordinates))
-    rate, without = ca.jtimes(mapping, mu, nu), ca.SX(*system.lam.shape)
+    rate, without = ca.jtimes(mapping, mu, nu), ca.SX.zeros(system.lam.numel())
     left = ca.mtimes(system.C.T, d) - ca.substitute(system.momentum_balance(v_dot), system.lam, without)
     balance, *seen = ca.substitute(
         [ca.horzcat(ca.mtimes(system.G, system.G.T), ca.mtimes(system.G, left)), *wanted.values()],
