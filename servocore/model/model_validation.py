@@ -47,9 +47,10 @@ def require_sound(system: MechanicalSystem) -> None:
         not symmetric and positive semidefinite.
     """
     _require_names(system)
-    q, v, p, lam, u, gamma = groups = (system.q, system.v, system.p, system.lam, system.u, system.gamma)
-    every = ca.vertcat(*(ca.vec(symbols) for symbols in groups))
-    if len(ca.symvar(every)) < every.numel():
+    groups = (system.q, system.v, system.p, system.lam, system.u, system.gamma)
+    of_q, of_v, of_p, _, _, of_gamma = hashed = [_hashes(group) for group in groups]
+    anywhere = frozenset[int]().union(*hashed)
+    if len(anywhere) < sum(group.numel() for group in groups):
         raise InvalidModel(
             f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
         )
@@ -58,14 +59,14 @@ def require_sound(system: MechanicalSystem) -> None:
             raise InvalidModel(f"{system.name}: {field} must not depend on the time")
     fields = {field: getattr(system, field) for field in (*_AT_REST, *_MOVING)}
     fields |= {f"observable {quantity.name}": expression for quantity, expression in system.observables.items()}
-    still, moving = ca.vertcat(q, p, system.time), ca.vertcat(q, v, p, system.time)
-    _require_symbols(system.name, "guess", system.guess, ca.vertcat(ca.vec(gamma), p))
+    still = of_q | of_p | _hashes(system.time)
+    _require_symbols(system.name, "guess", system.guess, of_gamma | of_p)
     for what, expression in fields.items():
-        allowed = still if what in _AT_REST else moving if what in _MOVING else every
-        _require_symbols(system.name, what, expression, allowed)
+        known = still if what in _AT_REST else still | of_v if what in _MOVING else anywhere
+        _require_symbols(system.name, what, expression, known)
     home, p_home = _home(system)
     points, rates = probes(home, system.coordinates.nominal, p_home), np.cos(np.arange(len(home)))
-    rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in (lam, u, gamma)]
+    rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in groups[3:]]
     rest[-1][len(system.outputs) :, 0] = _TIME
     evaluate = ca.Function("sc_fields", list(groups), list(fields.values()))
     evaluated = [[np.asarray(value) for value in evaluate.call([at, rates, p_at, *rest])] for at, p_at in points]
@@ -75,9 +76,13 @@ def require_sound(system: MechanicalSystem) -> None:
     require_mass(system.name, masses[:3], system.coordinates.names)
 
 
-def _require_symbols(whose: str, what: str, expression: ca.SX, allowed: ca.SX) -> None:
-    """Raise `InvalidModel` if an expression holds other symbols than the allowed ones."""
-    known = {symbol.element_hash() for symbol in ca.symvar(allowed)}
+def _hashes(expression: ca.SX) -> frozenset[int]:
+    """Return hashes of the symbols in an expression."""
+    return frozenset(symbol.element_hash() for symbol in ca.symvar(expression))
+
+
+def _require_symbols(whose: str, what: str, expression: ca.SX, known: frozenset[int]) -> None:
+    """Raise `InvalidModel` if an expression holds a symbol whose hash is not known."""
     leftover = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
     if leftover:
         raise InvalidModel(f"{whose}: {what} holds symbols that it must not use: {leftover}")
