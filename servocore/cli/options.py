@@ -33,10 +33,8 @@ from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.drives import read_drives
-from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
-from servocore.model.parameter_files import read_parameters, read_table
+from servocore.model.parameter_files import read_drives, read_limits, read_parameters, read_table
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
