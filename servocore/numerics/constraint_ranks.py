@@ -17,8 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, Call
-from servocore.numerics.components import LARGE, singular_values
-from servocore.numerics.conditioning import gram_solver
+from servocore.numerics.components import LARGE, gram_solver, singular_values
 
 ROUND_OFF = 1e-9
 """Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""

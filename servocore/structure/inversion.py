@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import Part, parts_of
+from servocore.numerics.components import Part, parts_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
@@ -132,19 +131,7 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
 @made_once
 def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
     """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is."""
-    pattern = _system_jacobian(array)[1].sparsity()
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
-    _, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
-    blocks = []
-    for (a, b), (c, d) in zip(pairwise(row_ends), pairwise(column_ends), strict=True):
-        own_rows, own_columns = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
-        entries = np.flatnonzero(np.isin(rows, own_rows) & np.isin(columns, own_columns))
-        row_places, column_places = (
-            np.argsort(own)[np.searchsorted(np.sort(own), at[entries])]
-            for own, at in ((own_rows, rows), (own_columns, columns))
-        )
-        blocks.append(Part(own_rows, own_columns, entries, (row_places, column_places)))
-    return tuple(blocks)
+    return triangular_blocks(_system_jacobian(array)[1].sparsity())
 
 
 def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
