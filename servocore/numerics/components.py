@@ -7,7 +7,7 @@ are computed, from sparse factors. Rows and columns are scaled first: rank and c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -134,7 +134,7 @@ def equilibrated(matrix: Array) -> Array:
     return scaled
 
 
-def _equilibrated(places: Sequence[Places], entries: Array) -> Array:
+def _equilibrated(places: Iterable[Places], entries: Array) -> Array:
     """Scale the entries of sparse matrices, shape (nnz, N), at these rows and columns, as `equilibrated` does."""
     scaled, lines = np.array(entries, dtype=np.float64), []
     for of_entry in places:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import without_jumps
 
 _FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
@@ -220,7 +221,7 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
         return small_inverse_times(matrix, right)
     if matrix.size1() <= _LARGEST:
         rows = _with_right_side(matrix, right)
-        products, order = _cheapest_order([frozenset(row) for row in rows])
+        products, order = _cheapest_order(tuple(frozenset(row) for row in rows))
         if products <= _DEAREST * matrix.size1() ** 3:
             return _by_determinants([rows[i] for i in order])
     # QR is Gram and Schmidt's here: its error grows with the square of the condition, which is large where equations of
@@ -274,15 +275,12 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
         for j in sorted(row.keys() - columns):
             term = row[j] * minor
             odd = sum(k < j for k in columns) % 2
-            more_columns = columns | {j}
-            if more_columns in larger:
-                larger[more_columns] = larger[more_columns] - term if odd else larger[more_columns] + term
-            else:
-                larger[more_columns] = -term if odd else term
+            larger[columns | {j}] = larger.get(columns | {j}, ca.SX(0)) + (-term if odd else term)
     return larger
 
 
-def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
+@made_once  # blocks of derivatives repeat
+def _cheapest_order(rows: tuple[_Columns, ...]) -> tuple[int, list[int]]:
     """Return the fewest products that developing takes, and the order of rows for it, the lowest first.
 
     The set of minors depends on the rows, not on their order. By dynamic programming, the best order of some rows

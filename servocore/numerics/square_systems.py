@@ -27,7 +27,7 @@ from servocore.numerics.elimination import (
     symbolic_solution,
     tear,
 )
-from servocore.numerics.expressions import constants_kept, largest
+from servocore.numerics.expressions import largest
 from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE, TICK, compile_newton
 from servocore.numerics.step_operations import without_jumps
 
@@ -340,21 +340,15 @@ def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) ->
 
 def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     """Return the solution by Newton's method, NaN if it does not converge."""
-    start, scale, row_scale = known.evaluated(
-        "sc_prepare", block.guess / block.unknown_scale, block.unknown_scale, block.residual_scale
-    )
+    unknown_scale, residual_scale = block.unknown_scale, block.residual_scale
+    start, scale = known.evaluated("sc_prepare", block.guess / unknown_scale, unknown_scale)
     size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
-    scale_symbol, varying = constants_kept(block.unknown_scale)
-    row_scale_symbol, rows_varying = constants_kept(block.residual_scale)
-    symbols, values = known.needed(block.residual)
-    equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
-    x = ca.vertcat(scaled, clock)
-    p = ca.vertcat(symbols, *[each[k] for each, k in ((scale_symbol, varying), (row_scale_symbol, rows_varying)) if k])
-    given = ca.vertcat(values, *[each[k] for each, k in ((scale, varying), (row_scale, rows_varying)) if k])
-    root = compile_newton(x, p, ca.vertcat(equations, ca.exp(-clock / TICK)), symbols, block.tolerance)(
-        ca.vertcat(start, 0), given
-    )
+    symbols, values = known.needed(block.residual, unknown_scale, residual_scale)
+    equations = ca.substitute(block.residual, block.unknowns, scaled * unknown_scale) / residual_scale
+    x, data = ca.vertcat(scaled, clock), known.needed(block.residual)[0]
+    newton = compile_newton(x, symbols, ca.vertcat(equations, ca.exp(-clock / TICK)), data, block.tolerance)
+    root = newton(ca.vertcat(start, 0), values)
     ticks = root[size] / TICK
     known.iterations.append(ticks)
     # A count at the limit is a failure: NaN instead of the last iterate.
