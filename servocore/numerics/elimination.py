@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.numerics.components import filled
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import without_jumps
 
@@ -86,6 +87,10 @@ class KnownValues:
         results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
         return results
 
+    def final(self, outputs: list[ca.SX], *, common: bool = True) -> list[ca.MX]:
+        """Return the values of outputs once all unknowns are solved, dense."""
+        return self.evaluated("sc_finish", *map(ca.densify, self.resolved(*outputs)), common=common)
+
     def counts(self) -> ca.MX:
         """Return the iterations of the slowest block, and the factorizations of all."""
         most, total = ca.MX(0), ca.MX(self.linear_blocks)
@@ -131,7 +136,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     or come later in the list; they are returned already resolved among themselves.
     """
     jacobian = ca.jacobian(without_jumps(residual), unknowns)
-    pattern = dependence(jacobian)
+    pattern = filled(ca.DM(jacobian.sparsity(), 1)) > 0.0
     constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
     active_rows, active_columns = set(range(len(pattern))), set(range(len(pattern)))
     pivots: list[tuple[int, int]] = []
@@ -178,13 +183,6 @@ def nonlinear_rows(residual: ca.SX, unknowns: ca.SX, slopes: ca.SX) -> set[int]:
 def own_slopes(residual: ca.SX, unknowns: ca.SX) -> ca.SX:
     """Return the derivative of every row by the one unknown that it holds, all by one sweep, as a dense column."""
     return ca.densify(ca.jtimes(residual, unknowns, ca.SX.ones(unknowns.numel())))
-
-
-def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
-    """Return the sparsity pattern of a matrix as a Boolean array."""
-    pattern = np.zeros(jacobian.shape, dtype=bool)
-    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
-    return pattern
 
 
 def _cheapest_pivot(
