@@ -17,7 +17,7 @@ from thinned import thinned
 
 import servocore as sc
 from servocore.checks.internal_stability import ADVICE
-from servocore.numerics.conditioning import condition_number
+from servocore.numerics.components import condition_number
 from servocore.references.rest_to_rest import RestToRest
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")

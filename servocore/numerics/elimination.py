@@ -12,6 +12,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.numerics.components import filled
+from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import without_jumps
 
 _FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
@@ -85,6 +87,10 @@ class KnownValues:
         results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
         return results
 
+    def final(self, outputs: list[ca.SX], *, common: bool = True) -> list[ca.MX]:
+        """Return the values of outputs once all unknowns are solved, dense."""
+        return self.evaluated("sc_finish", *map(ca.densify, self.resolved(*outputs)), common=common)
+
     def counts(self) -> ca.MX:
         """Return the iterations of the slowest block, and the factorizations of all."""
         most, total = ca.MX(0), ca.MX(self.linear_blocks)
@@ -130,7 +136,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     or come later in the list; they are returned already resolved among themselves.
     """
     jacobian = ca.jacobian(without_jumps(residual), unknowns)
-    pattern = dependence(jacobian)
+    pattern = filled(ca.DM(jacobian.sparsity(), 1)) > 0.0
     constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
     active_rows, active_columns = set(range(len(pattern))), set(range(len(pattern)))
     pivots: list[tuple[int, int]] = []
@@ -179,13 +185,6 @@ def own_slopes(residual: ca.SX, unknowns: ca.SX) -> ca.SX:
     return ca.densify(ca.jtimes(residual, unknowns, ca.SX.ones(unknowns.numel())))
 
 
-def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
-    """Return the sparsity pattern of a matrix as a Boolean array."""
-    pattern = np.zeros(jacobian.shape, dtype=bool)
-    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
-    return pattern
-
-
 def _cheapest_pivot(
     pattern: npt.NDArray[np.bool_],
     constant: set[tuple[int, int]],
@@ -220,7 +219,7 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
         return small_inverse_times(matrix, right)
     if matrix.size1() <= _LARGEST:
         rows = _with_right_side(matrix, right)
-        products, order = _cheapest_order([frozenset(row) for row in rows])
+        products, order = _cheapest_order(tuple(frozenset(row) for row in rows))
         if products <= _DEAREST * matrix.size1() ** 3:
             return _by_determinants([rows[i] for i in order])
     # QR is Gram and Schmidt's here: its error grows with the square of the condition, which is large where equations of
@@ -274,15 +273,12 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
         for j in sorted(row.keys() - columns):
             term = row[j] * minor
             odd = sum(k < j for k in columns) % 2
-            more_columns = columns | {j}
-            if more_columns in larger:
-                larger[more_columns] = larger[more_columns] - term if odd else larger[more_columns] + term
-            else:
-                larger[more_columns] = -term if odd else term
+            larger[columns | {j}] = larger.get(columns | {j}, ca.SX(0)) + (-term if odd else term)
     return larger
 
 
-def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
+@made_once  # blocks of derivatives repeat
+def _cheapest_order(rows: tuple[_Columns, ...]) -> tuple[int, list[int]]:
     """Return the fewest products that developing takes, and the order of rows for it, the lowest first.
 
     The set of minors depends on the rows, not on their order. By dynamic programming, the best order of some rows

@@ -173,9 +173,11 @@ def choose_states(structure: Signature, J: Array) -> tuple[tuple[int, int], ...]
     """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
 
     At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
-    column pivoting on the system Jacobian `J` and nested from level to level; the others are states.
+    column pivoting on the system Jacobian `J` and nested from level to level; the others are states. Columns are scaled
+    by nominal values: a small strain, computed as the difference of large coordinates, would be a poor choice.
     """
-    c, d = structure.equation_offsets, structure.variable_offsets
+    c, d, nominal_values = structure.equation_offsets, structure.variable_offsets, structure.equations.home.nominal
+    J = J * np.array([*nominal_values, *[1.0] * (len(d) - len(nominal_values))])
     chosen = list(range(len(d)))
     states: list[tuple[int, int]] = []
     for level in range(1, max(d) + 1):
