@@ -217,8 +217,8 @@ def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch
             if each.proved and not each.outside:
                 right = next(k for k in exact.intervals if k.begin <= each.begin < k.end)
                 x = exact.ring.rows(np.array([[2.0 * (each.begin - right.begin) / (right.end - right.begin) - 1.0]]))
-                apart = np.abs(x[0] @ present(right.c) - exact.ring.rows(np.array([[-1.0]]))[0] @ present(each.c))
-                assert (apart <= each.rho + right.rho + 1e-12 * exact.peaks).all(), size
+                apart = np.abs(x[0] @ right.x[:-1] - exact.ring.rows(np.array([[-1.0]]))[0] @ each.x[:-1])
+                assert (apart <= each.x[-1] + right.x[-1] + 1e-12 * exact.peaks).all(), size
 
 
 # Solutions, parameters ------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import pytest
 from flint import arb, ctx
 
 from servocore.certificate import programs
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, model_of
 from servocore.certificate.equations import _without_steps
 from servocore.certificate.walk import walk_of
 from servocore.numerics.compiled_calls import Array
@@ -47,12 +47,12 @@ def random_model(rng: np.random.Generator, ring: Arithmetic, count: int, positiv
     else:
         size = np.minimum(size, 5.0)  # arguments of exp, and turns of angles, stay moderate
     r = size * rng.choice([0.0, 1e-12, 1e-6], count)
-    return (c * size)[:, :, None], r[:, None]
+    return model_of((c * size)[:, :, None], r[:, None])
 
 
 OPERATIONS: dict[str, tuple[int, bool, Callable[..., Model], Exact]] = {
-    "sum": (2, False, lambda ring, a, b: ring.sum(a, b), lambda a, b: a + b),
-    "difference": (2, False, lambda ring, a, b: ring.sum(a, b, -1.0), lambda a, b: a - b),
+    "sum": (2, False, lambda _, a, b: programs.summed(a, b), lambda a, b: a + b),
+    "difference": (2, False, lambda _, a, b: programs.summed(a, b, -1.0), lambda a, b: a - b),
     "product": (2, False, lambda ring, a, b: ring.product(a, b), lambda a, b: a * b),
     "inverse": (1, True, lambda ring, a: ring.inverse(a), lambda a: 1 / a),
     "root": (1, True, lambda ring, a: ring.root(a), lambda a: a.sqrt()),
@@ -74,7 +74,8 @@ def require_inside(name: str, degrees: tuple[int, ...], count: int, seed: int) -
     rng, ring = np.random.default_rng(seed), arithmetic(degrees)
     arguments, positive, operation, exact = OPERATIONS[name]
     models = [random_model(rng, ring, count, positive) for _ in range(arguments)]
-    c, r = operation(ring, *models)
+    result = operation(ring, *models)
+    c, r = result[:-1], result[-1]
     assert np.isfinite(r).mean() > 0.9
     for k in range(count):
         point = rng.uniform(-1.0, 1.0, len(degrees)) if k % 4 else rng.choice([-1.0, 1.0], len(degrees))
@@ -83,8 +84,8 @@ def require_inside(name: str, degrees: tuple[int, ...], count: int, seed: int) -
             before[0] = (point[0] - 1.0) / 2.0
         shifts = rng.choice([-1.0, 1.0], len(models)).tolist()
         values = [
-            exact_value(ring, a[:, k, 0], before) + arb(float(radius[k, 0])) * arb(s)
-            for (a, radius), s in zip(models, shifts, strict=True)
+            exact_value(ring, a[:-1, k, 0], before) + arb(float(a[-1, k, 0])) * arb(s)
+            for a, s in zip(models, shifts, strict=True)
         ]
         off = abs(exact(*values) - exact_value(ring, c[:, k, 0], point))
         assert not off > arb(float(r[k, 0])), (name, k, off, r[k, 0])
@@ -100,8 +101,8 @@ def test_no_result_lies_outside_its_model(name: str, degrees: tuple[int, ...], c
 @pytest.mark.parametrize("degrees", DEGREES, ids=str)
 def test_spans_hold_all_values(degrees: tuple[int, ...]) -> None:
     rng, ring = np.random.default_rng(3), arithmetic(degrees)
-    c, r = random_model(rng, ring, 200)
-    low, high = ring.span((c, r))
+    a = random_model(rng, ring, 200)
+    (low, high), c, r = ring.span(a), a[:-1], a[-1]
     values = np.einsum("nt,tk->nk", ring.rows(rng.uniform(-1.0, 1.0, (500, len(degrees)))), c[:, :, 0])
     assert (values + r[:, 0] <= high[:, 0] + 1e-12).all()
     assert (values - r[:, 0] >= low[:, 0] - 1e-12).all()
@@ -113,7 +114,7 @@ def test_spans_hold_all_values(degrees: tuple[int, ...]) -> None:
 def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     rng, terms, places = np.random.default_rng(4), len(arithmetic(degrees).nodes), 9
     steps = [(int(rng.integers(3)), 4 + k, *rng.integers(0, 4 + k, 2).tolist()) for k in range(places - 4)]
-    program = programs.program_of(steps, {6, 8})
+    program = programs.Program(steps, {6, 8})
     models = np.zeros((terms + 1, places, 37))
     models[:, :4] = np.abs(rng.normal(size=(terms + 1, 4, 37)))
     code = programs.machine_code()
@@ -131,9 +132,9 @@ X = ca.SX.sym("x")
 
 
 def line() -> Model:
-    c = np.zeros((11, 1, 1))
-    c[1] = 1.0
-    return c, np.zeros((1, 1))
+    a = np.zeros((12, 1, 1))
+    a[1] = 1.0
+    return a
 
 
 EXPRESSIONS: dict[str, tuple[Callable[[ca.SX], ca.SX], Exact]] = {
@@ -157,25 +158,26 @@ EXPRESSIONS: dict[str, tuple[Callable[[ca.SX], ca.SX], Exact]] = {
 def test_expressions_are_enclosed_by_the_operations_they_consist_of(name: str) -> None:
     written, exact = EXPRESSIONS[name]
     ring, x = arithmetic((10,)), ca.SX.sym("x")
-    c = np.zeros((11, 1, 1))
-    c[:3, 0, 0] = 0.1, 0.4, 0.05
-    found, radius = walk_of(written(x), x)(ring, (c, np.zeros((1, 1))))
-    assert radius[0, 0] < 1e-4
+    a = np.zeros((12, 1, 1))
+    a[:3, 0, 0] = 0.1, 0.4, 0.05
+    found = walk_of(written(x), x)(ring, a)[:, 0, 0]
+    assert found[-1] < 1e-4
     for point in np.linspace(-1.0, 1.0, 21):
-        value = exact(exact_value(ring, c[:, 0, 0], np.array([point])))
-        assert not abs(value - exact_value(ring, found[:, 0, 0], np.array([point]))) > arb(float(radius[0, 0]))
+        value = exact(exact_value(ring, a[:-1, 0, 0], np.array([point])))
+        assert not abs(value - exact_value(ring, found[:-1], np.array([point]))) > arb(float(found[-1]))
 
 
 @pytest.mark.parametrize("written", [lambda x: 1 / x, ca.log, lambda x: ca.fmod(x, 2.0)])
 def test_nothing_bounds_a_pole_inside(written: Callable[[ca.SX], ca.SX]) -> None:
-    assert np.isinf(walk_of(written(X), X)(arithmetic((10,)), line())[1]).all()
+    assert np.isinf(walk_of(written(X), X)(arithmetic((10,)), line())[-1]).all()
 
 
 @pytest.mark.parametrize("written", [ca.fabs, ca.sign, lambda x: ca.if_else(x > 0, x + 1, 2), lambda x: ca.fmax(x, 0.1),
                                      lambda x: ca.floor(3 * x), lambda x: ca.logic_or(x > 0.5, x < 0)])  # fmt: skip
 def test_jumps_and_kinks_are_enclosed_with_all_values(written: Callable[[ca.SX], ca.SX]) -> None:
     ring, x = arithmetic((10,)), np.linspace(-1.0, 1.0, 101)
-    c, r = walk_of(written(X), X)(ring, line())
+    found = walk_of(written(X), X)(ring, line())
+    c, r = found[:-1], found[-1]
     values = np.array([float(ca.Function("f", [X], [written(X)])(each)) for each in x])
     assert np.isfinite(r).all()
     assert (np.abs(ring.rows(x[:, None]) @ c[:, 0, 0] - values) <= r[0, 0]).all()

@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from servocore.certificate.krawczyk import blocks_of, joined
+from servocore.certificate.chebyshev import model_of
+from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
 from servocore.certificate.statements import Verdict, claims_of, known, walk_of_limits
 
@@ -26,14 +27,10 @@ def cause_of(proof: Proof) -> tuple[Verdict, float, str]:
     for time, sentence in switchings(proof):
         if sentence:
             return "refuted", time, sentence
-    unsolved = [each for each in unproved if not _is_solved(each)]
-    if first is proof.intervals[0] and unsolved and not (_is_solved(first) and first.switches):
+    unsolved = [each for each in unproved if not each.solved]
+    if first is proof.intervals[0] and unsolved and not (first.solved and first.switches):
         first = unsolved[0]
     return "undecided", first.begin, _sentence(proof, first)
-
-
-def _is_solved(each: Interval) -> bool:
-    return each.c is not None and bool(np.isfinite(each.c).all())
 
 
 def switchings(proof: Proof) -> list[tuple[float, str]]:
@@ -47,11 +44,11 @@ def switchings(proof: Proof) -> list[tuple[float, str]]:
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
     for a, b in pairwise(settled):
         gap, between = b.begin - a.end, order[order.index(a) + 1]
-        if not 0.0 < gap < _SHORT * proof.problem.reference.duration or a.c is None or b.c is None:
+        if not 0.0 < gap < _SHORT * proof.problem.reference.duration:
             continue
-        if not (_is_solved(between) and between.switches):
+        if not (a.x.size and b.x.size and between.solved and between.switches):
             continue
-        left, right = a.c.sum(axis=0), (-1.0) ** np.arange(len(b.c)) @ b.c
+        left, right = a.x[:-1].sum(axis=0), (-1.0) ** np.arange(len(b.x) - 1) @ b.x[:-1]
         jumps = ""
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
@@ -69,16 +66,16 @@ def _sentence(proof: Proof, each: Interval) -> str:
     """Return where an interval is, in which equations it is not proved, and why."""
     at = f"not proved from t = {each.begin:.6g} s to {each.end:.6g} s"
     slack = _slack(proof, each)
-    if not np.isfinite(proof.given([each])[1]).all():
+    if not np.isfinite(proof.given([each])[-1]).all():
         return f"{at}: nothing bounds the derivatives of the path"
-    if not _is_solved(each):
+    if not each.solved:
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
     array = proof.equations.array
     names = array.signature.equations.equations
     rows = dict.fromkeys(names[array.rows[k][0]] for k in blocks_of(proof.equations).around(max(each.failed, 0)))
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
     singular = ": the configuration is singular there, or two branches meet"
-    if not all(_is_solved(other) for other in proof.intervals[proof.intervals.index(each) :][:2]):
+    if not all(other.solved for other in proof.intervals[proof.intervals.index(each) :][:2]):
         singular = ": the configuration is singular there, and beyond it the path may be out of reach"
     return where + (slack or (": they have a kink or a jump there" if each.switches else singular))
 
@@ -90,12 +87,12 @@ def _slack(proof: Proof, each: Interval) -> str:
     limits += [claim.limit for claim in claims_of(problem.resolved) if not claim.told]
     limits = [limit for limit in limits if known(equations, limit)]
     reach = _NEAR * problem.reference.duration
-    near = [k for k in proof.intervals if _is_solved(k) and abs(k.begin - each.begin) < reach]
+    near = [k for k in proof.intervals if k.solved and abs(k.begin - each.begin) < reach]
     if not limits or not near:
         return ""
-    x = np.stack([other.c for other in near if other.c is not None], axis=2)
-    c, _ = walk_of_limits(equations, tuple(limits))(proof.ring, joined((x, 0.0 * x[0]), proof.given(near)))
-    values = proof.ring.values(c)
+    x = model_of(np.stack([other.x[:-1] for other in near], axis=2))
+    walk = walk_of_limits(equations, tuple(limits))
+    values = proof.ring.values(walk(proof.ring, np.concatenate([x, proof.given(near)], axis=1)))
     for k, limit in enumerate(limits):
         distance = values[:, k] - limit.bound
         if np.nanmin(distance) < _SMALL * np.nanmax(np.abs(distance)):

@@ -6,7 +6,7 @@ structure with all offsets one higher.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from servocore.certificate.chebyshev import Arithmetic, Model
 from servocore.certificate.walk import CONSTANT, Walk, lowered, walk_of
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
-from servocore.numerics.expressions import time_derivative
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
@@ -40,13 +39,13 @@ class Equations:
     array : DerivativeArray
         Differentiated once more for rates.
     symbols : casadi.SX
-        Unknowns, path with its derivatives, parameters, and states of the internal dynamics: arguments of the walks.
+        Unknowns, path with its derivatives, parameters, time, states of the internal dynamics: arguments of the walks.
     steps : Walk
         Of operations that are constant between jumps.
     residual, jacobian : Walk
         Of the equations, and of the entries of their Jacobian; arguments are the symbols and the steps.
-    pattern : casadi.Sparsity
-        Of the Jacobian.
+    transposed : casadi.Sparsity
+        Of the transposed Jacobian: CasADi counts entries by columns.
     curved : ndarray of bool
         Unknowns that the Jacobian or the steps depend on.
     motion, switching : list of int
@@ -58,31 +57,16 @@ class Equations:
     steps: Walk
     residual: Walk
     jacobian: Walk
-    pattern: ca.Sparsity
+    transposed: ca.Sparsity
     curved: npt.NDArray[np.bool_]
     motion: list[int]
     switching: list[int]
-
-    @property
-    def path_order(self) -> int:
-        """Highest derivative of the path that enters."""
-        return self.array.reference_order
 
     @cached_property
     def inputs(self) -> list[int]:
         """Places of the inputs among the unknowns."""
         first = len(self.array.names) - len(self.array.system.inputs)
         return [self.array.determined.index((j, 0)) for j in range(first, len(self.array.names))]
-
-    def walk(self, quantities: Iterable[tuple[ca.SX, bool]]) -> Walk:
-        """Return expressions of q, v, lam, u, gamma and p, of some the rates, as a walk of the same arguments."""
-        system, y = self.array.system, self.array.y
-        n = len(system.coordinates)
-        old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-        expressions, rates = zip(*quantities, strict=True)
-        values = ca.substitute(list(expressions), [old], [new])
-        wanted = (time_derivative(e, y, system.gamma) if rate else e for e, rate in zip(values, rates, strict=True))
-        return walk_of(ca.vertcat(*wanted), self.symbols)
 
 
 @made_once
@@ -91,17 +75,15 @@ def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
     array = differentiated_once_more(resolved.array) if raised else resolved.array
     x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
     residual, names, steps = _without_steps(array.residual)
-    symbols, J = ca.vertcat(x, gamma, array.system.p, array.column(array.states)), ca.jacobian(residual, x)
+    symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), array.column(array.states))
+    every, J = ca.vertcat(symbols, names), ca.jacobian(residual, x).T
     switching = ca.jacobian_sparsity(steps, x).get_col()
     curved = np.zeros(x.numel(), dtype=bool)
     curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
     n = len(array.system.coordinates)
     motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
-    every = ca.vertcat(symbols, names)
-    return Equations(
-        array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
-        curved, motion, switching,
-    )  # fmt: skip
+    walks = walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every)
+    return Equations(array, symbols, *walks, J.sparsity(), curved, motion, switching)
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -168,29 +150,27 @@ def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
 def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) -> list[Array]:
     """Evaluate a function of (gamma, p, *columns) at N points, filled up to a power of two: few maps are compiled."""
     count = len(jets)
-    full = 1 << (count - 1).bit_length()
-    padded = [np.concatenate([each, np.repeat(each[:, -1:], full - count, axis=1)], axis=1) for each in (p, *columns)]
-    jets = np.concatenate([jets, np.repeat(jets[-1:], full - count, axis=0)])
-    results = mapped(function, full)(side_by_side(jets), *padded)
-    results = results if isinstance(results, (list, tuple)) else [results]
-    return [each.reshape(-1, full, order="F")[:, :count].copy() for each in results]
+    full = np.minimum(np.arange(1 << (count - 1).bit_length()), count - 1)
+    results = mapped(function, len(full))(side_by_side(jets[full]), *(each[:, full] for each in (p, *columns)))
+    return [each.reshape(-1, len(full), order="F")[:, :count].copy() for each in results]
 
 
-def path_models(problem: Problem, ring: Arithmetic, begin: Array, end: Array, order: int) -> Model:
-    """Return models of the path and its derivatives on intervals, in the order of the equations' symbols."""
-    coefficients, radii = problem.reference.enclosure(begin, end, order, ring.degrees[0])
-    count = len(begin)
-    c = np.zeros((ring.degrees[0] + 1, len(ring.nodes) // (ring.degrees[0] + 1), radii[0].size, count))
-    c[:, 0] = np.moveaxis(coefficients.reshape(count, -1, ring.degrees[0] + 1), 0, 2).swapaxes(0, 1)
-    return c.reshape(len(ring.nodes), -1, count), radii.reshape(count, -1).T.copy()
+def given_models(
+    problem: Problem, ring: Arithmetic, begin: Array, end: Array, order: int, boxed: Mapping[int, tuple[float, float]]
+) -> Model:
+    """Return models of the path and its derivatives, the parameters and the time on intervals, as the walks take them.
 
-
-def parameter_models(ring: Arithmetic, p: Array, boxed: dict[int, tuple[float, float]], count: int) -> Model:
-    """Return models of the parameters: numbers, and intervals in the order of the arithmetic's variables."""
-    c, r = ring.constant(np.tile(p[:, None], count))
-    shaped = c.reshape(*(d + 1 for d in ring.degrees), *c.shape[1:])
-    for axis, (k, (low, high)) in enumerate(boxed.items(), 1):
-        shaped[(*(0 for _ in ring.degrees), k)] = (low + high) / 2.0
-        shaped[(*(int(axis == each) for each in range(len(ring.degrees))), k)] = (high - low) / 2.0
-        r[k] = 4e-16 * max(abs(low), abs(high))
-    return c, r
+    Parameters with an interval are variables of the arithmetic, in their order.
+    """
+    count, first = len(begin), ring.degrees[0] + 1
+    coefficients, radii = problem.reference.enclosure(begin, end, order, first - 1)
+    path = np.zeros((len(ring.nodes) + 1, radii[0].size, count))
+    path[:-1].reshape(first, -1, radii[0].size, count)[:, 0] = coefficients.reshape(count, -1, first).T
+    path[-1] = radii.reshape(count, -1).T
+    rest = ring.constant(np.tile([[each] for each in (*problem.p, 0.0)], count))
+    for axis, (k, (low, high)) in enumerate([(-1, (begin, end)), *boxed.items()]):
+        rest[0, k] = (low + high) / 2.0
+        if ring.degrees[axis]:
+            rest[np.flatnonzero(ring.orders.sum(axis=0) * (ring.orders[axis] == 1) == 1), k] = (high - low) / 2.0
+        rest[-1, k] = 4e-16 * np.maximum(np.abs(low), np.abs(high))
+    return np.concatenate([path, rest], axis=1)

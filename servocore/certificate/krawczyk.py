@@ -14,13 +14,12 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, norm
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.programs import UP, Places
 from servocore.certificate.walk import Walk, walk_of
@@ -36,34 +35,6 @@ _INVERTED = 4  # degree in time of approximate inverses
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
-    """A sparse matrix with entries that are given later, to multiply with.
-
-    Attributes
-    ----------
-    rows, columns : ndarray of int
-        Of the entries, sorted by rows.
-    """
-
-    rows: Places
-    columns: Places
-
-    @cached_property
-    def first(self) -> Places:
-        """Where rows begin."""
-        return np.flatnonzero(np.diff(self.rows, prepend=-1))
-
-    def __call__(self, entries: Array, x: Array) -> Array:
-        """Return the product of the matrix with `entries` (N, boxes) and vectors (columns, boxes)."""
-        if len(self.first) == len(x):
-            return np.asarray(np.add.reduceat(entries * x[self.columns], self.first, axis=0))
-        product = np.zeros_like(x)
-        if len(self.rows):
-            product[self.rows[self.first]] = np.add.reduceat(entries * x[self.columns], self.first, axis=0)
-        return product
-
-
-@dataclass(frozen=True, eq=False)
 class Blocks:
     """The block triangular form of a Jacobian, with rows and columns in its order.
 
@@ -73,10 +44,12 @@ class Blocks:
         Equations and unknowns in the order of the form.
     ends : ndarray of int
         Where blocks begin, and where the last one ends.
-    within, inside, own : Sums, ndarray of int, ndarray of int
-        The blocks; places, among their entries, of those that the Jacobian has, and theirs in the Jacobian.
-    beside, others : Sums, ndarray of int
-        What lies beside them, and its places in the Jacobian.
+    whole : ndarray of int, shape (2, N)
+        Rows and columns of the entries of the blocks, row by row.
+    inside, own : ndarray of int
+        Places, among them, of those that the Jacobian has, and theirs in the Jacobian.
+    beside : ndarray of int, shape (3, N)
+        Rows and columns of what lies beside the blocks, and its places in the Jacobian.
     test : Walk
         From the entries of Y, of J and of r to those of I - Y J, and of Y r.
     """
@@ -84,11 +57,10 @@ class Blocks:
     rows: Places
     columns: Places
     ends: Places
-    within: Sums
+    whole: Places
     inside: Places
     own: Places
-    beside: Sums
-    others: Places
+    beside: Places
     test: Walk
 
     def around(self, unknown: int) -> list[int]:
@@ -100,30 +72,22 @@ class Blocks:
 @made_once
 def blocks_of(equations: Equations) -> Blocks:
     """Prepare the test of equations. The form is lower triangular: the first block depends on no other."""
-    pattern, size = equations.pattern, equations.pattern.size1()
-    _, rows, columns, bounds, *_ = pattern.btf()
+    size = equations.transposed.size1()
+    _, rows, columns, bounds, *_ = equations.transposed.T.btf()
     ends = np.unique(bounds)
-    sizes = np.diff(ends)
-    permuted, numbers = pattern.sub(rows, columns)
-    by_rows = np.lexsort((permuted.get_col(), permuted.row()))
-    at, column, entry = (np.array(each)[by_rows] for each in (permuted.row(), permuted.get_col(), numbers))
-    block = np.repeat(np.arange(len(sizes)), sizes)
-    same, first, width = block[at] == block[column], ends[:-1][block], sizes[block]
-    # Entries of the blocks, row by row, and where each row of them begins.
-    whole_rows, begin = np.repeat(np.arange(size), width), np.cumsum(width) - width
-    whole_columns = np.arange(len(whole_rows)) - np.repeat(begin - first, width)
-    inside = (begin - first)[at[same]] + column[same]
-    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", len(whole_rows)), ("J", len(inside)), ("r", size)))
     # CasADi counts entries by columns, so the matrices are transposed; the pattern of the blocks is symmetric.
-    whole = ca.Sparsity.triplet(size, size, whole_columns.tolist(), whole_rows.tolist())
-    given = ca.Sparsity.triplet(size, size, column[same].tolist(), at[same].tolist())
+    permuted, entry = equations.transposed.sub(columns, rows)
+    places = np.array([permuted.get_col(), permuted.row(), entry])
+    whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(ends).tolist()))
+    inside = np.array(whole.get_nz((size * places[0] + places[1]).tolist()))
+    own, beside = places[:, inside >= 0], places[:, inside < 0]
+    Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", own.shape[1]), ("r", size)))
+    given = ca.Sparsity.triplet(size, size, own[1].tolist(), own[0].tolist())
     inverse, matrix = ca.SX(whole, Y).T, ca.SX(given, J).T
     off = ca.project((ca.SX.eye(size) - ca.mtimes(inverse, matrix)).T, whole)
     test = walk_of(ca.vertcat(off.nz[:], ca.mtimes(inverse, r[rows])), ca.vertcat(Y, J, r))
-    return Blocks(
-        np.array(rows), np.array(columns), ends, Sums(whole_rows, whole_columns), inside, entry[same],
-        Sums(at[~same], column[~same]), entry[~same], test,
-    )  # fmt: skip
+    pattern = np.array([whole.get_col(), whole.row()])
+    return Blocks(np.array(rows), np.array(columns), ends, pattern, inside[inside >= 0], own[2], beside, test)
 
 
 def radii(
@@ -158,38 +122,27 @@ def radii(
         What a step of Newton's method, block by block, would take off x_hat.
     """
     blocks = blocks_of(equations)
-    wide = np.where(equations.curved[:, None], D, 0.0)
-    anywhere = joined((x, wide), given)
-    steps = equations.steps(ring, anywhere)
-    residual = equations.residual(ring, joined((x, np.zeros_like(wide)), given, steps))
-    jacobian = equations.jacobian(ring, joined(anywhere, steps))
-    own = jacobian[0][:, blocks.own], jacobian[1][blocks.own]
-    Y = _inverses(blocks, ring, own[0])
-    off = blocks.test(ring, joined((Y, np.zeros(Y.shape[1:])), own, residual))
-    found = magnitude(off)
-    A, Z = found[: Y.shape[1]], np.maximum(found[Y.shape[1] :], _LEAST * sizes[blocks.columns, None])
-    beside = magnitude((jacobian[0][:, blocks.others], jacobian[1][blocks.others]))
-    rho, holds = _fixed(blocks, A, Z, norm(Y) * UP, beside)
+    anywhere = model_of(x, np.where(equations.curved[:, None], D, 0.0))
+    steps = equations.steps(ring, np.concatenate([anywhere, given], axis=1))
+    residual = equations.residual(ring, np.concatenate([model_of(x), given, steps], axis=1))
+    jacobian = equations.jacobian(ring, np.concatenate([anywhere, given, steps], axis=1))
+    Y = _inverses(blocks, ring, jacobian[:, blocks.own])
+    off = blocks.test(ring, np.concatenate([Y, jacobian[:, blocks.own], residual], axis=1))
+    found, entries = magnitude(off), Y.shape[1]
+    A, Z = found[:entries], np.maximum(found[entries:], _LEAST * sizes[blocks.columns, None])
+    rho, holds = _fixed(blocks, A, Z, magnitude(Y), magnitude(jacobian[:, blocks.beside[2]]))
     first = blocks.ends[np.searchsorted(blocks.ends, holds.argmin(axis=0), side="right") - 1]
     proved, order = holds.all(axis=0), np.argsort(blocks.columns)
-    switches, failed = np.asarray((steps[1] > _KNOWN).any(axis=0)), np.where(proved, -1, blocks.columns[first])
-    return np.where(proved, rho, np.inf)[order], switches, failed, off[0][:, Y.shape[1] :][:, order]
+    switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, blocks.columns[first])
+    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, entries:][:, order]
 
 
-def joined(*some: Model) -> Model:
-    """Return models one after the other."""
-    some = tuple(each for each in some if each[1].size) or some[:1]
-    if len(some) == 1:
-        return some[0]
-    return np.concatenate([c for c, _ in some], axis=1), np.concatenate([r for _, r in some])
-
-
-def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
-    """Return coefficients (terms, entries, boxes) of inverses of the blocks, interpolated at few nodes: any will do."""
-    coarse, (terms, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), c.shape
+def _inverses(blocks: Blocks, ring: Arithmetic, J: Model) -> Model:
+    """Return models without a radius of inverses of the blocks, interpolated at few nodes: any will do."""
+    coarse, (rows, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), J.shape
     nodes = len(coarse.nodes)
-    values = np.zeros((nodes, len(blocks.within.rows), boxes))
-    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ c.reshape(terms, -1)).reshape(nodes, -1, boxes)
+    values = np.zeros((nodes, blocks.whole.shape[1], boxes))
+    values[:, blocks.inside] = np.tensordot(ring.rows(coarse.nodes), J[:-1], 1)
     found, sizes = np.empty_like(values), np.diff(blocks.ends)
     for size in np.unique(sizes).tolist():
         where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
@@ -200,19 +153,29 @@ def _inverses(blocks: Blocks, ring: Arithmetic, c: Array) -> Array:
         except np.linalg.LinAlgError:
             inverses = np.linalg.pinv(matrices)
         found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
-    Y = np.zeros((terms, *found.shape[1:]))
-    Y[:nodes] = coarse.interpolated(found)
-    return np.where(np.isfinite(Y), Y, 0.0)
+    Y = np.zeros((rows, *found.shape[1:]))
+    Y[:nodes] = coarse.tried(found)[:-1]
+    return Y
 
 
 def _fixed(blocks: Blocks, A: Array, Z: Array, Y: Array, J: Array) -> tuple[Array, Array]:
     """Return rho (unknowns, boxes) with A rho + |Y| |J| rho + Z <= rho, by iteration, and where that holds."""
     rho, holds = Z, np.zeros(Z.shape, dtype=bool)
     for _ in range(_ITERATIONS):
-        image = blocks.within(A, rho) + blocks.within(Y, blocks.beside(J, rho)) + Z
+        earlier = _multiplied(blocks.beside, J, rho)
+        image = _multiplied(blocks.whole, A, rho) + _multiplied(blocks.whole, Y, earlier) + Z
         holds = np.asarray((image * _ROUNDED <= rho) & np.isfinite(image))
         settled = holds.all(axis=0) | ~np.isfinite(image).all(axis=0)
         if settled.all():
             break
         rho = np.where(settled, rho, image * _ROOM)
     return rho, holds
+
+
+def _multiplied(pattern: Places, entries: Array, x: Array) -> Array:
+    """Return the product of sparse matrices with entries (N, boxes), row by row, and vectors (columns, boxes)."""
+    product = np.zeros_like(x)
+    if len(entries):
+        first = np.flatnonzero(np.diff(pattern[0], prepend=-1))
+        product[pattern[0][first]] = np.add.reduceat(entries * x[pattern[1]], first, axis=0)
+    return product

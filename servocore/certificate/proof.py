@@ -16,16 +16,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, norm
-from servocore.certificate.equations import (
-    Equations,
-    answers,
-    equations_of,
-    machine_code,
-    parameter_models,
-    path_models,
-)
-from servocore.certificate.krawczyk import joined, radii
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, model_of, norm
+from servocore.certificate.equations import Equations, answers, equations_of, given_models, machine_code
+from servocore.certificate.krawczyk import radii
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.structure.derivative_array import nominal
@@ -60,20 +53,20 @@ class Interval:
         Whether it lies before or behind the path.
     followed : bool
         Whether answers continue the motion beside it; else they come from the guess of the model.
-    c : ndarray, shape (terms, unknowns)
-        Polynomials.
+    before : tuple of (float, float)
+        `relative` of the intervals that it is a quarter of, and a half.
+    x : Model, shape (terms + 1, unknowns)
+        Polynomials and radii; empty before there are answers.
     given : Model
-        Of path and parameters.
-    rho, D : ndarray, shape (unknowns,)
-        Radii, and where the solution is the only one; empty before the test.
+        Of path, parameters and time; empty before it is asked for.
+    D : ndarray, shape (unknowns,)
+        Where solutions are the only ones; empty before the test.
     failed : int
         The first unknown that was not proved; -1 for none.
-    proved, switches : bool
-        What the test said, and whether equations may jump within.
+    switches : bool
+        Whether equations may jump within.
     relative : float
-        The largest radius of an input, of its peak; infinite if it is not proved.
-    before : tuple of (float, float)
-        The same of the intervals that it is a quarter of, and a half.
+        The largest radius of an input, of its peak; infinite if the motion is not proved.
     """
 
     begin: float
@@ -81,15 +74,23 @@ class Interval:
     depth: int = 0
     outside: bool = False
     followed: bool = False
-    c: Array | None = None
-    given: Model | None = None
-    rho: Array = field(default_factory=lambda: np.zeros(0))
+    before: tuple[float, float] = (np.inf, np.inf)
+    x: Model = field(default_factory=lambda: np.zeros((0, 0)))
+    given: Model = field(default_factory=lambda: np.zeros((0, 0)))
     D: Array = field(default_factory=lambda: np.zeros(0))
     failed: int = -1
-    proved: bool = False
     switches: bool = False
     relative: float = np.inf
-    before: tuple[float, float] = (np.inf, np.inf)
+
+    @property
+    def proved(self) -> bool:
+        """Whether the motion is proved."""
+        return self.relative < np.inf
+
+    @property
+    def solved(self) -> bool:
+        """Whether there are answers."""
+        return bool(self.x.size and np.isfinite(self.x[:-1]).all())
 
     def parts(self, halvings: int = 1) -> list[Interval]:
         """Return its halves, or quarters and so on, of which nothing is known."""
@@ -97,7 +98,7 @@ class Interval:
             return [self]
         ends, depth = np.linspace(self.begin, self.end, 2**halvings + 1).tolist(), self.depth + halvings
         before = self.before[1], self.relative
-        return [Interval(*each, depth, self.outside, self.followed, before=before) for each in pairwise(ends)]
+        return [Interval(*each, depth, self.outside, self.followed, before) for each in pairwise(ends)]
 
 
 @dataclass(eq=False)
@@ -142,7 +143,7 @@ class Proof:
         """
         array, duration = self.equations.array, self.problem.reference.duration
         least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.unknowns])
-        values = self.ring.values(np.stack([each.c for each in self.intervals if each.c is not None], axis=2))
+        values = self.ring.values(np.stack([each.x for each in self.intervals if each.x.size], axis=2))
         return np.asarray(np.fmax(least, np.fmax.reduce(np.abs(values), axis=(0, 2))))
 
     @cached_property
@@ -177,8 +178,8 @@ class Proof:
         machine_code(self.equations.array).best(1)
         path = self.problem.reference
         count = np.maximum(np.ceil(_FIRST * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
-        grid = [np.linspace(a, b, n + 1)[:-1] for (a, b), n in zip(pairwise(path.joints), count, strict=True)]
-        inner = [Interval(a, b) for a, b in pairwise([*np.concatenate(grid).tolist(), path.end_time])]
+        grids = [np.linspace(a, b, n + 1).tolist() for (a, b), n in zip(pairwise(path.joints), count, strict=True)]
+        inner = [Interval(a, b) for grid in grids for a, b in pairwise(grid)]
         margin = _OUTSIDE * path.duration
         first = Interval(path.start_time - margin, path.start_time, outside=True)
         self.intervals = [first, *inner, Interval(path.end_time, path.end_time + margin, outside=True)]
@@ -190,14 +191,14 @@ class Proof:
 
     def _refined(self) -> bool:
         """Answer and test what is open, and halve what is not proved well enough; return whether there was any."""
-        while fresh := [each for each in self.intervals if each.c is None and not each.followed]:
+        while fresh := [each for each in self.intervals if not each.x.size and not each.followed]:
             self._answer(fresh)
             self._replace(fresh, [each.parts(k) for each, k in zip(fresh, self._coarse(fresh), strict=True)])
-        if fresh := [each for each in self.intervals if each.c is not None and not each.rho.size]:
+        if fresh := [each for each in self.intervals if each.x.size and not each.D.size]:
             self._test(fresh, self._reach(fresh))
-            again = [each for each in fresh if not each.proved and np.isfinite(each.rho).all()]
+            again = [each for each in fresh if not each.proved and np.isfinite(each.x[-1]).all()]
             if again:
-                D = np.stack([_ENLARGED * each.rho for each in again], axis=1)
+                D = np.stack([_ENLARGED * each.x[-1] for each in again], axis=1)
                 self._test(again, np.maximum(D, self._reach(again)))
         many = sum(each.switches for each in self.intervals) > _SWITCHING
         halved = [each for each in self.intervals if self._too_wide(each) and not (many and each.switches)]
@@ -213,8 +214,8 @@ class Proof:
         """Return how many halvings answers need, as the last coefficients of their polynomials in time fall."""
         chosen = self.equations.curved.copy()
         chosen[self.equations.inputs] = True
-        c = np.stack([each.c[:, chosen] for each in fresh if each.c is not None], axis=2)
-        last = norm(c.reshape(_DEGREE + 1, -1, *c.shape[1:])[-2:].reshape(-1, *c.shape[1:]))
+        c = np.stack([each.x[:-1, chosen] for each in fresh], axis=2)
+        last = norm(c[self.ring.orders[0] >= _DEGREE - 1])
         share = (last / self.peaks[chosen, None]).max(axis=0) / (_COARSE * np.clip(self._narrow, 1e-12, 1e-8))
         halvings = np.ceil(np.log(share) / -np.log(_LESS))
         depth = np.array([each.depth for each in fresh])
@@ -247,19 +248,20 @@ class Proof:
         for axis, (k, (low, high)) in enumerate(self.boxed.items(), 1):
             p[k] = (low + high) / 2.0 + (high - low) / 2.0 * nodes[:, axis]
         t = np.concatenate([(k.begin + k.end) / 2.0 + (k.end - k.begin) / 2.0 * nodes[:, 0] for k in some])
-        if beside is not None and beside.c is not None:
+        if beside is not None:
             points = nodes.copy()
             points[:, 0] = (2.0 * t - beside.begin - beside.end) / (beside.end - beside.begin)
-            guess = (self.ring.rows(points) @ beside.c).T
+            guess = (self.ring.rows(points) @ beside.x[:-1]).T
         x = answers(self.problem, self.equations.array, t, np.tile(p, len(some)), guess)
-        c = self._interpolated(x.reshape(len(x), len(some), -1).transpose(2, 0, 1))
+        found = self._interpolated(x.reshape(len(x), len(some), -1).transpose(2, 0, 1))
         for k, each in enumerate(some):
-            each.c = c[:, :, k]
+            each.x, each.D, each.relative = found[:, :, k], np.zeros(0), np.inf
 
-    def _interpolated(self, x: Array) -> Array:
+    def _interpolated(self, x: Array) -> Model:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
-        c = self.ring.interpolated(x)
-        return np.where(np.isfinite(c), c, np.nan)
+        found = self.ring.tried(x)
+        found[:, ~np.isfinite(x).all(axis=0)] = np.nan
+        return found
 
     def _reach(self, fresh: Sequence[Interval]) -> Array:
         """Return D (unknowns, intervals) to begin with: less on intervals that were halved, where it did not help.
@@ -277,20 +279,18 @@ class Proof:
         return np.isin(np.arange(len(self.peaks)), places)
 
     def given(self, some: Sequence[Interval]) -> Model:
-        """Return models of path and parameters on intervals."""
-        if new := [each for each in some if each.given is None]:
-            begin, end = (np.array([getattr(each, name) for each in new]) for name in ("begin", "end"))
-            path = path_models(self.problem, self.ring, begin, end, self.equations.path_order)
-            c, r = joined(path, parameter_models(self.ring, self.problem.p, self.boxed, len(new)))
+        """Return models of path, parameters and time on intervals."""
+        if new := [each for each in some if not each.given.size]:
+            ends, order = ([each.begin for each in new], [each.end for each in new]), self.equations.array.reference_order
+            found = given_models(self.problem, self.ring, *map(np.array, ends), order, self.boxed)
             for k, each in enumerate(new):
-                each.given = c[:, :, k], r[:, k]
-        models = [each.given for each in some if each.given is not None]
-        return np.stack([c for c, _ in models], axis=2), np.stack([r for _, r in models], axis=1)
+                each.given = found[:, :, k]
+        return np.stack([each.given for each in some], axis=2)
 
     def _test(self, some: Sequence[Interval], D: Array) -> None:
-        x = np.stack([each.c for each in some if each.c is not None], axis=2)
+        x, given = np.stack([each.x[:-1] for each in some], axis=2), self.given(some)
         solved: npt.NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=(0, 1)))
-        x, given = np.where(solved, x, 0.0), self.given(some)
+        x = np.where(solved, x, 0.0)
         for left in reversed(range(_CENTRED)):
             rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, self.peaks)
             if not left or not switches.any():
@@ -298,33 +298,31 @@ class Proof:
             x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
         rho = np.where(solved, rho, np.inf)
         within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        within &= ~switches | (rho <= _STEADY * self.peaks[:, None])[self._steady].all(axis=0)
         relative = (rho[self.equations.inputs] / self.input_peaks[:, None]).max(axis=0, initial=0.0)
-        steady = np.asarray((rho <= _STEADY * self.peaks[:, None])[self._steady].all(axis=0))
         for k, each in enumerate(some):
-            each.rho, each.D, each.failed, each.switches = rho[:, k], D[:, k], int(failed[k]), bool(switches[k])
-            each.proved = bool(within[k] and (steady[k] or not each.switches))
-            each.c = x[:, :, k] if each.proved else each.c
-            each.relative = float(relative[k]) if each.proved else np.inf
+            each.D, each.failed, each.switches = D[:, k], int(failed[k]), bool(switches[k])
+            each.relative = float(relative[k]) if within[k] else np.inf
+            each.x = model_of(x[..., k] if within[k] else each.x[:-1], rho[:, k])
 
-    def _found(self) -> tuple[Array, Array, Array]:
-        """Return polynomials, radii and D of all intervals; where it is not proved nothing, infinity and nothing."""
-        count = len(self.peaks)
-        nothing = np.zeros((len(self.ring.nodes), count)), np.full(count, np.inf), np.zeros(count)
-        found = [(k.c, k.rho, k.D) if k.proved and k.c is not None else nothing for k in self.intervals]
-        c, rho, D = (np.stack(each, axis=-1) for each in zip(*found, strict=True))
-        return c, rho, D
+    def _found(self) -> Model:
+        """Return enclosures of the unknowns on all intervals: any number where they are not proved."""
+        nothing = self.ring.constant(np.zeros(len(self.peaks)))
+        nothing[-1] = np.inf
+        return np.stack([each.x if each.proved else nothing for each in self.intervals], axis=2)
 
     @cached_property
     def enclosures(self) -> Model:
-        """Enclosures of unknowns, path and parameters on all intervals, the arguments of walks, once they are final."""
-        c, rho, _ = self._found()
-        return joined((c, rho), self.given(self.intervals))
+        """Enclosures of unknowns, path, parameters and time on all intervals, arguments of walks, once they are final."""
+        return np.concatenate([self._found(), self.given(self.intervals)], axis=1)
 
     # Joints ---------------------------------------------------------------------------------------------------------
 
     def _joints(self) -> list[Joint]:
         """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
-        c, rho, D = self._found()
+        found = self._found()
+        D = np.stack([each.D if each.proved else np.zeros(len(self.peaks)) for each in self.intervals], axis=1)
+        c, rho = found[:-1], found[-1]
         shaped = c.reshape(_DEGREE + 1, -1, *c.shape[1:])
         early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
         noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
@@ -353,17 +351,17 @@ class Proof:
         for order in (range(first, len(self.intervals)), range(first, -1, -1)):
             for k, n in pairwise(order):
                 a, b, joint = self.intervals[k], self.intervals[n], self.joints[min(k, n)]
-                if not a.proved and b.c is None:  # the branch is lost: later answers come from the guess
+                if not a.proved and not b.x.size:  # the branch is lost: later answers come from the guess
                     b.followed = False
                     return True
                 if not a.proved or joint in {"one branch", "inputs jump"}:
                     continue
-                if b.followed and b.c is not None:
+                if b.followed and b.x.size:
                     if b.depth >= _DEEPEST or joint == "motion jumps":
                         continue
                     self.intervals[n : n + 1] = b.parts()
                     b = self.intervals[n + (n < k)]
-                b.followed, b.proved, b.rho = True, False, np.zeros(0)
+                b.followed = True
                 self._answer([b], a)
                 return True
         return False

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, norm
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
-from servocore.certificate.walk import Walk
+from servocore.certificate.walk import Walk, walk_of
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 
@@ -125,83 +124,35 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 
 
 @made_once
-def _unbounded(limit: Limit) -> Limit:
-    return replace(limit, bound=-math.inf, upper=math.inf)
-
-
-@made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    return equations.walk([(limit.on(equations.array.system), limit.rate) for limit in limits])
+    system, y = equations.array.system, equations.array.y
+    n = len(system.coordinates)
+    old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
+    values = ca.substitute([limit.on(system) for limit in limits], [old], [new])
+    rates = (time_derivative(e, y, system.gamma) if k.rate else e for e, k in zip(values, limits, strict=True))
+    return walk_of(ca.vertcat(*rates), equations.symbols)
 
 
 @made_once
 def known(equations: Equations, limit: Limit) -> bool:
     """Whether the equations enclose all derivatives of the path that a limit compares."""
     system = equations.array.system
-    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.path_order
+    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.array.reference_order
 
 
-@dataclass(frozen=True, eq=False)
-class Boxes:
-    """Boxes of time and parameters with enclosures of the unknowns, the path and the parameters on them.
-
-    Attributes
-    ----------
-    ring : Arithmetic
-        Of the models.
-    c, r : ndarray, shape (terms, arguments, boxes) and (arguments, boxes)
-        The models.
-    low, high : ndarray, shape (boxes, variables)
-        Corners of the boxes.
-    """
-
-    ring: Arithmetic
-    c: Array
-    r: Array
-    low: Array
-    high: Array
-
-    def place(self, box: int, node: int) -> Array:
-        """Return time and parameters of a node of a box."""
-        low, high = self.low[box], self.high[box]
-        return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * self.ring.nodes[node])
-
-    def of(self, chosen: npt.NDArray[np.bool_]) -> Boxes:
-        """Return some of the boxes."""
-        return Boxes(self.ring, self.c[..., chosen], self.r[:, chosen], self.low[chosen], self.high[chosen])
-
-    def halved(self, c: Array) -> Boxes:
-        """Return the halves of the boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
-        degrees, size = self.ring.degrees, np.maximum(norm(c), 1e-300)
-        orders = np.indices([d + 1 for d in degrees]).reshape(len(degrees), -1)
-        by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in orders], axis=0)
-        parts = list[tuple[Array, ...]]()
-        for k in range(len(degrees)):
-            own = self.of(by == k)
-            for late, model in enumerate(self.ring.halved((own.c, own.r), k)):
-                corners = own.low.copy(), own.high.copy()
-                corners[1 - late][:, k] = (own.low[:, k] + own.high[:, k]) / 2.0
-                parts.append((*model, *corners))
-        return Boxes(self.ring, *_together(parts))
+def boxes_of(proofs: Sequence[Proof]) -> Model:
+    """Return enclosures on the intervals of proofs within the path: boxes of time and parameters."""
+    inner = ([not each.outside for each in proof.intervals] for proof in proofs)
+    return np.concatenate([proof.enclosures[..., each] for proof, each in zip(proofs, inner, strict=True)], axis=2)
 
 
-def boxes_of(proofs: Sequence[Proof]) -> Boxes:
-    """Return the intervals of proofs within the path as boxes."""
-    parts = list[tuple[Array, ...]]()
-    for proof in proofs:
-        inner = [k for k, each in enumerate(proof.intervals) if not each.outside]
-        sides = ([getattr(proof.intervals[k], name) for k in inner] for name in ("begin", "end"))
-        corners = (
-            np.column_stack([times, *(np.full(len(inner), box[end]) for box in proof.boxed.values())])
-            for end, times in enumerate(sides)
-        )
-        parts.append((proof.enclosures[0][..., inner], proof.enclosures[1][:, inner], *corners))
-    return Boxes(proofs[0].ring, *_together(parts))
-
-
-def _together(parts: Sequence[tuple[Array, ...]]) -> Iterator[Array]:
-    return (np.concatenate(some, axis) for some, axis in zip(zip(*parts, strict=True), (2, 1, 0, 0), strict=True))
+def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
+    """Return the halves of boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
+    size = np.maximum(norm(c), 1e-300)
+    by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in ring.orders], axis=0)
+    halves = (half for k in range(len(ring.degrees)) for half in ring.halved(boxes[..., by == k], k))
+    return np.concatenate(list(halves), axis=2)
 
 
 @dataclass
@@ -213,7 +164,7 @@ class Decision:
     verdict : str
         As that of a statement.
     at : ndarray or None
-        Time and parameters where it fails, or where that is not decided.
+        The arguments of the walk where it fails, or where that is not decided.
     value : float
         The quantity there.
     least, most : float
@@ -227,13 +178,13 @@ class Decision:
     most: float = -np.inf
 
 
-def decided(boxes: Boxes, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
+def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
     """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
-    ring, found = boxes.ring, [Decision() for _ in lower]
+    found = [Decision() for _ in lower]
     lower, upper, open_ = lower[:, None], upper[:, None], np.ones(len(lower), dtype=bool)
     for halvings in range(_HALVINGS):
-        c, r = walk(ring, (boxes.c, boxes.r))
-        low, high = ring.span((c, r))
+        models = walk(ring, boxes)
+        low, high = ring.span(models)
         kept = (low >= lower) & (high <= upper)
         least, most = low.min(axis=1, initial=np.inf, where=kept), high.max(axis=1, initial=-np.inf, where=kept)
         for k, each in enumerate(found):
@@ -241,34 +192,36 @@ def decided(boxes: Boxes, walk: Walk, lower: Array, upper: Array) -> list[Decisi
         some = np.asarray(~kept[open_].all(axis=0))
         if not some.any():
             break
-        boxes, c, r, kept = boxes.of(some), c[..., some], r[:, some], kept[:, some]
-        values, noise = ring.values(c), r + (len(c) + 8) * UNIT * norm(c)
+        boxes, models, kept = boxes[..., some], models[..., some], kept[:, some]
+        c, r, values = models[:-1], models[-1], ring.values(models)
+        noise = r + (len(c) + 8) * UNIT * norm(c)
         beyond = np.maximum(lower - values, values - upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
         # Where the radius is more than what the polynomial varies by, halves tell nothing new.
-        wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes.r).all(axis=0) | (halvings >= _HALVED_FIRST))
+        wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes[-1]).all(axis=0) | (halvings >= _HALVED_FIRST))
         lost = certain | ~kept & (wide | (halvings == _HALVINGS - 1) | (kept.shape[1] > _MOST))
         for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
             open_[k] = not certain[k].any()
             worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
             node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
-            found[k].verdict, found[k].at = "undecided" if open_[k] else "refuted", boxes.place(box, node)
+            found[k].verdict, found[k].at = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box]
             found[k].value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
-        boxes = boxes.of(again).halved(c[:, open_][..., again])
+        boxes = _halved(ring, boxes[..., again], c[:, open_][..., again])
     return found
 
 
 def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proofs[0].equations
-    names = ["t", *(proofs[0].problem.system.parameters.names[k] for k in proofs[0].boxed)]
-    limits = {each: _unbounded(each.limit) for each in claims if known(equations, _unbounded(each.limit))}
-    walk = walk_of_limits(equations, tuple(limits.values()))  # it is kept, whatever the bounds are
+    # Walks are kept, whatever the bounds are.
+    limits = {each: replace(each.limit, bound=-math.inf, upper=math.inf) for each in claims}
+    limits = {each: limit for each, limit in limits.items() if known(equations, limit)}
+    walk = walk_of_limits(equations, tuple(limits.values()))
     bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
-    decisions = dict(zip(limits, decided(boxes_of(proofs), walk, *bounds), strict=True))
+    decisions = dict(zip(limits, decided(proofs[0].ring, boxes_of(proofs), walk, *bounds), strict=True))
     found = dict[str, Statement]()
     for each in claims:
         decision, time = decisions.get(each, Decision("undecided")), None
@@ -281,7 +234,7 @@ def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Colle
             extent = map(each.limit.with_unit, (decision.least, decision.most))
             sentence = "it stays from {} to {}".format(*extent) if not each.told else ""
         else:
-            sentence, time = _failure(each, decision, names), float(decision.at[0])
+            sentence, time = _failure(proofs[0], each, decision), float(decision.at[-1])
         verdict = "undecided" if decision.verdict == "refuted" and not each.refutable else decision.verdict
         before = found.get(each.what)
         if before is None or before.verdict == "proved" or (before.verdict, verdict) == ("undecided", "refuted"):
@@ -297,7 +250,7 @@ def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Sta
         low, high, kept, refuted = -np.inf, np.inf, False, False
         # Halves of parameters have no common time: boxes with parameters stay whole.
         for halvings in _HALVED_RUNS if not proof.boxed and not proof.unproved else (0,):
-            sums = [_integral(each, walk_of_limits(each.equations, (limit,)), halvings) for each in proofs]
+            sums = [_integral(each, limit, halvings) for each in proofs]
             bounds = [[float(limit.over_run.of_sum(each, path.duration)) for each in ends] for ends in sums]
             low, high = min(least for least, _ in bounds), max(most for _, most in bounds)
             refuted = any(least > limit.upper or most < limit.bound for least, most in bounds)
@@ -311,7 +264,7 @@ def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Sta
     return statements
 
 
-def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
+def _integral(proof: Proof, limit: Limit, halvings: int) -> tuple[float, float]:
     """Return bounds of the integral of a quantity over the run, for all parameters of the box.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
@@ -319,26 +272,28 @@ def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
     """
     if proof.unproved:
         return -np.inf, np.inf
-    boxes = boxes_of([proof])
+    ring, boxes = proof.ring, boxes_of([proof])
     for _ in range(halvings):
-        boxes = boxes.halved(boxes.c)
-    orders = np.indices([d + 1 for d in boxes.ring.degrees]).reshape(len(boxes.ring.degrees), -1)
-    k, alone = orders[0], (orders[1:] == 0).all(axis=0)
-    means = np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
-    (c, r), widths = walk(boxes.ring, (boxes.c, boxes.r)), boxes.high[:, 0] - boxes.low[:, 0]
-    c = c[:, 0]
-    middle = (means * alone) @ c
-    radius = r[0] + np.abs(c[~alone]).sum(axis=0) + (len(c) + 8) * UNIT * norm(c)
-    total, slack = float(middle @ widths), 4.0 * len(widths) * UNIT * float(np.abs(middle) @ widths)
-    off = float(radius @ widths) * (1.0 + 1e-9) + slack
+        boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
+    k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
+    means = alone * np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
+    (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
+    middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
+    widths = 2.0 * half
+    slack = 4.0 * len(widths) * UNIT * widths + 2.0 * time[-1]
+    total, off = float(middle @ widths), float(radius @ widths + np.abs(middle) @ slack) * (1.0 + 1e-9)
     return total - off, total + off
 
 
-def _failure(claim: Claim, decision: Decision, names: Sequence[str]) -> str:
+def _failure(proof: Proof, claim: Claim, decision: Decision) -> str:
     assert decision.at is not None
     limit, value, undecided = claim.limit, decision.value, decision.verdict == "undecided"
-    time, *given = (f"{name} = {each:.6g}" for name, each in zip(names, decision.at, strict=True))
-    place = ", ".join([f"{time} s", *given])
+    names = proof.problem.system.parameters.names
+    given = decision.at[-1 - len(names) : -1]  # behind them the time
+    place = ", ".join(
+        [f"t = {decision.at[-1]:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)]
+    )
     if not np.isfinite(value):
         return f"the motion is not proved at {place}"
     if claim.told:
