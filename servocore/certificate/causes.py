@@ -1,65 +1,92 @@
-"""Why a motion is not proved on an interval, in words."""
+"""Whether there is one motion on one branch, and why it is not proved on an interval, in words."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import groupby, pairwise
 
 import numpy as np
 
 from servocore.certificate.chebyshev import model_of
-from servocore.certificate.krawczyk import blocks_of
 from servocore.certificate.proof import Interval, Proof
-from servocore.certificate.statements import Verdict, claims_of, known, walk_of_limits
+from servocore.certificate.statements import Statement, claims_of, known, walk_of_limits
 
+_MOTION, _BRANCH, _SMOOTH = (
+    "one motion, regular at all times", "one branch from the beginning to the end", "path smooth enough for the motion"
+)  # fmt: skip
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def cause_of(proof: Proof) -> tuple[Verdict, float, str]:
+def motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
+    """State that there is one motion on one branch, regular at all times, and as smooth as motions are."""
+    found = {what: Statement(what, "proved") for what in (_MOTION, _BRANCH, _SMOOTH)}
+    for proof in proofs:
+        failing = [_cause(proof)] if proof.unproved else []
+        for a, joint in zip(proof.intervals, proof.joints, strict=False):
+            if joint in {"apart", "not proved"}:
+                text = f"not decided at t = {a.end:.6g} s that the motion goes on as it was before"
+                failing.append(Statement(_BRANCH, "undecided", text, a.end))
+            elif joint == "motion jumps":
+                text = f"coordinates or velocities jump at t = {a.end:.6g} s: the path is too rough there"
+                failing.append(Statement(_SMOOTH, "refuted", text, a.end))
+        found |= {each.what: each for each in reversed(failing) if found[each.what].verdict == "proved"}
+    return list(found.values())
+
+
+def _cause(proof: Proof) -> Statement:
     """Return whether a motion that is not proved everywhere is refuted, when, and why in a sentence.
 
     Without a cause on the first interval an interval without a solution explains more: where not even the beginning is
     proved, the magnitudes of the unknowns are those of a singularity later on.
     """
-    unproved = proof.unproved
-    first = unproved[0]
-    for time, sentence in switchings(proof):
-        if sentence:
-            return "refuted", time, sentence
-    unsolved = [each for each in unproved if not each.solved]
+    impulse, first = next(_impulses(proof), None), proof.unproved[0]
+    if impulse is not None:
+        return impulse
+    unsolved = [each for each in proof.unproved if not each.solved]
     if first is proof.intervals[0] and unsolved and not (first.solved and first.switches):
         first = unsolved[0]
-    return "undecided", first.begin, _sentence(proof, first)
+    return Statement(_MOTION, "undecided", _sentence(proof, first), first.begin)
 
 
-def switchings(proof: Proof) -> list[tuple[float, str]]:
-    """Return when equations with kinks or jumps switch, each with a coordinate or velocity that jumps, if one does.
+def jumps_of(proofs: Sequence[Proof]) -> tuple[float, ...]:
+    """Return the times in s at which inputs alone jump: at joints of the path, and where equations switch."""
+    times = set[float]()
+    for proof in proofs:
+        path = proof.problem.reference
+        joints = zip(proof.intervals, proof.joints, strict=False)
+        times.update(each.end for each, joint in joints if joint == "inputs jump")
+        for switching, run in groupby(proof.intervals, proof.jumps_within):
+            first, *_, last = 2 * list(run)
+            middle = path.start_time if first.outside else (first.begin + last.end) / 2.0
+            times.update([path.end_time if last.outside else middle] if switching else [])
+    return tuple(sorted(times))
+
+
+def _impulses(proof: Proof) -> Iterator[Statement]:
+    """Yield coordinates and velocities that jump where equations with kinks or jumps switch.
 
     That is across short intervals without a proof between two with one. A jump is many times the change that the rates
     at both ends could explain.
     """
-    array, order, found = proof.equations.array, proof.intervals, list[tuple[float, str]]()
+    array, order = proof.equations.array, proof.intervals
     settled = [each for each in order if (each.proved or each.outside) and not proof.boxed]
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
     for a, b in pairwise(settled):
         gap, between = b.begin - a.end, order[order.index(a) + 1]
-        if not 0.0 < gap < _SHORT * proof.problem.reference.duration:
-            continue
-        if not (a.x.size and b.x.size and between.solved and between.switches):
+        known = between.switches and all(each.solved for each in (a, between, b))
+        if not (known and 0.0 < gap < _SHORT * proof.problem.reference.duration):
             continue
         left, right = a.x[:-1].sum(axis=0), (-1.0) ** np.arange(len(b.x) - 1) @ b.x[:-1]
-        jumps = ""
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
             rate = place[j, derivative + 1]
             explained = _TIMES * gap * max(abs(left[rate]), abs(right[rate]))
-            if not jumps and abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
+            if abs(right[k] - left[k]) > explained + _NONE * proof.peaks[k]:
                 what = "the velocity of " * derivative + array.names[j].removeprefix("q.")
-                jumps = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
-                jumps += ": the equations have a kink or a jump there"
-        found.append((a.end, jumps))
-    return found
+                text = f"at t = {a.end:.6g} s {what} would have to jump from {left[k]:.4g} to {right[k]:.4g}"
+                yield Statement(_MOTION, "refuted", f"{text}: the equations have a kink or a jump there", a.end)
 
 
 def _sentence(proof: Proof, each: Interval) -> str:
@@ -72,7 +99,7 @@ def _sentence(proof: Proof, each: Interval) -> str:
         return f"{at}: no solution of the equations was found, the path may be out of reach{slack}"
     array = proof.equations.array
     names = array.signature.equations.equations
-    rows = dict.fromkeys(names[array.rows[k][0]] for k in blocks_of(proof.equations).around(max(each.failed, 0)))
+    rows = dict.fromkeys(names[array.rows[k][0]] for k in proof.equations.around(max(each.failed, 0)))
     where = f"{at}, in the equations of {', '.join(list(rows)[:3])}"
     singular = ": the configuration is singular there, or two branches meet"
     if not all(other.solved for other in proof.intervals[proof.intervals.index(each) :][:2]):

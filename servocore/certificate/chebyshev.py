@@ -13,9 +13,11 @@ ISSAC 2010; Tucker, *Validated Numerics*, 2011, chapter 3). NumPy's sin, cos, ex
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, reduce
+from functools import cached_property
+from math import prod
 
 import numpy as np
+import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.programs import TIMES, UNIT, UP, Products, Program, norm, summed
@@ -35,7 +37,9 @@ Model = Array
 
 def model_of(c: Array, r: Array | float = 0.0) -> Model:
     """Return models with coefficients (terms, count, boxes) and radii (count, boxes)."""
-    return np.concatenate([c, np.broadcast_to(r, c.shape[1:])[None]])
+    a = np.empty((len(c) + 1, *c.shape[1:]))
+    a[:-1], a[-1] = c, r
+    return a
 
 
 def magnitude(a: Model) -> Array:
@@ -64,27 +68,30 @@ class Arithmetic(Products):
 
     def rows(self, points: Array) -> Array:
         """Return the matrix from coefficients to values at `points` (N, variables): entries within 4 ulp."""
-        each = [chebyshev.chebvander(points[:, k], d) for k, d in enumerate(self.degrees)]
-        return np.asarray(reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), each))
+        found: Array = np.ones((len(points), 1))
+        for k, d in enumerate(self.degrees):
+            found = (found[:, :, None] * chebyshev.chebvander(points[:, k], d)[:, None, :]).reshape(len(points), -1)
+        return found
 
-    def _along(self, k: int, matrix: Array) -> Array:
+    def _along(self, k: int, matrix: npt.ArrayLike) -> Array:
         """Return a matrix of the coefficients in variable k as one of all coefficients."""
-        return reduce(np.kron, [matrix if j == k else np.eye(d + 1) for j, d in enumerate(self.degrees)])
+        before, behind = (prod(d + 1 for d in some) for some in (self.degrees[:k], self.degrees[k + 1 :]))
+        return np.kron(np.kron(np.eye(before), np.asarray(matrix, dtype=np.float64)), np.eye(behind))
 
     @cached_property
     def derivatives(self) -> list[Array]:
         """Matrices of the derivative by each variable that a polynomial depends on; entries are whole numbers."""
-        slopes = {k: chebyshev.chebder(np.eye(d + 1)) for k, d in enumerate(self.degrees) if d}
-        return [self._along(k, np.vstack([each, 0.0 * each[:1]])) for k, each in slopes.items()]
+        slopes = [np.vstack([chebyshev.chebder(np.eye(d + 1)), np.zeros((1, d + 1))]) for d in self.degrees]
+        return [self._along(k, slopes[k]) for k, d in enumerate(self.degrees) if d]
 
     @cached_property
     def halves(self) -> list[list[Array]]:
         """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
         both = list[list[Array]]()
         for k, d in enumerate(self.degrees):
-            points, at = chebyshev.chebpts1(d + 1), chebyshev.chebvander
-            restricted = (np.linalg.solve(at(points, d), at(points / 2.0 + shift, d)) for shift in (-0.5, 0.5))
-            both.append([self._along(k, each) for each in restricted])
+            points = chebyshev.chebpts1(d + 1)
+            inverse, parts = np.linalg.inv(chebyshev.chebvander(points, d)), (points / 2.0 - 0.5, points / 2.0 + 0.5)
+            both.append([self._along(k, inverse @ chebyshev.chebvander(part, d)) for part in parts])
         return both
 
     def halved(self, a: Model, k: int) -> list[Model]:
@@ -235,13 +242,13 @@ def arithmetic(degrees: tuple[int, ...]) -> Arithmetic:
 
 def _applied(matrix: Array, c: Array) -> Array:
     """Return a matrix applied to the first axis."""
-    return np.tensordot(matrix, c, 1)
+    return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
 
 
 def _derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
-    rounding = (len(a) + 1) * UNIT * np.tensordot(np.abs(matrix).sum(axis=0), np.abs(a[:-1]), 1)
-    return model_of(_applied(matrix, a[:-1]), rounding)
+    (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
+    return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)
 
 
 def bounded(a: Model) -> Model:

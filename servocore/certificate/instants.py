@@ -10,8 +10,7 @@ import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
-from servocore.certificate.equations import answers, equations_of, given_models, guessed
-from servocore.certificate.krawczyk import radii
+from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import Claim, Statement, Verdict, walk_of_limits
 from servocore.model.limits import Limit, Named
@@ -19,6 +18,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
+from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _SPLINE, _BESIDE = 5, 1e-6  # degree; D, of a peak
@@ -64,8 +64,8 @@ def compared(
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[_numbers(proof, t)]
     t = t[calm]
-    found = unknowns_at(proof, t, places)
-    middle, radius = found[0], magnitude(found[1:])
+    unknowns = unknowns_at(proof, t, places)
+    middle, radius = unknowns[0], magnitude(unknowns[1:])
     apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
@@ -114,7 +114,7 @@ def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring, equations = arithmetic((0, *proof.ring.degrees[1:])), proof.equations
     walk = walk_of_limits(equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
-    given = given_models(proof.problem, ring, t, t, equations.array.reference_order, proof.boxed)
+    given = given_models(proof.problem, equations.array, ring, t, t, proof.boxed)
     unknowns = unknowns_at(proof, t, range(len(proof.peaks)))
     low, high = ring.span(walk(ring, np.concatenate([unknowns, given], axis=1)))
     known = np.isfinite(low) & np.isfinite(high)
@@ -129,15 +129,14 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
     """
     what, t = "one regular solution of the algebraic equations at the computed states", solution.t
     equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
-    array, p = equations.array, np.tile(problem.p[:, None], len(t))
-    guess, degree = guessed(problem, array, t, p), min(_SPLINE, len(t) - 1)
+    array, guess, degree = equations.array, guessed_unknowns(problem, t), min(_SPLINE, len(t) - 1)
     for k, (j, order) in enumerate(array.unknowns):
         if j < len(problem.system.coordinates) and order <= degree:
             curve = make_interp_spline(t, solution[array.names[j].removeprefix("q.")], k=degree)
             guess[k] = curve.derivative(order)(t)
-    found = answers(problem, array, t, p, guess)
+    found = unknowns_from(problem, t, guess)
     x, states = found[array.places(array.determined)], found[array.places(array.states)]
-    given = given_models(problem, ring, t, t, array.reference_order, {})
+    given = given_models(problem, array, ring, t, t, {})
     given = np.concatenate([given, ring.constant(states)], axis=1)
     sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
     D = np.tile(_BESIDE * sizes[:, None], len(t))

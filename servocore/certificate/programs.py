@@ -87,9 +87,10 @@ class Products:
         return [csr_array((shares, (places.ravel(), pairs)), (full, terms)) for places in self.places]
 
     @cached_property
-    def tape(self) -> Places:
-        """For machine code: numbers of terms, of results of a pair and of all results, and the places."""
-        return np.array([*self.places.shape[1:], prod(2 * d + 1 for d in self.degrees), *self.places.ravel()])
+    def tape(self) -> tuple[Places, int]:
+        """For machine code: numbers of terms, of results of a pair and of all results, and the places; its address."""
+        tape = np.array([*self.places.shape[1:], prod(2 * d + 1 for d in self.degrees), *self.places.ravel()])
+        return tape, tape.ctypes.data
 
     @cached_property
     def rounding(self) -> float:
@@ -150,8 +151,8 @@ class Program:
         return [(operation, np.array(members, dtype=np.intp).T) for (_, operation), members in sorted(grouped.items())]
 
     @cached_property
-    def tape(self) -> tuple[Places, int]:
-        """For machine code: steps, inputs and outputs with slots, which are used again, and how many of these."""
+    def tape(self) -> tuple[Places, int, int]:
+        """For machine code: steps, inputs and outputs with slots, used again; its address; the number of slots."""
         made = {result for _, result, *_ in self.steps}
         last = {place: at for at, (_, *places) in enumerate(self.steps) for place in places}
         slot = {place: k for k, place in enumerate(sorted(last.keys() - made))}
@@ -166,7 +167,8 @@ class Program:
             found.append((operation, slot[result], slot[a], slot[b]))
             free += {slot[each] for each in (result, a, b) if last[each] == at}
         parts = found, read, [(slot[place], place) for place in outputs]
-        return np.concatenate([[len(each) for each in parts], *map(np.ravel, parts)]).astype(np.intp), count
+        tape = np.concatenate([[len(each) for each in parts], *(np.ravel(each) for each in parts)]).astype(np.intp)
+        return tape, tape.ctypes.data, count
 
     def __call__(self, tables: Products, models: Array) -> None:
         """Carry the steps out on models (terms + 1, places, boxes); results in place."""
@@ -174,14 +176,13 @@ class Program:
             return
         run = machine_code().best(len(self.steps) * models.shape[2])
         if run is not None:
-            (tape, count), full = self.tape, tables.tape[2]
-            scratch = np.empty((count * len(models) + full) * _LANES)
-            addresses = (each.ctypes.data for each in (tables.tape, tape, models, scratch))
-            run(*addresses, *models.shape[1:], tables.rounding)
+            (products, address), (_, own, count) = tables.tape, self.tape
+            scratch = np.empty((count * len(models) + products[2]) * _LANES)
+            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:], tables.rounding)
             return
-        most = 1 + max(result for _, result, *_ in self.steps)
-        work = np.zeros((len(models), max(models.shape[1], most), models.shape[2]))
-        work[:, : models.shape[1]] = models
+        count, most = models.shape[1], max(result for _, result, *_ in self.steps)
+        work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
+        work[:, :count] = models
         for operation, (result, a, b) in self.levels:
             left, right = work[:, a], work[:, b]
             work[:, result] = (
@@ -189,7 +190,7 @@ class Program:
                 if operation == TIMES
                 else summed(left, right, 1.0 if operation == PLUS else -1.0)
             )
-        models[:] = work[:, : models.shape[1]]
+        models[:] = work[:, :count]
 
 
 @made_once

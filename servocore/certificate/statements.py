@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -14,13 +13,14 @@ import numpy as np
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
-from servocore.certificate.walk import Walk, walk_of
+from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
+from servocore.structure.derivative_array import in_variables
 
 Verdict = Literal["proved", "refuted", "undecided"]
 
@@ -29,7 +29,7 @@ LIMIT = "limit of "
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
-_HALVED_RUNS = 0, 4, 7  # how often intervals are halved for integrals, the next number where one is undecided
+_HALVED_RUNS = 6  # how often intervals are halved for integrals
 _POSITIVE = 1e-300  # a pivot that is not zero
 
 
@@ -93,19 +93,15 @@ def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
         for each in signed
     ]
     for k in range(resolved.left_out.numel()):
-        share = partial(_entry, resolved.left_out_shares, k)
-        off = Limit("", "", -LEFT_OUT_HOLDS, "", share, upper=LEFT_OUT_HOLDS)
+        share = resolved.left_out_shares[k]
+        off = Limit("", "", -LEFT_OUT_HOLDS, "", lambda _, share=share: share, upper=LEFT_OUT_HOLDS)
         claims.append(Claim("redundant constraints hold", off, f"constraint {k + 1} of them does not hold"))
     pivots, free = _pivots(resolved.system), not resolved.system.G.nnz()
     what = "mass matrix definite on all motions that the constraints allow"
-    for k in range(pivots.numel()):
-        pivot = Limit("", "", _POSITIVE, "", partial(_entry, pivots, k))
-        claims.append(Claim(what, pivot, "the mass matrix is negative", free))
+    for pivot in ca.vertsplit(pivots):
+        positive = Limit("", "", _POSITIVE, "", lambda _, pivot=pivot: pivot)
+        claims.append(Claim(what, positive, "the mass matrix is negative", free))
     return tuple(claims)
-
-
-def _entry(expressions: ca.SX, k: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - called with the system
-    return expressions[k]
 
 
 def _pivots(system: MechanicalSystem) -> ca.SX:
@@ -124,14 +120,18 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 
 
 @made_once
+def _unbounded(limit: Limit) -> Limit:
+    return replace(limit, bound=-math.inf, upper=math.inf)
+
+
+@made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    system, y = equations.array.system, equations.array.y
-    n = len(system.coordinates)
-    old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-    values = ca.substitute([limit.on(system) for limit in limits], [old], [new])
-    rates = (time_derivative(e, y, system.gamma) if k.rate else e for e, k in zip(values, limits, strict=True))
-    return walk_of(ca.vertcat(*rates), equations.symbols)
+    system, y, values = equations.array.system, equations.array.y, list[ca.SX]()
+    for limit in limits:
+        value = in_variables(system, limit.on(system), y)
+        values.append(time_derivative(value, y, system.gamma) if limit.rate else value)
+    return Walk(ca.vertcat(*values), equations.symbols)
 
 
 @made_once
@@ -155,40 +155,22 @@ def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
     return np.concatenate(list(halves), axis=2)
 
 
-@dataclass
-class Decision:
-    """Whether a quantity keeps its bounds.
-
-    Attributes
-    ----------
-    verdict : str
-        As that of a statement.
-    at : ndarray or None
-        The arguments of the walk where it fails, or where that is not decided.
-    value : float
-        The quantity there.
-    least, most : float
-        Bounds of the quantity where it is proved to keep its bounds.
-    """
-
-    verdict: Verdict = "proved"
-    at: Array | None = None
-    value: float = np.nan
-    least: float = np.inf
-    most: float = -np.inf
+Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
+"""Whether a quantity keeps its bounds; where it fails or is not decided the arguments of the walk and the quantity, NaN
+if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
 def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
     """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
-    found = [Decision() for _ in lower]
-    lower, upper, open_ = lower[:, None], upper[:, None], np.ones(len(lower), dtype=bool)
+    found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
+    least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
+    lower, upper = lower[:, None], upper[:, None]
     for halvings in range(_HALVINGS):
         models = walk(ring, boxes)
         low, high = ring.span(models)
         kept = (low >= lower) & (high <= upper)
-        least, most = low.min(axis=1, initial=np.inf, where=kept), high.max(axis=1, initial=-np.inf, where=kept)
-        for k, each in enumerate(found):
-            each.least, each.most = min(each.least, float(least[k])), max(each.most, float(most[k]))
+        least = np.minimum(least, low.min(axis=1, initial=np.inf, where=kept))
+        most = np.maximum(most, high.max(axis=1, initial=-np.inf, where=kept))
         some = np.asarray(~kept[open_].all(axis=0))
         if not some.any():
             break
@@ -204,67 +186,79 @@ def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Arr
             open_[k] = not certain[k].any()
             worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
             node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
-            found[k].verdict, found[k].at = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box]
-            found[k].value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
+            value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
+            found[k] = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box], value
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
         boxes = _halved(ring, boxes[..., again], c[:, open_][..., again])
-    return found
+    extents = zip(least.tolist(), most.tolist(), strict=True)
+    return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
 
 
 def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proofs[0].equations
     # Walks are kept, whatever the bounds are.
-    limits = {each: replace(each.limit, bound=-math.inf, upper=math.inf) for each in claims}
+    limits = {each: _unbounded(each.limit) for each in claims if not each.limit.over_run}
     limits = {each: limit for each, limit in limits.items() if known(equations, limit)}
     walk = walk_of_limits(equations, tuple(limits.values()))
     bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
     decisions = dict(zip(limits, decided(proofs[0].ring, boxes_of(proofs), walk, *bounds), strict=True))
     found = dict[str, Statement]()
     for each in claims:
-        decision, time = decisions.get(each, Decision("undecided")), None
-        if each not in decisions:
-            sentence = "it depends on higher derivatives of the path than the inputs do"
-        elif each.limit.rate and jumps and decision.verdict == "proved":
-            decision, time = Decision("undecided"), min(jumps)
-            sentence = f"inputs jump at t = {time:.6g} s, where rates have no bound"
-        elif decision.at is None:
-            extent = map(each.limit.with_unit, (decision.least, decision.most))
-            sentence = "it stays from {} to {}".format(*extent) if not each.told else ""
-        else:
-            sentence, time = _failure(proofs[0], each, decision), float(decision.at[-1])
-        verdict = "undecided" if decision.verdict == "refuted" and not each.refutable else decision.verdict
-        before = found.get(each.what)
-        if before is None or before.verdict == "proved" or (before.verdict, verdict) == ("undecided", "refuted"):
-            found[each.what] = Statement(each.what, verdict, sentence, time)
+        statement = Statement(each.what, "undecided", "it depends on higher derivatives of the path than the inputs do")
+        if each.limit.over_run:
+            statement = _of_run(proofs, each)
+        elif each in decisions:
+            statement = _of_all_times(proofs[0], each, decisions[each], jumps)
+        before = found.setdefault(each.what, statement)
+        if before.verdict == "proved" or (before.verdict, statement.verdict) == ("undecided", "refuted"):
+            found[each.what] = statement
     return list(found.values())
 
 
-def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Statement]:
-    """Decide limits of what the run adds up, from enclosures of the integrals over all intervals."""
-    proof, path, statements = proofs[0], proofs[0].problem.reference, list[Statement]()
-    for limit in limits:
-        assert limit.over_run is not None
-        low, high, kept, refuted = -np.inf, np.inf, False, False
-        # Halves of parameters have no common time: boxes with parameters stay whole.
-        for halvings in _HALVED_RUNS if not proof.boxed and not proof.unproved else (0,):
-            sums = [_integral(each, limit, halvings) for each in proofs]
-            bounds = [[float(limit.over_run.of_sum(each, path.duration)) for each in ends] for ends in sums]
-            low, high = min(least for least, _ in bounds), max(most for _, most in bounds)
-            refuted = any(least > limit.upper or most < limit.bound for least, most in bounds)
-            kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
-            if refuted or kept:
-                break
-        verdict: Verdict = "refuted" if refuted else "proved" if kept else "undecided"
-        between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
-        text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
-        statements.append(Statement(f"{LIMIT}{limit.quantity}", verdict, text))
-    return statements
+def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collection[float]) -> Statement:
+    (verdict, at, value, extent), limit = decision, claim.limit
+    if verdict == "proved" and limit.rate and jumps:
+        text = f"inputs jump at t = {min(jumps):.6g} s, where rates have no bound"
+        return Statement(claim.what, "undecided", text, min(jumps))
+    if verdict == "proved":
+        text = "" if claim.told else "it stays from {} to {}".format(*map(limit.with_unit, extent))
+        return Statement(claim.what, verdict, text)
+    names = proof.problem.system.parameters.names
+    given, time = at[-1 - len(names) : -1], float(at[-1])  # the last arguments
+    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)])
+    if not np.isfinite(value):
+        text = f"the motion is not proved at {place}"
+    elif claim.told:
+        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
+    else:
+        bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
+        text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
+        text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
+        text += f", {limit.reason}" if limit.reason else ""
+    return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
 
 
-def _integral(proof: Proof, limit: Limit, halvings: int) -> tuple[float, float]:
+def _of_run(proofs: Sequence[Proof], claim: Claim) -> Statement:
+    """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
+    limit, proof = claim.limit, proofs[0]
+    assert limit.over_run is not None
+    sums = np.array([_integral(each, limit) for each in proofs])
+    bounds = limit.over_run.of_sum(sums, proof.problem.reference.duration)
+    low, high = bounds[:, 0].min(), bounds[:, 1].max()
+    verdict: Verdict = "undecided"
+    if ((bounds[:, 0] > limit.upper) | (bounds[:, 1] < limit.bound)).any():
+        verdict = "refuted"
+    elif limit.bound <= low and high <= limit.upper and known(proof.equations, limit):
+        verdict = "proved"
+    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+    return Statement(claim.what, verdict, text)
+
+
+def _integral(proof: Proof, limit: Limit) -> tuple[float, float]:
     """Return bounds of the integral of a quantity over the run, for all parameters of the box.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
@@ -273,7 +267,8 @@ def _integral(proof: Proof, limit: Limit, halvings: int) -> tuple[float, float]:
     if proof.unproved:
         return -np.inf, np.inf
     ring, boxes = proof.ring, boxes_of([proof])
-    for _ in range(halvings):
+    # Halves of parameters have no common time: boxes with parameters stay whole.
+    for _ in range(0 if proof.boxed else _HALVED_RUNS):
         boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
     means = alone * np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
@@ -284,23 +279,3 @@ def _integral(proof: Proof, limit: Limit, halvings: int) -> tuple[float, float]:
     slack = 4.0 * len(widths) * UNIT * widths + 2.0 * time[-1]
     total, off = float(middle @ widths), float(radius @ widths + np.abs(middle) @ slack) * (1.0 + 1e-9)
     return total - off, total + off
-
-
-def _failure(proof: Proof, claim: Claim, decision: Decision) -> str:
-    assert decision.at is not None
-    limit, value, undecided = claim.limit, decision.value, decision.verdict == "undecided"
-    names = proof.problem.system.parameters.names
-    given = decision.at[-1 - len(names) : -1]  # behind them the time
-    place = ", ".join(
-        [f"t = {decision.at[-1]:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)]
-    )
-    if not np.isfinite(value):
-        return f"the motion is not proved at {place}"
-    if claim.told:
-        return f"{'not decided whether ' * undecided}{claim.told} at {place}"
-    bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
-    why = f", {limit.reason}" if limit.reason else ""
-    return (
-        f"{'not decided: it is about' if undecided else 'it is'} {limit.with_unit(value)} at {place},"
-        f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}{why}"
-    )

@@ -8,10 +8,9 @@ where that may come to zero.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -28,120 +27,103 @@ _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
-@dataclass(frozen=True, eq=False)
 class Walk:
     """An expression's operations in programs, and between them what is interpolated.
 
-    Attributes
+    The depth of a place is the number of interpolations before it: at each depth there is a program, then the functions
+    of what is then known.
+
+    Parameters
     ----------
-    parts : sequence of (Program, list of (rule, places of arguments, places of results))
-        In an order in which arguments are known.
-    arguments : mapping of int to int
-        Places of the arguments that are used, by their numbers.
-    constants : mapping of float to int
-        Places of numbers.
-    outputs : ndarray of int
-        Place of every entry of the result.
-    places : int
-        How many are read or written by more than one part.
+    expression : casadi.SX
+        A column.
+    symbols : casadi.SX
+        A column: the arguments.
     """
 
-    parts: Sequence[tuple[Program, list[_Function]]]
-    arguments: Mapping[int, int]
-    constants: Mapping[float, int]
-    outputs: Places
-    places: int
+    def __init__(self, expression: ca.SX, symbols: ca.SX) -> None:
+        self._depth: list[int] = []
+        self._arguments: dict[int, int] = {}
+        self._constants: dict[float, int] = {}
+        self._steps: list[Step] = []
+        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
+        function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
+        outputs, place_of = [self._constant(0.0)] * expression.numel(), dict[int, int]()
+        for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
+            if number == ca.OP_OUTPUT:
+                outputs[out[1]] = place_of[used[0]]
+            elif number == ca.OP_CONST:
+                place_of[out[0]] = self._constant(constant)
+            elif number == ca.OP_INPUT:
+                place_of[out[0]] = self._arguments[used[1]] = self._place()
+            else:
+                place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
+        self._outputs = np.array(outputs, dtype=np.intp)
+        self._parts = self._grouped()
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms + 1, arguments, boxes)."""
-        models: Array = np.empty((len(arguments), self.places, arguments.shape[2]))
-        models[:, list(self.arguments.values())] = arguments[:, list(self.arguments)]
-        models[:, list(self.constants.values())] = ring.constant(np.array(list(self.constants))[:, None])
-        for program, functions in self.parts:
+        models: Array = np.empty((len(arguments), self._places, arguments.shape[2]))
+        models[:, self._number[list(self._arguments.values())]] = arguments[:, list(self._arguments)]
+        constants = ring.constant(np.array(list(self._constants))[:, None])
+        models[:, self._number[list(self._constants.values())]] = constants
+        for program, functions in self._parts:
             program(ring, models)
             for rule, taken, results in functions:
                 models[:, results] = rule(ring, *(models[:, each] for each in taken))
-        return bounded(models[:, self.outputs])
+        return bounded(models[:, self._number[self._outputs]])
 
+    def _place(self, depth: int = 0) -> int:
+        self._depth.append(depth)
+        return len(self._depth) - 1
 
-@dataclass(eq=False)
-class _Graph:
-    """The operations of an expression, with the depth of each place: how many interpolations come before it."""
+    def _constant(self, value: float) -> int:
+        if value not in self._constants:
+            self._constants[value] = self._place()
+        return self._constants[value]
 
-    depth: list[int] = field(default_factory=list)
-    arguments: dict[int, int] = field(default_factory=dict)
-    constants: dict[float, int] = field(default_factory=dict)
-    steps: list[Step] = field(default_factory=list)
-    functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = field(default_factory=dict)
+    def _step(self, operation: int, a: int, b: int) -> int:
+        self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
+        return self._steps[-1][1]
 
-    def place(self, depth: int = 0) -> int:
-        self.depth.append(depth)
-        return len(self.depth) - 1
-
-    def constant(self, value: float) -> int:
-        if value not in self.constants:
-            self.constants[value] = self.place()
-        return self.constants[value]
-
-    def step(self, operation: int, a: int, b: int) -> int:
-        self.steps.append((operation, self.place(max(self.depth[a], self.depth[b])), a, b))
-        return self.steps[-1][1]
-
-    def function(self, number: int, arguments: tuple[int, ...]) -> int:
+    def _function(self, number: int, arguments: tuple[int, ...]) -> int:
         rule, component = _RULES[number]
-        depth = 1 + max(self.depth[each] for each in arguments)
-        some = self.functions.setdefault((depth, rule), {})
+        depth = 1 + max(self._depth[each] for each in arguments)
+        some = self._functions.setdefault((depth, rule), {})
         if arguments not in some:
-            some[arguments] = [self.place(depth) for _ in range(1 + (rule is _turned))]
+            some[arguments] = [self._place(depth) for _ in range(1 + (rule is _turned))]
         return some[arguments][component]
 
-    def operation(self, number: int, arguments: list[int]) -> int:
+    def _operation(self, number: int, arguments: list[int]) -> int:
         a, b = arguments[0], arguments[-1]
         if number == ca.OP_DIV:
-            return self.step(TIMES, a, self.function(ca.OP_INV, (b,)))
+            return self._step(TIMES, a, self._function(ca.OP_INV, (b,)))
         if number == ca.OP_NEG:
-            return self.step(MINUS, self.constant(0.0), a)
+            return self._step(MINUS, self._constant(0.0), a)
         if number in _STEPS:
-            return self.step(_STEPS[number], a, b)
-        return self.function(number, tuple(arguments))
+            return self._step(_STEPS[number], a, b)
+        return self._function(number, tuple(arguments))
 
-    def walk(self, outputs: list[int]) -> Walk:
-        """Return the walk to some places: at each depth a program, then the functions of what is then known."""
-        wanted = {place for some in self.functions.values() for taken in some for place in taken}.union(outputs)
-        for _, result, *taken in self.steps:
-            wanted.update(place for place in taken if self.depth[place] < self.depth[result])
-        inner = {result for _, result, *_ in self.steps} - wanted
-        # Places that only one program knows come last.
-        number = np.argsort(sorted(range(len(self.depth)), key=inner.__contains__))
-        parts: list[tuple[list[Step], list[_Function]]] = [([], []) for _ in range(max(self.depth) + 1)]
-        for operation, *places in self.steps:
-            result, a, b = number[places].tolist()
-            parts[self.depth[places[0]]][0].append((operation, result, a, b))
-        for (depth, rule), some in self.functions.items():
+    def _grouped(self) -> list[tuple[Program, list[_Function]]]:
+        """Return programs and functions, each with places of arguments and results, and number the places for them.
+
+        Those that only one program knows come last: models have no room for them.
+        """
+        depth, wanted = self._depth, set(self._outputs.tolist())
+        wanted.update(place for some in self._functions.values() for taken in some for place in taken)
+        for _, result, *taken in self._steps:
+            wanted.update(place for place in taken if depth[place] < depth[result])
+        inner = {result for _, result, *_ in self._steps} - wanted
+        number = self._number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
+        self._places, read = len(number) - len(inner), set(number[list(wanted)].tolist())
+        steps, functions = ([list[Any]() for _ in range(max(depth) + 1)] for _ in range(2))
+        for operation, *places in self._steps:
+            steps[depth[places[0]]].append((operation, *number[places].tolist()))
+        for (level, rule), some in self._functions.items():
             taken, results = number[np.array(list(some)).T], number[np.array(list(some.values())).T.ravel()]
-            parts[depth - 1][1].append((rule, list(taken), results))
-        read = set(number[list(wanted)].tolist())
-        given = ({key: int(number[place]) for key, place in each.items()} for each in (self.arguments, self.constants))
-        programs = [(Program(steps, read), functions) for steps, functions in parts]
-        return Walk(programs, *given, number[outputs], len(number) - len(inner))
-
-
-def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
-    """Group the operations of a column of expressions of a column of symbols."""
-    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-    graph, place_of = _Graph(), dict[int, int]()  # CasADi uses places of its work vector again
-    outputs = [graph.constant(0.0)] * expression.numel()
-    for number, out, used, constant in operations_of(function):
-        if number == ca.OP_OUTPUT:
-            outputs[out[1]] = place_of[used[0]]
-        elif number == ca.OP_CONST:
-            place_of[out[0]] = graph.constant(constant)
-        elif number == ca.OP_INPUT:
-            place_of[out[0]] = graph.arguments[used[1]] = graph.place()
-        else:
-            place_of[out[0]] = graph.operation(number, [place_of[each] for each in used])
-    return graph.walk(outputs)
+            functions[level - 1].append((rule, list(taken), results))
+        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)]
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
