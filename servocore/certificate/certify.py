@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import jumps_of, motion_statements
+from servocore.certificate.equations import Box
 from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import LIMIT, Claim, Statement, Verdict, claims_of, statements_of
@@ -187,7 +188,7 @@ def certify(
     path, proofs, bounds, jumps = problem.reference, list[Proof](), dict[str, ErrorBound](), tuple[float, ...]()
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
     wanted = [k for k in (*problem.limits, *problem.run_limits, *extra) if not k.at_instants_only]
-    boxed, rates = _boxes(problem, parameters or {}), any(limit.rate for limit in wanted)
+    boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
         if solution is not None and solution.error.largest is not None:
@@ -238,7 +239,7 @@ def require_certified(
     return certificate
 
 
-def _boxes(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box:
     """Return the intervals of parameters by number."""
     names, boxed = problem.system.parameters.names, {}
     for name, interval in parameters.items():
@@ -251,9 +252,7 @@ def _boxes(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> d
     return boxed
 
 
-def _proved(
-    problem: Problem, box: dict[int, tuple[float, float]], tolerance: float, rates: bool, halvings: int = _HALVINGS
-) -> list[Proof]:
+def _proved(problem: Problem, box: Box, tolerance: float, rates: bool, halvings: int = _HALVINGS) -> list[Proof]:
     """Prove the motion for all parameters of a box, in halves where it is not proved as a whole."""
     proof = Proof(problem, box, tolerance, rates)
     if not (box and proof.unproved and halvings):

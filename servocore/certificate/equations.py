@@ -18,6 +18,7 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -31,6 +32,9 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
+
+Box: TypeAlias = Mapping[int, tuple[float, float]]
+"""Intervals of parameters, by their numbers."""
 
 _ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
 _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
@@ -163,26 +167,20 @@ def _is_share(a: ca.SX, b: ca.SX, compared: Mapping[int, tuple[int, ...]]) -> bo
     return first == second[::-1] and ca.is_equal(b, s + z, 1)
 
 
-def given_models(
-    problem: Problem,
-    array: DerivativeArray,
-    ring: Arithmetic,
-    begin: Array,
-    end: Array,
-    boxed: Mapping[int, tuple[float, float]],
-) -> Model:
-    """Return models of the path and its derivatives, the parameters and the time on intervals, as the walks take them.
+def given_models(problem: Problem, array: DerivativeArray, ring: Arithmetic, ends: Array, boxed: Box) -> Model:
+    """Return models of the path and its derivatives, the parameters and the time, as the walks take them.
 
+    Intervals have begins and ends, shape (2, N).
     Parameters with an interval are variables of the arithmetic, in their order.
     """
-    count, first = len(begin), ring.degrees[0] + 1
+    (begin, end), first, count = ends, ring.degrees[0] + 1, ends.shape[1]
     coefficients, radii = problem.reference.enclosure(begin, end, array.reference_order, first - 1)
     path = np.zeros((len(ring.nodes) + 1, radii[0].size, count))
     path[:-1].reshape(first, -1, radii[0].size, count)[:, 0] = coefficients.reshape(count, -1, first).T
     path[-1] = radii.reshape(count, -1).T
     rest = ring.constant(np.tile([[each] for each in (*problem.p, 0.0)], count))
-    ends = [(-1, begin, end), *((k, np.array(low), np.array(high)) for k, (low, high) in boxed.items())]
-    for axis, (k, low, high) in enumerate(ends):
+    corners = [(-1, ends), *((k, np.array(interval)[:, None]) for k, interval in boxed.items())]
+    for axis, (k, (low, high)) in enumerate(corners):
         rest[0, k] = (low + high) / 2.0
         if ring.degrees[axis]:
             rest[np.flatnonzero(ring.orders.sum(axis=0) * (ring.orders[axis] == 1) == 1), k] = (high - low) / 2.0

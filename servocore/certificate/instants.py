@@ -114,7 +114,7 @@ def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring, equations = arithmetic((0, *proof.ring.degrees[1:])), proof.equations
     walk = walk_of_limits(equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
-    given = given_models(proof.problem, equations.array, ring, t, t, proof.boxed)
+    given = given_models(proof.problem, equations.array, ring, np.array([t, t]), proof.boxed)
     unknowns = unknowns_at(proof, t, range(len(proof.peaks)))
     low, high = ring.span(walk(ring, np.concatenate([unknowns, given], axis=1)))
     known = np.isfinite(low) & np.isfinite(high)
@@ -136,7 +136,7 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
             guess[k] = curve.derivative(order)(t)
     found = unknowns_from(problem, t, guess)
     x, states = found[array.places(array.determined)], found[array.places(array.states)]
-    given = given_models(problem, array, ring, t, t, {})
+    given = given_models(problem, array, ring, np.array([t, t]), {})
     given = np.concatenate([given, ring.constant(states)], axis=1)
     sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
     D = np.tile(_BESIDE * sizes[:, None], len(t))

@@ -11,6 +11,7 @@ import ctypes
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -72,12 +73,14 @@ class Products:
 
         Those within the degrees come first, then those beyond.
         """
-        places = np.zeros((self.orders.shape[1] ** 2, 1), dtype=np.intp)
-        for d, order in zip(self.degrees, self.orders, strict=True):
-            both = (order[:, None] + order).ravel(), np.abs(order[:, None] - order).ravel()
-            places = np.concatenate([places * (2 * d + 1) + each[:, None] for each in both], axis=1)
+        up, down = (
+            self.orders[:, :, None] + self.orders[:, None],
+            np.abs(self.orders[:, :, None] - self.orders[:, None]),
+        )
+        both, shape = zip(up, down, strict=True), [2 * d + 1 for d in self.degrees]
+        places = np.stack([np.ravel_multi_index(choice, shape) for choice in product(*both)], axis=-1)
         beyond = (_orders([2 * d for d in self.degrees]) > np.array(self.degrees)[:, None]).any(axis=0)
-        return np.argsort(np.argsort(beyond, kind="stable"))[places].reshape(*2 * self.orders.shape[1:], -1)
+        return np.asarray(np.argsort(np.argsort(beyond, kind="stable"))[places])
 
     @cached_property
     def sums(self) -> list[csr_array]:

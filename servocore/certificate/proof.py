@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
-from servocore.certificate.equations import equations_of, given_models, radii
+from servocore.certificate.equations import Box, equations_of, given_models, radii
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -104,8 +104,8 @@ class Proof:
     ----------
     problem : Problem
         Without internal dynamics.
-    boxed : dict of int to (float, float)
-        Intervals of parameters by number.
+    boxed : Box
+        Intervals of parameters.
     tolerance : float
         Of the inputs, as a share of their peaks: intervals are halved to a radius below it.
     raised : bool
@@ -124,9 +124,7 @@ class Proof:
     """
 
     @np.errstate(all="ignore")  # what is not finite is not proved
-    def __init__(
-        self, problem: Problem, boxed: dict[int, tuple[float, float]], tolerance: float, raised: bool = False
-    ) -> None:
+    def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
         p = problem.p.copy()
         p[list(boxed)] = [sum(interval) / 2.0 for interval in boxed.values()]
         self.problem, self.boxed, self.tolerance = replace(problem, p=p), boxed, tolerance
@@ -242,8 +240,8 @@ class Proof:
     def given(self, some: Sequence[Interval]) -> Model:
         """Return models of path, parameters and time on intervals."""
         if new := [each for each in some if not each.given.size]:
-            begin, end = (np.array([getattr(each, name) for each in new]) for name in ("begin", "end"))
-            found = given_models(self.problem, self.equations.array, self.ring, begin, end, self.boxed)
+            ends = np.array([(each.begin, each.end) for each in new]).T
+            found = given_models(self.problem, self.equations.array, self.ring, ends, self.boxed)
             for k, each in enumerate(new):
                 each.given = found[:, :, k]
         return np.stack([each.given for each in some], axis=2)
