@@ -71,6 +71,8 @@ class Equations:
         Unknowns that are coordinates and velocities: they cannot jump; that the steps depend on; and that are inputs.
     steady, curved : ndarray of bool
         Unknowns that may not jump with the equations, of motion or switching; that the Jacobian or the steps depend on.
+    free : ndarray of bool
+        Unknowns that may differ at joints: rates may jump, and others are unique wherever they are.
     rows, columns : ndarray of int
         Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
     ends : ndarray of int
@@ -100,6 +102,7 @@ class Equations:
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
+        self.free = ~self.curved | [each not in resolved.array.unknowns for each in array.unknowns]
         self._find_blocks(J.sparsity())
 
     def _find_blocks(self, pattern: ca.Sparsity) -> None:

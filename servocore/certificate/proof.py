@@ -139,9 +139,10 @@ class Proof:
         self.intervals = [Interval(a, b) for grid in grids for a, b in pairwise(grid)]
         self.intervals.insert(0, Interval(path.start_time - margin, path.start_time, outside=True))
         self.intervals.append(Interval(path.end_time, path.end_time + margin, outside=True))
-        while (self._refined() or self._followed()) and len(self.intervals) <= _MOST:
-            pass
-        self.joints = self._joints()
+        while self._refined() or self._followed():
+            if len(self.intervals) > _MOST:
+                self.joints = self._joints()
+                break
 
     @cached_property
     def peaks(self) -> Array:
@@ -292,9 +293,8 @@ class Proof:
         early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
         noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
-        rates = [unknown not in self.problem.array.unknowns for unknown in self.equations.array.unknowns]
-        free = np.array(rates) | ~self.equations.curved  # rates may jump, and others are unique wherever they are
-        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]]) | free[:, None]
+        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
+        fits |= self.equations.free[:, None]
         motion = self.equations.motion
         of_path = np.isin([each.end for each in self.intervals[:-1]], self.problem.reference.joints)
         proved = np.array([each.proved for each in self.intervals])
@@ -309,10 +309,11 @@ class Proof:
 
         From the first proved interval to the end, and to the beginning. What was followed in vain is halved.
         """
-        joints, first = self._joints(), next((k for k, each in enumerate(self.intervals) if each.proved), 0)
+        self.joints = self._joints()
+        first = next((k for k, each in enumerate(self.intervals) if each.proved), 0)
         for order in (range(first, len(self.intervals)), range(first, -1, -1)):
             for k, n in pairwise(order):
-                a, b, joint = self.intervals[k], self.intervals[n], joints[min(k, n)]
+                a, b, joint = self.intervals[k], self.intervals[n], self.joints[min(k, n)]
                 if not a.proved and not b.x.size:  # the branch is lost: later answers come from the guess
                     b.followed = False
                     return True
