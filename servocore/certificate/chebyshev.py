@@ -126,9 +126,10 @@ class Arithmetic(Products):
 
     def product(self, a: Model, b: Model) -> Model:
         """Return a times b."""
-        models = np.stack([a, b, np.empty_like(a)], axis=1).reshape(len(a), 3, -1)
-        _PRODUCT(self, models)
-        return models[:, 2].reshape(a.shape)
+        models = np.empty((len(a), 3, *a.shape[1:]))
+        models[:, 0], models[:, 1] = a, b
+        _PRODUCT(self, models.reshape(len(a), 3, -1))
+        return models[:, 2]
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------
 
