@@ -114,6 +114,7 @@ def spiked() -> sc.Scene:
 BAD: dict[str, tuple[Callable[[], sc.Scene], str]] = {
     "above the girder": (lambda: line(OVERHEAD, (0, -1), (1, 1), 5.0), "girder|singular"),
     "a broken rate": (lambda: OVERHEAD.with_limits(**{"F.rate": 1000.0}), "F.rate"),
+    **{kind: (make, "") for kind, (make, _) in REFUSED.items()},
 }
 
 
@@ -123,7 +124,7 @@ def test_what_is_wrong_is_never_proved_and_a_cause_is_told(case: str) -> None:
     certificate = sc.certify(make())
     assert certificate.verdict != "proved"
     told = " ".join(str(each) for each in certificate.statements if each.verdict != "proved")
-    assert any(each in told for each in cause.split("|")), told
+    assert re.search(cause, told), told
 
 
 @pytest.mark.parametrize("kind", ["a stop", "dry friction", "a corner", "a support that turns back"])
@@ -292,9 +293,3 @@ def test_a_certificate_is_short_in_print_and_has_a_plot() -> None:
     assert repr(certificate).startswith("<Certificate of overhead_crane: proved, ")
     figure = certificate.plot(["F"])
     assert len(figure.axes[0].lines) == 2
-
-
-@pytest.mark.parametrize("kind", REFUSED)
-def test_steps_that_no_motion_takes_are_not_proved(kind: str) -> None:
-    make, _ = REFUSED[kind]
-    assert sc.certify(make()).verdict != "proved"

@@ -59,8 +59,8 @@ def jumps_of(proofs: Sequence[Proof]) -> tuple[float, ...]:
         times.update(each.end for each, joint in joints if joint == "inputs jump")
         for switching, run in groupby(proof.intervals, proof.jumps_within):
             first, *_, last = 2 * list(run)
-            middle = path.start_time if first.outside else (first.begin + last.end) / 2.0
-            times.update([path.end_time if last.outside else middle] if switching else [])
+            if switching:
+                times.add(float(np.clip((first.begin + last.end) / 2.0, path.start_time, path.end_time)))
     return tuple(sorted(times))
 
 

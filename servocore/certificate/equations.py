@@ -114,8 +114,8 @@ class Equations:
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
         inside = np.array(whole.get_nz((size * places[0] + places[1]).tolist()))
         inner, outer = places[:, inside >= 0], places[:, inside < 0]
-        self.beside, self.others = _by_rows(outer), outer[2]
-        self.whole = _by_rows(np.array([whole.get_col(), whole.row()]))
+        self.whole = (*np.unique(whole.get_col(), return_index=True), np.array(whole.row()))
+        self.beside, self.others = (*np.unique(outer[0], return_index=True), outer[1]), outer[2]
         self.inside, self.own = inside[inside >= 0], inner[2]
         Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(self.own)), ("r", size)))
         given = ca.Sparsity.triplet(size, size, inner[1].tolist(), inner[0].tolist())
@@ -127,11 +127,6 @@ class Equations:
         """Return the equations of the block that determines an unknown."""
         last = int(np.searchsorted(self.ends, np.flatnonzero(self.columns == unknown)[0], side="right"))
         return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
-
-
-def _by_rows(places: Places) -> tuple[Places, Places, Places]:
-    rows, first = np.unique(places[0], return_index=True)
-    return rows, first, places[1]
 
 
 equations_of = made_once(Equations)

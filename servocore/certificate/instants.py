@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
@@ -62,7 +61,8 @@ def compared(
     proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
-    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[_numbers(proof, t)]
+    ends = [each.end for each in proof.intervals[:-1]]
+    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[np.searchsorted(ends, t, side="right")]
     t = t[calm]
     unknowns = unknowns_at(proof, t, places)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
@@ -89,16 +89,11 @@ def compared(
     return bounds, found, claims
 
 
-def _numbers(proof: Proof, t: Array) -> npt.NDArray[np.intp]:
-    """Return the numbers of the intervals of times."""
-    ends = [each.end for each in proof.intervals[:-1]]
-    return np.searchsorted(ends, t, side="right")
-
-
 def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
     """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    ends, numbers = np.array([each.end for each in proof.intervals]), _numbers(proof, t)
-    a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
+    begins, ends = np.array([(each.begin, each.end) for each in proof.intervals]).T
+    numbers = np.searchsorted(ends[:-1], t, side="right")
+    a, b = begins[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
     found = proof.enclosures[:, places][..., numbers]
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])

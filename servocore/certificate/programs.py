@@ -186,13 +186,9 @@ class Program:
         count, most = models.shape[1], max(result for _, result, *_ in self.steps)
         work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
         work[:, :count] = models
+        rules = [summed, lambda a, b: summed(a, b, -1.0), tables.multiplied]  # of PLUS, MINUS and TIMES
         for operation, (result, a, b) in self.levels:
-            left, right = work[:, a], work[:, b]
-            work[:, result] = (
-                tables.multiplied(left, right)
-                if operation == TIMES
-                else summed(left, right, 1.0 if operation == PLUS else -1.0)
-            )
+            work[:, result] = rules[operation](work[:, a], work[:, b])
         models[:] = work[:, :count]
 
 

@@ -113,6 +113,8 @@ class Proof:
 
     Attributes
     ----------
+    narrow : float
+        Radius of the inputs, of their peaks, at which no interval is halved any more.
     equations : Equations
         The equations.
     ring : Arithmetic
@@ -128,6 +130,7 @@ class Proof:
         p = problem.p.copy()
         p[list(boxed)] = [sum(interval) / 2.0 for interval in boxed.values()]
         self.problem, self.boxed, self.tolerance = replace(problem, p=p), boxed, tolerance
+        self.narrow = tolerance if boxed else _NARROW * tolerance
         self.equations = equations_of(problem.resolved, raised)
         of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
@@ -189,13 +192,8 @@ class Proof:
         chosen[self.equations.inputs] = True
         c = np.stack([each.x[:-1, chosen] for each in fresh], axis=2)
         share = (norm(c[self.ring.orders[0] >= _DEGREE - 1]) / self.peaks[chosen, None]).max(axis=0)
-        large = (share > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)).tolist()
+        large = (share > _COARSE * np.clip(self.narrow, 1e-12, 1e-8)).tolist()
         return {each for each, coarse in zip(fresh, large, strict=True) if coarse and each.depth < _GUESSED}
-
-    @property
-    def _narrow(self) -> float:
-        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
-        return self.tolerance if self.boxed else _NARROW * self.tolerance
 
     def _too_wide(self, each: Interval) -> bool:
         """Whether an interval is not proved well enough, and halves may help.
@@ -205,7 +203,7 @@ class Proof:
         if self.jumps_within(each):
             return not each.outside and each.depth < _DEEPEST
         if each.proved:
-            return self._narrow < each.relative <= each.before[0] / 2.0 and each.depth < _DEEPEST
+            return self.narrow < each.relative <= each.before[0] / 2.0 and each.depth < _DEEPEST
         return not each.followed and each.depth < _GUESSED
 
     # Answers and test -----------------------------------------------------------------------------------------------
@@ -217,9 +215,8 @@ class Proof:
         for axis, (k, (low, high)) in enumerate(self.boxed.items(), 1):
             p[k] = (low + high) / 2.0 + (high - low) / 2.0 * nodes[:, axis]
         t = np.concatenate([(k.begin + k.end) / 2.0 + (k.end - k.begin) / 2.0 * nodes[:, 0] for k in some])
-        full = np.minimum(
-            np.arange(1 << (len(t) - 1).bit_length()), len(t) - 1
-        )  # a power of two: few maps are compiled
+        # Filled up to a power of two: few maps are compiled.
+        full = np.minimum(np.arange(1 << (len(t) - 1).bit_length()), len(t) - 1)
         function = (machine_code(array).best(len(t), called=False) or inversion(array)).function
         arguments = [side_by_side(self.problem.reference.jet(t, array.reference_order)[full])]
         arguments.append(np.tile(p, len(some))[:, full])

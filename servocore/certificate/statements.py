@@ -87,10 +87,10 @@ class Claim:
 @made_once
 def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
     """Return what is claimed of every motion of a system: signs, constraints left out as redundant, and masses."""
-    signed = [each for each in reported_quantities(resolved.system).values() if each.positive]
     claims = [
         Claim(f"{each.name} positive", Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name)))
-        for each in signed
+        for each in reported_quantities(resolved.system).values()
+        if each.positive
     ]
     for k in range(resolved.left_out.numel()):
         share = resolved.left_out_shares[k]
