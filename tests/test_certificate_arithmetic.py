@@ -71,9 +71,9 @@ OPERATIONS: dict[str, tuple[bool, Callable[..., ca.SX], Exact]] = {
     "whole power": (True, lambda a: a**-3, lambda a: a**-3),
     "number": (False, lambda a: a / 3 + ca.sin(ca.SX(0.1)) * a, lambda a: a / 3 + arb(0.1).sin() * a),
     "absolute value": (False, ca.fabs, abs),
-    "larger": (False, lambda a: ca.fmax(a, 0.1), lambda a: max(a, arb(0.1))),
+    "larger": (False, lambda a: ca.fmax(a, ca.SX(0.1)), lambda a: max(a, arb(0.1))),
     "choice": (False, lambda a: ca.if_else(a < 0.2, a, 5), lambda a: a if a < 0.2 else arb(5)),
-    "either": (False, lambda a: ca.SX(ca.logic_or(a > 0.5, a < 0)), lambda a: arb(int(a > 0.5 or a < 0))),
+    "either": (False, lambda a: ca.logic_or(a > 0.5, a < 0), lambda a: arb(int(a > 0.5 or a < 0))),
     "steps": (False, lambda a: ca.sign(a - 2) + ca.floor(3 * a), lambda a: (a - 2).sgn() + (3 * a).floor()),
 }
 MANY = 100_000 // (len(OPERATIONS) * len(DEGREES)) + 1
