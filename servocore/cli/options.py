@@ -364,8 +364,7 @@ class Certified:
         """Return the verdict in one line, none with --no-certify; `strict` raises an error where it is refuted."""
         if self.no_certify:
             return []
-        from servocore.certificate.certify import certify  # noqa: PLC0415 - most commands certify nothing
-        from servocore.certificate.required import require_certified  # noqa: PLC0415
+        from servocore.certificate.certify import certify, require_certified  # noqa: PLC0415 - few commands certify
 
         if strict:
             certificate = require_certified(subject, tolerance, model=model, warn=False)

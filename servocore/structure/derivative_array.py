@@ -235,7 +235,7 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     residual = ca.vertcat(system.momentum_balance(y[:n, 2]), system.output - system.path[:, 0], system.constraints)
     return SecondOrderEquations(
         name=system.name,
-        residual=_in_variables(system, residual, y),
+        residual=in_variables(system, residual, y),
         y=y,
         names=(
             *(f"q.{name}" for name in system.coordinates.names),
@@ -252,7 +252,8 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     )
 
 
-def _in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.SX:
+def in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.SX:
+    """Return an expression of q, v, lam and u in the variables y = (q, lam, u), derivatives in columns."""
     n = len(system.coordinates)
     old = ca.vertcat(system.q, system.lam, system.u, system.v)
     return ca.substitute(expression, old, ca.vertcat(y[:, 0], y[:n, 1]))
@@ -292,7 +293,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     taken = ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)
-    parts = [residual[unactuated], -_in_variables(system, taken, y)]
+    parts = [residual[unactuated], -in_variables(system, taken, y)]
     residual[unactuated], special, _ = without_vanishing(equations, parts)
     names = (
         f"{name} less servo accelerations" if k in unactuated else name for k, name in enumerate(equations.equations)
