@@ -100,21 +100,20 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     if not limits:
         return
     every = survey(problem.reference)
-    for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
-        margins = _margins(problem, limits, grid, native)
-        bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-        if (margins.min(axis=1) > bends).all():
-            return
+    margins = _margins(problem, limits, np.append(every[:-1:_FEWER], every[-1]), native)
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+    if (margins.min(axis=1) > bends).all():
+        return
+    margins = _margins(problem, limits, every, native)
     _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
-        k = int(margins[row].argmin())
-        first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
+        k, at = int(margins[row].argmin()), every
         for _ in range(ROUNDS):
-            at = np.linspace(first, last, SECTIONS)
+            at = np.linspace(at[max(k - 1, 0)], at[min(k + 1, len(at) - 1)], SECTIONS)
             inside = _margins(problem, limits[row : row + 1], at, False)
             _require_kept(limits[row : row + 1], inside, at)
             k = int(inside[0].argmin())
-            first, last = at[max(k - 1, 0)], at[min(k + 1, SECTIONS - 1)]
 
 
 def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:

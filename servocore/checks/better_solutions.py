@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servocore.checks.findings import ROUND_OFF
 from servocore.checks.wrong_inputs import (
     LARGEST_UNWARNED,
     NOTICED,
@@ -27,6 +28,7 @@ from servocore.methods.collocation import RadauIIA
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import subdivided
 from servocore.solution import ErrorEstimate, Solution
 
 STEPWISE = "one: no step of the motion stands out from its neighbours"
@@ -34,12 +36,8 @@ STEPWISE = "one: no step of the motion stands out from its neighbours"
 Run = Callable[[Problem, Array], Solution]
 """(problem, instants) -> its solution."""
 
-LOOSE_TOLERANCE = 0.01
-"""A larger tolerance alone does not prove that inputs are accurate."""
-
 _MOST_HALVINGS = 3
 _SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
-_FLOOR = 1e-11  # of the peak: round-off of the better values
 _COMPARED = 40, 400  # instants at which a run with internal dynamics is compared, at first and where it is doubtful
 
 
@@ -78,15 +76,14 @@ class BetterSolver:
         comparison, failed = None, ServocoreError("no step was small enough")
         for halvings in range(_MOST_HALVINGS + 1):
             parts = 2**halvings
-            fine = np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
             try:
-                better = self.run(problem, fine).values[::parts]
+                better = self.run(problem, subdivided(t, parts)).values[::parts]
             except ServocoreError as error:
                 failed = error
                 continue
             if last is not None:
                 doubt, off = (np.abs(better - each).max(axis=0) for each in (last, solution.values))
-                known = (off >= _SURE * doubt) | (np.maximum(off, doubt) <= _FLOOR * np.abs(better).max(axis=0))
+                known = (off >= _SURE * doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(better).max(axis=0))
                 comparison = Comparison(inputs, t, solution.values, better, known, self.basis)
                 if known[: len(inputs)].all():
                     return comparison

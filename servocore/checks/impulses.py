@@ -15,8 +15,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from servocore.checks.between_instants import Beside, Looked, Moments, Rows, look
-from servocore.checks.branches import MANY
+from servocore.checks.between_instants import Beside, Looked, Moments, look
+from servocore.checks.branches import MANY, Rows
 from servocore.checks.findings import BISECTIONS, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -59,7 +59,9 @@ def _of_motion(motion: Motion, looked: Looked, rows: Rows) -> Iterator[tuple[flo
     n, ranges = len(quantities), rows.ranges(motion.states)
     sides = [(looked.left.of(np.array([k])), looked.right.of(np.array([k])), False) for k in range(len(looked.left.t))]
     for left, right, gap in [*sides, *((*ends, True) for ends in looked.gaps)]:
-        row = int((rows.missed(left, right)[:, 0] / np.maximum(ranges, 1e-300)).argmax()) % (n if gap else 2 * n)
+        row = int(
+            (rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)).argmax()
+        ) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
         for side, aside in (
             (left, -_ASIDE),

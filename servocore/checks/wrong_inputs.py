@@ -28,7 +28,8 @@ LARGEST_UNWARNED = 0.05
 """Of an input's peak: an input further from the exact one is warned of."""
 
 NOTICED = 0.02
-"""Of a range: about the third differences of a wave at 20 instants a period, less than which says nothing."""
+"""Of a range: about the third differences of a wave at 20 instants a period, less than which says nothing; of a peak: a
+tolerance that is larger does not prove by itself that inputs are accurate."""
 
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
 _BEYOND = 1e4  # times the peak: the size of a larger error is not reported

@@ -27,7 +27,7 @@ from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.exact_inversion import exact_values
+from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.fixed_step_loop import (
     Progress,
     advance_chunk,
@@ -37,7 +37,7 @@ from servocore.solvers.fixed_step_loop import (
     step_failure,
     step_of,
 )
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.results import Run, solution_of
 from servocore.solvers.route import JudgedRoute
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.exact_evaluation import along_path
@@ -46,6 +46,7 @@ from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import inversion, system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
+_EVERY, _GOOD = 4, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
@@ -70,7 +71,7 @@ class Stepped(JudgedRoute):
     def better(self, problem: Problem) -> BetterSolver:
         """Return the exact inversion, the bounded one, or a method of high order; see `JudgedRoute`."""
         if problem.flat:
-            return exact_values(problem)
+            return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
@@ -102,7 +103,7 @@ class FixedStep(Stepped):
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, progress))])
+        return solution_of(problem, [run_steps(problem, program, times, progress)])
 
 
 class StateSelection(Stepped):
@@ -130,11 +131,11 @@ class StateSelection(Stepped):
             formulation = _states_at_start(problem, formulation)
             program = program_of(problem, formulation, self.method, self.native, len(times))
             state, _ = first_state(problem, program, step)
-        length, segments = chunk_length(count), list[Segment]()
+        length, segments = chunk_length(count), list[Run]()
         at, restarted_at = 0, -1
         while at < count:
             part, complete = advance_chunk(problem, program, times[at : at + length + 1], step, state, length)
-            array = formulation.array(problem.system)
+            array = program.array
             values = _array_values(array, part.states)
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
             if better is None and not complete:
@@ -142,8 +143,7 @@ class StateSelection(Stepped):
                 # Without this a run would restart at the same instant without end.
                 if better == array.states or restarted_at == at:
                     raise step_failure(problem, program, part.states[:, good], times[at + good], step)
-            reached = replace(part, states=part.states[:, : good + 1])
-            segments.append(Segment(program, times[at : at + good + 1], reached))
+            segments.append(part.at(slice(good + 1)))
             at, state = at + good, part.states[:, good]
             if better is not None and at < count:
                 restarted_at = at
@@ -170,13 +170,17 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
+    last = values.shape[1] - 1
+    some = np.append(np.arange(0, last, _EVERY), last)
+    if (_quality(array, _system_jacobians(problem, t[some], values[:, some])) > _GOOD).all():
+        return last, None
     J = _system_jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
         # A change at the first instant of a chunk would gain no step.
         if k > 0 and better != array.states:
             return int(k), better
-    return values.shape[1] - 1, None
+    return last, None
 
 
 def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:

@@ -58,20 +58,28 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
     IntegrationFailed
         If a step is not solved.
     """
-    count = len(t) - 1
-    step, length = step_of(t), chunk_length(count)
+    step, length = step_of(t), chunk_length(len(t) - 1)
     state, first_residual = first_state(problem, program, step)
-    parts = [Run(state[:, None], 0, 0, first_residual)]
+    run, complete = _advanced(problem, program, t, step, state, length, progress)
+    if not complete:
+        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
+    return replace(run, worst_residual=max(run.worst_residual, first_residual))
+
+
+def _advanced(
+    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
+) -> tuple[Run, bool]:
+    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
+    parts, complete, count = [Run(program, t[:1], state[:, None])], True, len(t) - 1
     for done in range(0, count, length):
-        part, complete = advance_chunk(
-            problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length
-        )
+        now = parts[-1].states[:, -1]
+        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, now, length)
+        parts.append(part.at(slice(1, None)))
         if not complete:
-            raise step_failure(problem, program, part.states[:, -1], t[done + part.states.shape[1] - 1], step)
-        parts.append(replace(part, states=part.states[:, 1:]))
+            break
         if progress is not None:
             progress(min(done + length, count), count)
-    return joined_runs(parts)
+    return joined_runs(parts), complete
 
 
 def step_of(t: Array) -> float:
@@ -109,20 +117,11 @@ def advance_chunk(
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
-        return _one_by_one(problem, program, t, step, state)
+        return _advanced(problem, program, t, step, state, 1, None)
     iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
-    return Run(states, round(iterations), round(factorizations), float(worst[:good].max(initial=0.0))), good == used
-
-
-def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state: Array) -> tuple[Run, bool]:
-    parts = [Run(state[:, None], 0, 0, 0.0)]
-    for k in range(len(t) - 1):
-        part, complete = advance_chunk(problem, program, t[k : k + 2], step, parts[-1].states[:, -1], 1)
-        parts.append(replace(part, states=part.states[:, 1:]))
-        if not complete:
-            return joined_runs(parts), False
-    return joined_runs(parts), True
+    worst_residual = float(worst[:good].max(initial=0.0))
+    return Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual), good == used
 
 
 _STICKS = (

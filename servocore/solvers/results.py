@@ -32,27 +32,42 @@ def require_derivatives(problem: Problem, program: Program) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """States at all instants, and the totals of the run.
+    """States of a program at instants, and the totals of the run.
 
     Attributes
     ----------
-    states : ndarray, shape (size, N + 1)
+    program : Program
+        It stepped, and observes.
+    t : ndarray, shape (N,)
+        Instants in s.
+    states : ndarray, shape (size, N)
         The first column is the consistent start.
     newton_iterations, factorizations : int
         Totals.
     worst_residual : float
         Largest of all steps.
+    observed : tuple of ndarray
+        Values (channels, N), violations (4, N) and whatever was evaluated with them; empty where they are not known.
     """
 
+    program: Program
+    t: Array
     states: Array
-    newton_iterations: int
-    factorizations: int
-    worst_residual: float
+    newton_iterations: int = 0
+    factorizations: int = 0
+    worst_residual: float = 0.0
+    observed: tuple[Array, ...] = ()
+
+    def at(self, chosen: slice) -> Run:
+        """Return the run at some of its instants."""
+        return replace(self, t=self.t[chosen], states=self.states[:, chosen])
 
 
 def joined_runs(parts: list[Run]) -> Run:
     """Put runs of the same program one after the other."""
     return Run(
+        parts[0].program,
+        np.concatenate([part.t for part in parts]),
         np.hstack([part.states for part in parts]),
         sum(part.newton_iterations for part in parts),
         sum(part.factorizations for part in parts),
@@ -60,21 +75,8 @@ def joined_runs(parts: list[Run]) -> Run:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """Part of a run by one program: the instants, its states there and the totals.
-
-    `observed` holds values (channels, N) and violations (4, N) where they are known already.
-    """
-
-    program: Program
-    t: Array
-    run: Run
-    observed: tuple[Array, Array] | None = None
-
-
 def solution_of(
-    problem: Problem, segments: list[Segment], route: str = "", *, refuse_turns: bool = True, **statistics: Any
+    problem: Problem, segments: list[Run], route: str = "", *, refuse_turns: bool = True, **statistics: Any
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -82,7 +84,7 @@ def solution_of(
     ----------
     problem : Problem
         The problem that was solved.
-    segments : list of Segment
+    segments : list of Run
         Parts that follow one another; the instant that two have in common is taken from the later one.
     route : str
         How it was solved, if the name of the last program does not say it.
@@ -117,13 +119,10 @@ def solution_of(
     )
 
 
-def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[Array, Array]:
+def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
-    program, t, states = segment.program, segment.t, segment.run.states
-    if segment.observed is None:
-        observed, violations = along_path(problem, program.observe, t, states)
-    else:
-        observed, violations = segment.observed
+    program, t, states = segment.program, segment.t, segment.states
+    observed, violations, *_ = segment.observed or along_path(problem, program.observe, t, states)
     table = observed.T
     _require_numbers(problem, program, t, table)
     if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
@@ -150,13 +149,13 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
         )
 
 
-def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Statistics:
+def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
     servo, servo_rate, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     return Statistics(
         steps=len(inputs) - 1,
-        newton_iterations=sum(segment.run.newton_iterations for segment in segments),
-        factorizations=sum(segment.run.factorizations for segment in segments),
-        worst_residual=max(segment.run.worst_residual for segment in segments),
+        newton_iterations=sum(segment.newton_iterations for segment in segments),
+        factorizations=sum(segment.factorizations for segment in segments),
+        worst_residual=max(segment.worst_residual for segment in segments),
         servo_violation=servo,
         servo_rate_violation=servo_rate,
         constraint_violation=constraint,
@@ -174,22 +173,9 @@ def input_noise(inputs: Array) -> float | None:
     """
     if len(inputs) < _FEWEST_FOR_NOISE:
         return None
-    deviations = np.array([_median_difference(row) for row in inputs.T]) / _NORMAL_MEDIAN
-    peaks = np.array([max(row.max(), -row.min(), 1e-300) for row in inputs.T])
+    deviations = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
+    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
     return float((deviations / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
-
-
-def _median_difference(row: Array) -> float:
-    """Return the median of the magnitudes of the differences of order eight; one row at a time stays in the cache."""
-    here, there = row.copy(), np.empty_like(row)
-    for size in range(len(row) - 1, len(row) - 1 - _DIFFERENCES, -1):
-        np.subtract(here[1 : size + 1], here[:size], out=there[:size])
-        here, there = there, here
-    differences = np.abs(here[:size])
-    middle = size // 2
-    differences.partition(middle)  # one place at a time, which runs side by side
-    upper = differences[middle]
-    return float(upper if size % 2 else 0.5 * (upper + differences[:middle].max()))
 
 
 def with_run_quantities(solution: Solution) -> Solution:

@@ -13,7 +13,7 @@ from servocore.checks.before_run import require_feasible, require_smooth, warn_b
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
 from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
-from servocore.checks.motion import Motion, enough, passed, poles_passed, unknowns_near
+from servocore.checks.motion import Motion, passed, poles_passed, unknowns_near
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -33,7 +33,7 @@ from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
-from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values, observed_motion
+from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise
 from servocore.solvers.fixed_step_loop import Progress
 from servocore.solvers.results import with_run_quantities, without_run_quantities
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
@@ -162,7 +162,7 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
     motion: Motion | None = solution.motion
     if motion is None and len(solution.t) > 1:
         try:
-            motion = observed_motion(problem, enough(solution.t)[0])
+            motion = Pointwise(Reduced()).run(problem, solution.t).motion
         except ServocoreError:
             if limits:
                 raise
@@ -293,7 +293,7 @@ def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
     if isinstance(route, JudgedRoute):
         return route.better(problem)
     if problem.flat:
-        return exact_values(problem)
+        return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
     return BetterSolver(None, False, f"no more accurate solver of {problem.system.name} is known for this route")
 
 
