@@ -81,12 +81,6 @@ def test_the_exact_bridge_angle_follows_the_path_however_far_its_instants_lie_ap
     np.testing.assert_allclose(found["phi"] - found["phi"][0], np.linspace(0.0, 6 * np.pi, steps + 1), atol=1e-9)
 
 
-def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well() -> None:
-    crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
-    found = sc.solve(crane, sc.Reduced(), step=sc.Adaptive(1e-6), output_step=CIRCLE.duration / 5)
-    assert found["phi"][-1] - found["phi"][0] == pytest.approx(6 * np.pi, abs=1e-9)
-
-
 @pytest.mark.parametrize("distance", [1.0, 1e-2, 1.1e-3])
 def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(distance: float) -> None:
     crane = near_axis(distance)
@@ -145,13 +139,6 @@ def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance: float) -> 
     assert len(heard) == 1 + (distance < 0.03)
     assert largest_error(crane, found, "phi") < 1e-12
     assert largest_error(crane, found, "M_b") > 0.5
-
-
-@pytest.mark.parametrize("method", [sc.Gauss(1), sc.Trapezoidal()], ids=lambda method: method.name)
-def test_inputs_that_an_undamped_method_loses_are_warned_of(method: sc.Method) -> None:
-    cars = sc.scenes.cars(2).with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
-    with pytest.warns(sc.ServocoreWarning, match=r"u is .* N, the exact inversion gives"):
-        sc.solve(cars, sc.Projected(), method, step=0.01)
 
 
 # Methods on forms of high index ---------------------------------------------------------------------------------------

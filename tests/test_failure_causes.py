@@ -226,6 +226,12 @@ def test_times_to_report_at_rise(inputs: sc.Solution, t: list[float | list[float
         sc.simulate(CRANE, inputs, t=t)  # type: ignore[arg-type]  # wrong on purpose
 
 
+def test_inputs_that_are_given_twice_are_refused(inputs: sc.Solution) -> None:
+    twice = replace(inputs, t=np.append(0.0, inputs.t[:-1]))
+    with pytest.raises(sc.InvalidSetting, match=r"the inputs are given twice at t = 0 s"):
+        sc.simulate(CRANE, twice)
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 4, 7])
 def test_too_few_or_many_inputs_are_counted(count: int) -> None:
     said = f"the function of time returns {count} inputs at t = 0 s, rotary crane, points has 3: M_b, F, M_w"

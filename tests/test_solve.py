@@ -15,7 +15,7 @@ from problems import as_scene, car_chain, polynomial_path, problem, scene, solve
 import servocore as sc
 from servocore.references.base import time_grid
 from servocore.references.rest_to_rest import RestToRest
-from servocore.solvers.fixed_step_loop import CHUNK
+from servocore.solvers.runs import CHUNK
 
 CRANE = scene("rotary_crane")
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from servocore.checks.along_motion import jumps, slack_rope
 from servocore.checks.branches import constraint_rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF
-from servocore.checks.impulses import jumps
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
@@ -40,8 +40,6 @@ _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
-    from servocore.checks.slack_ropes import slack_rope  # noqa: PLC0415 - most runs do not fail
-
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)

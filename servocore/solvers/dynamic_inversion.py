@@ -27,8 +27,8 @@ from servocore.numerics.stepped_runs import Instants, Run
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.route import require_inside, require_stable, require_tolerance
+from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_steps
 from servocore.stepping.program import program_of

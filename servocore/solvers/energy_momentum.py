@@ -13,8 +13,8 @@ from servocore.numerics.compiled_calls import Array, chained, mapped
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.fixed_step_loop import CHUNK
 from servocore.solvers.input_functions import Inputs, values_at
+from servocore.solvers.runs import CHUNK
 from servocore.stepping.energy_momentum import (
     ConservingStep,
     compile_conserving_step,

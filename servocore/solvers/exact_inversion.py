@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
+from servocore.checks.better_solutions import BetterSolver
 from servocore.checks.between_instants import continuous_angles
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
@@ -26,9 +26,8 @@ from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
-from servocore.solvers.results import Run, require_derivatives, solution_of
 from servocore.solvers.route import JudgedRoute
+from servocore.solvers.runs import Progress, Run, require_derivatives, run_steps, solution_of, step_failure, step_of
 from servocore.stepping.exact_evaluation import (
     ExactEvaluation,
     along_path,
@@ -38,12 +37,6 @@ from servocore.stepping.exact_evaluation import (
 )
 from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import block_determinants, determinants
-
-if TYPE_CHECKING:
-    from servocore.checks.better_solutions import BetterSolver
-
-NATIVE_FROM = 500
-"""Instants from which on checks are worth machine code."""
 
 _CHUNK = 2048  # instants that are evaluated at once
 
@@ -101,8 +94,6 @@ class Pointwise(JudgedRoute):
 
     def better(self, _: Problem) -> BetterSolver:
         """Return the exact inversion again, from guesses beside the answers."""
-        from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-
         return BetterSolver(_perturbed, True, "the exact inversion, solved again,")
 
     def _at_every_instant(
@@ -166,7 +157,7 @@ def prepared_motion(problem: Problem) -> Motion:
     """
     motion = motion_of(problem)
     if problem.resolved.holds(KINKS):
-        from servocore.checks.impulses import jumps  # noqa: PLC0415 - few models have kinks
+        from servocore.checks.along_motion import jumps  # noqa: PLC0415 - few models have kinks
 
         told(problem.system.name, "", jumps(motion))
     return motion
@@ -217,7 +208,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
-        from servocore.checks.away_from_home import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
+        from servocore.checks.along_motion import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
         from servocore.checks.failure_causes import explained  # noqa: PLC0415
         from servocore.checks.motion_limits import require_limits  # noqa: PLC0415
 

@@ -40,8 +40,8 @@ from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
 from servocore.solvers.fixed_step import FixedStep
-from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.route import require_inside, require_stable, require_tolerance
+from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.before_run import internal_dynamics
+from servocore.checks.better_solutions import BetterSolver
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress
-
-if TYPE_CHECKING:
-    from servocore.checks.better_solutions import BetterSolver
+from servocore.solvers.runs import Progress
 
 
 @runtime_checkable
@@ -63,7 +61,7 @@ def require_inside(reference: Reference, t: Array) -> None:
 
 def require_stable(problem: Problem) -> None:
     """Raise `InvalidModel` if internal dynamics cannot be integrated forward in time."""
-    if not problem.flat and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+    if not problem.flat and internal_dynamics(problem).grows:
         raise InvalidModel(f"{problem.name} has unstable internal dynamics: solve with StableInversion bounds them")
 
 
@@ -114,15 +112,7 @@ class Adaptive:
 
 
 class JudgedRoute(ABC):
-    """A route of the library: `solve` checks its results, and it estimates their accuracy itself.
-
-    Attributes
-    ----------
-    native : bool or None
-        Whether checks may use machine code; see `JustInTime`.
-    """
-
-    native: bool | None = False
+    """A route of the library: `solve` checks its results, and it estimates their accuracy itself."""
 
     @abstractmethod
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:

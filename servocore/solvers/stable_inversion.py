@@ -16,9 +16,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.better_solutions import BetterSolver, compared_closely, stated_branch
+from servocore.checks.better_solutions import NOTICED, BetterSolver, compared_closely, stated_branch
 from servocore.checks.findings import ROUND_OFF
-from servocore.checks.wrong_inputs import NOTICED
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
@@ -29,9 +28,8 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import subdivided
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, step_of
-from servocore.solvers.results import Run, solution_of
 from servocore.solvers.route import JudgedRoute, require_tolerance
+from servocore.solvers.runs import Progress, Run, solution_of, step_of
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.stepping.program import program_of
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization

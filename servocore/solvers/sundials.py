@@ -15,8 +15,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
-from servocore.solvers.results import Run, solution_of
+from servocore.solvers.runs import Progress, Run, first_state, solution_of, step_of
 from servocore.stepping.exact_evaluation import unknowns_from
 from servocore.stepping.program import program_of
 
