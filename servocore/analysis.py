@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.before_run import require_feasible
-from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
-from servocore.checks.internal_stability import (
+from servocore.checks.before_run import (
     ADVICE,
     FLAT,
     MINIMUM_PHASE,
     SINGULAR,
     internal_dynamics,
+    require_feasible,
 )
+from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.motion import motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene

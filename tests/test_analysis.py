@@ -16,7 +16,7 @@ from problems import actuated_chain, driven_pendulum, redundant_pendulum
 from thinned import thinned
 
 import servocore as sc
-from servocore.checks.internal_stability import ADVICE
+from servocore.checks.before_run import ADVICE
 from servocore.numerics.components import condition_number
 from servocore.references.rest_to_rest import RestToRest
 

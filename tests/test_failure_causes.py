@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -179,16 +178,6 @@ def test_nothing_that_drives_an_output_is_structurally_singular_for_all() -> Non
 # What is advised ------------------------------------------------------------------------------------------------------
 
 
-def test_a_smaller_step_is_not_advised_where_errors_grow_with_it() -> None:
-    """On the original form of index five the generalized crane fails at every step size."""
-    with pytest.raises(sc.IntegrationFailed) as caught:
-        sc.solve(CRANE, sc.Original(), sc.BackwardEuler(), step=0.1, model="generalized", checks=False)
-    sentence = str(caught.value)
-    assert "errors that this form of index 5 amplifies from step to step, more so the smaller the step" in sentence
-    assert "a step too large" not in sentence
-    assert "a smaller step" not in sentence
-
-
 @pytest.mark.parametrize(
     "method", [sc.Gauss(2), sc.Trapezoidal(), sc.GeneralizedAlpha(1.0)], ids=lambda each: each.name
 )
@@ -201,15 +190,6 @@ def test_a_smaller_step_is_not_advised_for_methods_that_damp_nothing(
         sc.solve(away, sc.Projected(), method, step=0.5, checks=False)
     assert "smaller step" not in str(caught.value)
     assert "a step too large" not in str(caught.value)
-
-
-def test_another_form_is_advised_where_it_helps() -> None:
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        sc.solve(CRANE, sc.Original(), sc.RadauIIA(2), step=1.0)
-    assert any(str(each.message).endswith("no step is small enough; use the form Reduced()") for each in heard)
-    found, exact = sc.solve(CRANE, sc.Reduced(), sc.RadauIIA(2), step=1.0), CRANE.exact(np.arange(21.0))
-    np.testing.assert_allclose(found["M_b"], exact["M_b"], atol=1e-9 * np.abs(exact["M_b"]).max())
 
 
 # Simulation -----------------------------------------------------------------------------------------------------------
@@ -244,6 +224,12 @@ def test_inputs_are_not_known_outside_their_time(inputs: sc.Solution, t: list[fl
 def test_times_to_report_at_rise(inputs: sc.Solution, t: list[float | list[float]] | str, said: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=f"^the times at which to report .*{said}$"):
         sc.simulate(CRANE, inputs, t=t)  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_inputs_that_are_given_twice_are_refused(inputs: sc.Solution) -> None:
+    twice = replace(inputs, t=np.append(0.0, inputs.t[:-1]))
+    with pytest.raises(sc.InvalidSetting, match=r"the inputs are given twice at t = 0 s"):
+        sc.simulate(CRANE, twice)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4, 7])

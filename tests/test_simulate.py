@@ -155,12 +155,3 @@ def test_it_reports_inputs_outputs_observables_and_coordinates_with_units() -> N
 def test_inputs_given_as_a_function_need_times() -> None:
     with pytest.raises(sc.InvalidSetting, match="need the times at which to report"):
         sc.simulate(released(driven_pendulum(), 1.0, 1.0), NO_TORQUE)
-
-
-def test_inputs_that_are_not_numbers_end_in_a_sentence_not_in_numbers() -> None:
-    with pytest.raises(sc.ServocoreError, match=r"the forward simulation stopped at t = "):
-        sc.simulate(
-            released(driven_pendulum(), 1.0, 1.0),
-            lambda time: np.array([np.nan if time > 0.5 else 0.0]),
-            t=np.linspace(0.0, 1.0, 11),
-        )

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -28,7 +27,6 @@ from servocore.errors import (
     require_formulation,
     require_kind,
     require_method,
-    require_real,
 )
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -42,7 +40,8 @@ from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
 from servocore.solvers.fixed_step import FixedStep
-from servocore.solvers.fixed_step_loop import first_state
+from servocore.solvers.route import require_inside, require_stable, require_tolerance
+from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of
@@ -124,14 +123,11 @@ def prepare(
         if tolerance is not None or not 0 < elements <= _MOST:
             raise InvalidSetting(f"prepare takes a tolerance, or 1 to {_MOST} elements: not {tolerance} and {elements}")
     tolerance = 1e-6 if tolerance is None else tolerance
-    require_real(tolerance, "the tolerance", "a number", InvalidSetting)
-    if not 0.0 < tolerance < 1.0:
-        raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {tolerance}")
+    require_tolerance(tolerance)
     problem = Problem.of(scene, model, start)
     if not problem.dae(formulation).x.numel():
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
-    if not problem.flat and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-        raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
+    require_stable(problem)
     exact = solve(scene, *_TRUTH, model=model, start=start)
     trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
     found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
@@ -304,11 +300,7 @@ class PreparedInversion:
         if parameters or path is not None:
             posed = self._posed(self._changed(parameters or {}, path))
         reference = posed.problem.reference
-        if times.size and not (times.min() >= reference.start_time and times.max() <= reference.end_time):
-            raise InvalidReference(
-                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
-                f" {reference.end_time:g} s, not from {times.min():g} s to {times.max():g} s"
-            )
+        require_inside(reference, times)
         found = self._read(posed, times.ravel())
         if not np.isfinite(found).all():
             self._route.run(posed.problem, time_grid(reference, posed.h))  # names instant, quantity and causes
