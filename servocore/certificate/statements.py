@@ -275,7 +275,7 @@ def _integral(proof: Proof, limit: Limit) -> tuple[float, float]:
     found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
     (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
     middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
-    widths = 2.0 * half
-    slack = 4.0 * len(widths) * UNIT * widths + 2.0 * time[-1]
-    total, off = float(middle @ widths), float(radius @ widths + np.abs(middle) @ slack) * (1.0 + 1e-9)
+    widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
+    slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
+    total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
     return total - off, total + off
