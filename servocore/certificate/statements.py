@@ -29,7 +29,7 @@ LIMIT = "limit of "
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
-_HALVED_RUNS = 6  # how often intervals are halved for integrals
+_HALVED_RUNS = 4  # how often intervals are halved for integrals
 _POSITIVE = 1e-300  # a pivot that is not zero
 
 
