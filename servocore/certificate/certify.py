@@ -154,7 +154,8 @@ def certify(
     limits : mapping of str to bounds, optional
         Limits besides those of the scene, see `Scene.with_limits`.
     parameters : mapping of str to (float, float), optional
-        Intervals of parameters: everything is then proved for all values in the box.
+        Intervals of parameters: everything is then proved for all values in the box, as a whole. Where that is
+        undecided, its parts may be proved.
     tolerance : float
         Of the inputs, as a share of their peaks: the width that enclosures are refined to, and how far the inputs of a
         solution may be from the proved ones.
