@@ -64,7 +64,7 @@ OPERATIONS: dict[str, tuple[bool, Callable[..., ca.SX], Exact]] = {
     "angle": (True, ca.atan2, arb.atan2),
     "asin": (True, lambda a: ca.asin(a / (1 + a)), lambda a: (a / (1 + a)).asin()),
     "acos": (True, lambda a: ca.acos(a / (1 + a)), lambda a: (a / (1 + a)).acos()),
-    "atan": (False, ca.atan, arb.atan),
+    "atan": (True, ca.atan, arb.atan),
     "cosh": (False, ca.cosh, arb.cosh),
     "tan": (True, lambda a: ca.tan(a / (1 + a)), lambda a: (a / (1 + a)).tan()),
     "power": (True, lambda a: a**3.5, lambda a: a ** arb(3.5)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -19,20 +19,18 @@ _NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
+def motion_statements(proof: Proof) -> list[Statement]:
     """State that there is one motion on one branch, regular at all times, and as smooth as motions are."""
+    failing = [_cause(proof)] if proof.unproved else []
+    for a, joint in zip(proof.intervals, proof.joints, strict=False):
+        if joint in {"apart", "not proved"}:
+            text = f"not decided at t = {a.end:.6g} s that the motion goes on as it was before"
+            failing.append(Statement(_BRANCH, "undecided", text, a.end))
+        elif joint == "motion jumps":
+            text = f"coordinates or velocities jump at t = {a.end:.6g} s: the path is too rough there"
+            failing.append(Statement(_SMOOTH, "refuted", text, a.end))
     found = {what: Statement(what, "proved") for what in (_MOTION, _BRANCH, _SMOOTH)}
-    for proof in proofs:
-        failing = [_cause(proof)] if proof.unproved else []
-        for a, joint in zip(proof.intervals, proof.joints, strict=False):
-            if joint in {"apart", "not proved"}:
-                text = f"not decided at t = {a.end:.6g} s that the motion goes on as it was before"
-                failing.append(Statement(_BRANCH, "undecided", text, a.end))
-            elif joint == "motion jumps":
-                text = f"coordinates or velocities jump at t = {a.end:.6g} s: the path is too rough there"
-                failing.append(Statement(_SMOOTH, "refuted", text, a.end))
-        found |= {each.what: each for each in reversed(failing) if found[each.what].verdict == "proved"}
-    return list(found.values())
+    return list((found | {each.what: each for each in reversed(failing)}).values())
 
 
 def _cause(proof: Proof) -> Statement:
@@ -50,17 +48,14 @@ def _cause(proof: Proof) -> Statement:
     return Statement(_MOTION, "undecided", _sentence(proof, first), first.begin)
 
 
-def jumps_of(proofs: Sequence[Proof]) -> tuple[float, ...]:
+def jumps_of(proof: Proof) -> tuple[float, ...]:
     """Return the times in s at which inputs alone jump: at joints of the path, and where equations switch."""
-    times = set[float]()
-    for proof in proofs:
-        path = proof.problem.reference
-        joints = zip(proof.intervals, proof.joints, strict=False)
-        times.update(each.end for each, joint in joints if joint == "inputs jump")
-        for switching, run in groupby(proof.intervals, proof.jumps_within):
-            first, *_, last = 2 * list(run)
-            if switching:
-                times.add(float(np.clip((first.begin + last.end) / 2.0, path.start_time, path.end_time)))
+    path = proof.problem.reference
+    times = [each.end for each, joint in zip(proof.intervals, proof.joints, strict=False) if joint == "inputs jump"]
+    for switching, run in groupby(proof.intervals, proof.jumps_within):
+        first, *_, last = 2 * list(run)
+        if switching:
+            times.append(float(np.clip((first.begin + last.end) / 2.0, path.start_time, path.end_time)))
     return tuple(sorted(times))
 
 

@@ -31,7 +31,6 @@ from servocore.solution import Solution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_HALVINGS = 5  # of boxes of parameters
 _SAMPLES = 401  # of a plot
 
 
@@ -58,7 +57,7 @@ class Certificate:
     error_bounds: Mapping[str, ErrorBound]
     intervals: Array
     jumps: tuple[float, ...] = ()
-    _proofs: tuple[Proof, ...] = ()
+    _proof: Proof | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -101,10 +100,10 @@ class Certificate:
             not proved.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
-        names = list(reported_quantities(self._proofs[0].problem.system)) if self._proofs else []
-        found = np.array([tube_of(proof, times, names) for proof in self._proofs])
-        ends = ((found[:, 0, k].min(axis=0), found[:, 1, k].max(axis=0)) for k in range(len(names)))
-        return {name: np.stack(each, axis=1) for name, each in zip(names, ends, strict=True)}
+        if self._proof is None:
+            return {}
+        names = list(reported_quantities(self._proof.problem.system))
+        return dict(zip(names, np.stack(tube_of(self._proof, times, names), axis=-1), strict=True))
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Plot the enclosures of quantities over time: both bounds.
@@ -124,9 +123,9 @@ class Certificate:
         InvalidSetting
             If matplotlib is missing, or nothing is proved.
         """
-        if not self._proofs:
+        if self._proof is None:
             raise InvalidSetting("nothing is proved that could be plotted")
-        problem = self._proofs[0].problem
+        problem = self._proof.problem
         t = np.linspace(problem.reference.start_time, problem.reference.end_time, _SAMPLES)
         tube, known = self.tube(t), reported_quantities(problem.system)
         chosen = list(names) if names is not None else [each.name for each in problem.system.inputs]
@@ -155,7 +154,8 @@ def certify(
     limits : mapping of str to bounds, optional
         Limits besides those of the scene, see `Scene.with_limits`.
     parameters : mapping of str to (float, float), optional
-        Intervals of parameters: everything is then proved for all values in the box.
+        Intervals of parameters: everything is then proved for all values in the box, as a whole. Where that is
+        undecided, its parts may be proved.
     tolerance : float
         Of the inputs, as a share of their peaks: the width that enclosures are refined to, and how far the inputs of a
         solution may be from the proved ones.
@@ -185,7 +185,7 @@ def certify(
         require_kind(problem, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
     else:
         problem = Problem.of(scene_or_solution, model)
-    path, proofs, bounds, jumps = problem.reference, list[Proof](), dict[str, ErrorBound](), tuple[float, ...]()
+    path, proof, bounds, jumps = problem.reference, None, dict[str, ErrorBound](), tuple[float, ...]()
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
     wanted = [k for k in (*problem.limits, *problem.run_limits, *extra) if not k.at_instants_only]
     boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
@@ -199,17 +199,17 @@ def certify(
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
         statements = [Statement("one motion", "refuted", text)]
     else:
-        proofs = _proved(problem, boxed, tolerance, rates)
-        jumps = jumps_of(proofs)
+        proof = Proof(problem, boxed, tolerance, rates)
+        jumps = jumps_of(proof)
         claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
-        statements = motion_statements(proofs)
-        if not any(proof.unproved for proof in proofs):
-            bounds, of_instants, spikes = compared(proofs, solution, tolerance)
+        statements = motion_statements(proof)
+        if not proof.unproved:
+            bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, claims = statements + of_instants, spikes + claims
-        statements += statements_of(proofs, claims, jumps) + _step_statement(problem.system)
+        statements += statements_of(proof, claims, jumps) + _step_statement(problem.system)
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
-    inner = [(each.begin, each.end) for proof in proofs[:1] for each in proof.intervals if not each.outside]
-    return Certificate(problem.name, timed, bounds, np.reshape(inner, (-1, 2)), jumps, tuple(proofs))
+    inner = [(each.begin, each.end) for each in (proof.intervals if proof else []) if not each.outside]
+    return Certificate(problem.name, timed, bounds, np.reshape(inner, (-1, 2)), jumps, proof)
 
 
 def require_certified(
@@ -250,17 +250,6 @@ def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box
             raise InvalidSetting(f"the interval of {name} must run from a lower to a higher value, not {interval}")
         boxed[names.index(name)] = (low, high)
     return boxed
-
-
-def _proved(problem: Problem, box: Box, tolerance: float, rates: bool, halvings: int = _HALVINGS) -> list[Proof]:
-    """Prove the motion for all parameters of a box, in halves where it is not proved as a whole."""
-    proof = Proof(problem, box, tolerance, rates)
-    if not (box and proof.unproved and halvings):
-        return [proof]
-    k = max(box, key=lambda each: (box[each][1] - box[each][0]) / max(np.abs(box[each])))
-    low, high = box[k]
-    halves = ({**box, k: half} for half in ((low, (low + high) / 2.0), ((low + high) / 2.0, high)))
-    return [part for half in halves for part in _proved(problem, half, tolerance, rates, halvings - 1)]
 
 
 @made_once

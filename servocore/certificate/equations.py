@@ -102,7 +102,7 @@ class Equations:
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
-        self.free = ~self.curved | [each not in resolved.array.unknowns for each in array.unknowns]
+        self.free = ~self.curved | [each not in resolved.array.unknowns for each in array.determined]
         self._find_blocks(J.sparsity())
 
     def _find_blocks(self, pattern: ca.Sparsity) -> None:

@@ -51,14 +51,13 @@ class ErrorBound:
 
 
 def compared(
-    proofs: Sequence[Proof], solution: Solution | None, tolerance: float
+    proof: Proof, solution: Solution | None, tolerance: float
 ) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
     """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
 
     Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
     equations switch inputs have no value to compare with.
     """
-    proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     ends = [each.end for each in proof.intervals[:-1]]
@@ -70,8 +69,7 @@ def compared(
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    all_calm = [each for some in proofs for each in some.intervals if not some.jumps_within(each)]
-    between = np.max([each.x[-1, places] for each in all_calm], axis=0)
+    between = np.max([each.x[-1, places] for each in proof.intervals if not proof.jumps_within(each)], axis=0)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"

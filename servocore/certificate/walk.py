@@ -8,6 +8,7 @@ where that may come to zero.
 from __future__ import annotations
 
 import operator
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any, TypeAlias
@@ -43,19 +44,19 @@ class Walk:
 
     def __init__(self, expression: ca.SX, symbols: ca.SX) -> None:
         self._depth: list[int] = []
-        self._arguments: dict[int, int] = {}
-        self._constants: dict[float, int] = {}
+        self._arguments = defaultdict[int, int](self._place)
+        self._constants = defaultdict[float, int](self._place)
         self._steps: list[Step] = []
         self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-        outputs, place_of = [self._constant(0.0)] * expression.numel(), dict[int, int]()
+        outputs, place_of = [self._constants[0.0]] * expression.numel(), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
             if number == ca.OP_OUTPUT:
                 outputs[out[1]] = place_of[used[0]]
             elif number == ca.OP_CONST:
-                place_of[out[0]] = self._constant(constant)
+                place_of[out[0]] = self._constants[constant]
             elif number == ca.OP_INPUT:
-                place_of[out[0]] = self._arguments[used[1]] = self._place()
+                place_of[out[0]] = self._arguments[used[1]]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
         self._outputs = np.array(outputs, dtype=np.intp)
@@ -78,11 +79,6 @@ class Walk:
         self._depth.append(depth)
         return len(self._depth) - 1
 
-    def _constant(self, value: float) -> int:
-        if value not in self._constants:
-            self._constants[value] = self._place()
-        return self._constants[value]
-
     def _step(self, operation: int, a: int, b: int) -> int:
         self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
         return self._steps[-1][1]
@@ -100,7 +96,7 @@ class Walk:
         if number == ca.OP_DIV:
             return self._step(TIMES, a, self._function(ca.OP_INV, (b,)))
         if number == ca.OP_NEG:
-            return self._step(MINUS, self._constant(0.0), a)
+            return self._step(MINUS, self._constants[0.0], a)
         if number in _STEPS:
             return self._step(_STEPS[number], a, b)
         return self._function(number, tuple(arguments))
