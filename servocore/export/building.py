@@ -85,16 +85,7 @@ def inverse_model(
     InvalidReference
         If the scene's own path breaks its limits.
     """
-    problem = with_redundant_constraints_as_limits(followed(Problem.of(scene, model)))
-    kind = internal_dynamics(problem)
-    if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
-        grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
-        raise InvalidModel(
-            f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
-            f" depend on the whole path, its future included; solve computes them"
-        )
-    if not problem.flat or problem.follow_branch:  # `followed` has checked the others
-        require_feasible(problem)
+    problem = _analysed(scene, model)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
     if (feedback or estimates) and compiled.state_size:
@@ -114,8 +105,7 @@ def inverse_model(
         model=model or scene.default_model,
         description=f"Inverse dynamics of {scene.name.replace('_', ' ')}: the inputs"
         f" {', '.join(quantity.name for quantity in system.inputs)} that make"
-        f" {', '.join(quantity.name for quantity in system.outputs)}"
-        " follow a path",
+        f" {', '.join(quantity.name for quantity in system.outputs)} follow a path",
         kernel="inverse",
         own={
             "components": len(system.outputs),
@@ -148,6 +138,21 @@ def inverse_model(
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,
     )
+
+
+def _analysed(scene: Scene, model: str | None) -> Problem:
+    """Return a scene's problem; raises `InvalidModel` if its inputs depend on the future of the path."""
+    problem = with_redundant_constraints_as_limits(followed(Problem.of(scene, model)))
+    kind = internal_dynamics(problem)
+    if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
+        grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
+        raise InvalidModel(
+            f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
+            f" depend on the whole path, its future included; solve computes them"
+        )
+    if not problem.flat or problem.follow_branch:  # `followed` has checked the others
+        require_feasible(problem)
+    return problem
 
 
 def followed(problem: Problem) -> Problem:

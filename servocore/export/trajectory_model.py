@@ -99,18 +99,9 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     profile = options.profile or (law if baked is None else FROM_FILE)
     ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
     times = begin, scene.reference.duration, ramp if law == profile else 0.0
-    variables = rows.placed(
-        [
-            *rows.path_variables(servo, scene.tracked, orders, None, ""),
-            *rows.line_settings(servo, scene.tracked, ends, times),
-        ]
-    )
-    has_file = baked is not None or options.offers_file
-    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_file else {})).items())
-    names = [name for name, _ in items]
-    if profile not in names:
-        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    choice = Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
+    path = rows.path_variables(servo, scene.tracked, orders, None, "")
+    variables = rows.placed([*path, *rows.line_settings(servo, scene.tracked, ends, times)])
+    choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
@@ -160,6 +151,14 @@ def _line(path: Reference) -> tuple[str, float, float]:
             if path.profile == law:
                 return name, path.start_time, 0.0
     return "", 0.0, 0.0
+
+
+def _choice(has_path: bool, profile: str) -> Choice:
+    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_path else {})).items())
+    names = [name for name, _ in items]
+    if profile not in names:
+        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
+    return Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
