@@ -207,24 +207,17 @@ class EffectsReport:
     def __str__(self) -> str:
         return "\n".join([self.scene.name, aligned([HEADINGS, *self.cells()]), *self.remarks])
 
-    def markdown(self, title: str = "") -> str:
-        """Return the table and the remarks as a piece of Markdown.
-
-        Parameters
-        ----------
-        title : str, optional
-            A heading above the table; none when not given.
+    def markdown(self) -> str:
+        """Return the table and the remarks below the name of the scene as a piece of Markdown.
 
         Returns
         -------
         str
             Markdown.
         """
-        table = [HEADINGS, ("---",) * len(HEADINGS), *self.cells()]
-        lines = ["| " + " | ".join(row) + " |" for row in table]
-        return "\n".join(
-            [f"## {title or self.scene.name}", "", *lines, "", *(f"* {remark}" for remark in self.remarks), ""]
-        )
+        lines = ["| " + " | ".join(row) + " |" for row in (HEADINGS, ("---",) * len(HEADINGS), *self.cells())]
+        remarks = (f"* {remark}" for remark in self.remarks)
+        return "\n".join([f"## {self.scene.name}", "", *lines, "", *remarks, ""])
 
 
 def _shown(value: float | None, form: str) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 
 from servocore.checks.before_run import require_feasible
 from servocore.effects.closed_loop import COARSEST, linear_answers, run_loop
-from servocore.effects.model_inversion import Inverted, at_rest, inverted
+from servocore.effects.model_inversion import at_rest, inverted
 from servocore.effects.position_loops import PositionLoops
 from servocore.effects.report import REFUSED, SIMULATED, EffectRow, EffectsReport
 from servocore.errors import (
@@ -193,7 +193,8 @@ class _Study:
             order = max(row.derivatives or 0, Problem.of(small).array.reference_order)
             reference = smooth_enough(large.reference, order)
             moved = (scene.with_reference(reference) for scene in (large, small))
-            return self._compared(replace(row, law=_law(reference)), *moved)
+            law = f"law {reference.profile.name}" if isinstance(reference, RestToRest) else "the scene's own law"
+            return self._compared(replace(row, law=law), *moved)
         except ServocoreError as error:
             return EffectRow(name, left_out=left_out, how=REFUSED, reason=str(error))
 
@@ -205,16 +206,19 @@ class _Study:
         without = inverted(model, self.measured, instants)
         with_effect = inverted(plant, measured, instants) if row.internal_states == 0 else at_rest(plant, measured)
         gains = (with_effect if row.left_out else without).gains(self.loops)
-        tail, reason = _TAIL if _rests(large.reference) else 0.0, _NOT_FLAT
+        end = large.reference.end_time
+        tail = 0.0 if large.reference.jet([end, end + 1.0], 2)[:, 1:].any() else _TAIL  # where the path stays
+        reason = _NOT_FLAT
         if row.internal_states == 0:
             # delta of the head of this file.
             inputs, positions, rates = np.split(with_effect.signals - without.signals, 3, axis=1)
             lacking = inputs + gains[0] * positions + gains[1] * rates
             estimate = run_loop(without, without, gains, -lacking, hanging, tail=tail)
+            peaks = np.abs(without.inputs).max(axis=0)
             row = replace(
                 row,
                 microseconds=with_effect.microseconds,
-                input_change=_relative_change(with_effect, without),
+                input_change=float((np.abs(inputs).max(axis=0) / np.where(peaks > 0.0, peaks, 1.0)).max()),
                 error=estimate.error,
                 swing=estimate.swing,
                 estimate=estimate.error,
@@ -256,19 +260,3 @@ def smooth_enough(reference: Reference, order: int) -> Reference:
             " a higher rest_order"
         )
     return replace(reference, profile=polynomial(2 * order + 1), smoothness=order)
-
-
-def _law(reference: Reference) -> str:
-    return f"law {reference.profile.name}" if isinstance(reference, RestToRest) else "the scene's own law"
-
-
-def _rests(reference: Reference) -> bool:
-    """Whether a path stays where it ends."""
-    after = reference.jet([reference.end_time, reference.end_time + 1.0], 2)
-    return not after[:, 1:].any()
-
-
-def _relative_change(one: Inverted, other: Inverted) -> float:
-    """Return the largest difference of any input, as a fraction of that input's largest value in the second."""
-    peaks = np.abs(other.inputs).max(axis=0)
-    return float((np.abs(one.inputs - other.inputs).max(axis=0) / np.where(peaks > 0.0, peaks, 1.0)).max())

@@ -17,15 +17,13 @@ _STYLE = (
 )
 
 
-def identified_page(found: Identified, note: str = "") -> str:
+def identified_page(found: Identified) -> str:
     """Return the page of a result.
 
     Parameters
     ----------
     found : Identified
         The result.
-    note : str
-        A sentence at its head, as that the log is synthetic.
 
     Returns
     -------
@@ -46,7 +44,7 @@ def identified_page(found: Identified, note: str = "") -> str:
     return "\n".join([
         "<!doctype html>\n<html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
         f"<title>Identified parameters</title><style>{_STYLE}</style>",
-        f"<h1>Identified parameters</h1><p>{escape(note)} Logs: {escape(', '.join(found.logs))}.</p>",
+        f"<h1>Identified parameters</h1><p>Logs: {escape(', '.join(found.logs))}.</p>",
         f"<p><b>Verdict.</b> {escape(found.verdict)}.</p><h2>Values</h2>",
         f"{_table(found.table)}<p>With standard errors.</p>",
         f"<h2>Not shown by the logs</h2><ul>{unknown}</ul><h2>Inputs and residuals</h2>",

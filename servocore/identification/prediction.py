@@ -27,9 +27,6 @@ _SHOWS = 0.25  # of its uncertainty is left of a combination that a motion shows
 _AMPLITUDE, _PERIODS = 0.5, (4.0, 2.9, 2.3)  # of the motions that are tried, in the unit of the output and s
 _TRIED = np.linspace(0.0, 20.0, 201)
 
-FORCE = "force on "
-"""Begin of the name of a force that `released` adds along a coordinate."""
-
 
 class Predicted(NamedTuple):
     """Channels at N instants: inputs, then positions.
@@ -127,7 +124,7 @@ def released(resolved: ResolvedSystem) -> ResolvedSystem:
     if not free:
         return resolved
     known = [system.coordinates.quantities[k] for k in free]
-    forces = tuple(Quantity(f"{FORCE}{each.name}") for each in known)
+    forces = tuple(Quantity(f"force on {each.name}") for each in known)
     paths, guess, start = reference_symbols(len(free)), ca.SX(system.guess), system.home_configuration()[0][free]
     guess[free] = paths[:, 0]
     extended = replace(
