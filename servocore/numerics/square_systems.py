@@ -312,7 +312,8 @@ def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> Non
     if unrolled:
         (values,) = known.evaluated("sc_linear", symbolic_solution(jacobian, -constant))
     else:
-        values = ca.solve(*known.evaluated("sc_linear", jacobian, -constant), "qr")
+        matrix, right = known.evaluated("sc_linear", jacobian, -constant)
+        values = ca.solve(matrix, right, "qr")
     known.add_values(unknowns, values)
 
 
