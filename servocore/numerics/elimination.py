@@ -218,10 +218,9 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
     if matrix.size1() <= _FORMULA:
         return small_inverse_times(matrix, right)
     if matrix.size1() <= _LARGEST:
-        rows = _with_right_side(matrix, right)
-        products, order = _cheapest_order(tuple(frozenset(row) for row in rows))
-        if products <= _DEAREST * matrix.size1() ** 3:
-            return _by_determinants([rows[i] for i in order])
+        solution = _by_determinants(matrix.size1(), tuple(zip(*matrix.sparsity().get_triplet(), strict=True)))
+        if solution is not None:
+            return ca.SX(solution(matrix, right))
     # QR is Gram and Schmidt's here: its error grows with the square of the condition, which is large where equations of
     # forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
     length = ca.sqrt(ca.sum2(matrix**2))
@@ -241,29 +240,29 @@ def small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
-def _with_right_side(matrix: ca.SX, right: ca.SX) -> list[dict[int, ca.SX]]:
-    """Return the entries of rows by column, with the right side as one column more."""
-    size = matrix.size1()
-    rows = [{size: right[i]} for i in range(size)]
-    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
-        rows[i][j] = matrix[i, j]
-    return rows
+@made_once  # blocks of derivatives repeat, and so do those of bodies
+def _by_determinants(size: int, entries: tuple[tuple[int, int], ...]) -> ca.Function | None:
+    """Return (matrix, right) -> solution for a matrix with these entries; None if that takes too many products.
 
-
-def _by_determinants(rows: list[dict[int, ca.SX]]) -> ca.SX:
-    """Develop determinants row after row by Laplace, with every minor computed once: all unknowns share most of them.
-
-    How rows and columns are scaled does not matter to round-off, nothing but the determinant is divided by, and the
-    chain of operations is short where a factorization has a division and a root in every row.
+    Determinants are developed row after row by Laplace, with every minor computed once: all unknowns share most of
+    them. How rows and columns are scaled does not matter to round-off, nothing but the determinant is divided by, and
+    the chain of operations is short where a factorization has a division and a root in every row.
     """
-    size, minors = len(rows), {_Columns(): ca.SX(1)}
-    for row in rows:
-        minors = _with_row(minors, row)
+    pattern = ca.Sparsity.triplet(size, size, *([entry[k] for entry in entries] for k in range(2)))
+    matrix, right, minors = ca.SX.sym("A", pattern), ca.SX.sym("b", size), {_Columns(): ca.SX(1)}
+    rows = [{size: right[i]} for i in range(size)]  # the right side is one column more
+    for i, j in entries:
+        rows[i][j] = matrix[i, j]
+    products, order = _cheapest_order([frozenset(row) for row in rows])
+    if products > _DEAREST * size**3:
+        return None
+    for i in order:
+        minors = _with_row(minors, rows[i])
     every = _Columns(range(size))
     # In the place of column j stands the right side: moved there from the end past all columns between.
     signs = [(-1) ** (size - 1 - j) for j in range(size)]
-    numerators: ca.SX = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
-    return numerators / minors[every]
+    numerators = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
+    return ca.Function("sc_determinants", [matrix, right], [numerators / minors[every]])
 
 
 def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Columns, ca.SX]:
@@ -277,8 +276,7 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
     return larger
 
 
-@made_once  # blocks of derivatives repeat
-def _cheapest_order(rows: tuple[_Columns, ...]) -> tuple[int, list[int]]:
+def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
     """Return the fewest products that developing takes, and the order of rows for it, the lowest first.
 
     The set of minors depends on the rows, not on their order. By dynamic programming, the best order of some rows

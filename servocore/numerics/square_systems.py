@@ -298,28 +298,23 @@ def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
-    linear = is_linear(residual, unknowns, jacobian)
-    if linear and size <= _EXPLICIT_SIZE:
-        jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
+    if not is_linear(residual, unknowns, jacobian):
+        known.evaluate_explicit()
+        _solve_nonlinear(known, block, unrolled)
+        return
+    constant = ca.substitute(residual, unknowns, ca.SX.zeros(size))
+    known.linear_blocks += 1
+    if size <= _EXPLICIT_SIZE:
+        jacobian, constant = known.resolved(jacobian, constant)
         known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
-        known.linear_blocks += 1
         return
     known.evaluate_explicit()
-    if linear:
-        _solve_linear(known, block, unrolled)
-    else:
-        _solve_nonlinear(known, block, unrolled)
-
-
-def _solve_linear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
-    jacobian = ca.jacobian(block.residual, block.unknowns)
-    constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
-    known.linear_blocks += 1
     if unrolled:
-        known.add_values(block.unknowns, *known.evaluated("sc_linear", symbolic_solution(jacobian, -constant)))
-        return
-    matrix, right = known.evaluated("sc_linear", jacobian, -constant)
-    known.add_values(block.unknowns, ca.solve(matrix, right, "qr"))
+        (values,) = known.evaluated("sc_linear", symbolic_solution(jacobian, -constant))
+    else:
+        matrix, right = known.evaluated("sc_linear", jacobian, -constant)
+        values = ca.solve(matrix, right, "qr")
+    known.add_values(unknowns, values)
 
 
 def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:

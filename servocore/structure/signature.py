@@ -273,16 +273,12 @@ def jacobian_function(structure: Signature) -> ca.Function:
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian at points, zero where an entry is round-off."""
     matrices = [filled(function(*point)) for point in points]
-    if not any(_has_suspicious(matrix) for matrix in matrices):
+    sizes = np.abs(matrices)
+    # An entry that is so small beside others may be round-off.
+    if not ((sizes > 0.0) & (sizes < _SUSPICIOUS * sizes.max(axis=(1, 2), keepdims=True))).any():
         return matrices
     values, errors = evaluate(function, points)
     return list(np.where(np.abs(values) <= errors, 0.0, values))
-
-
-def _has_suspicious(matrix: Array) -> bool:
-    """Whether an entry is so small beside others that it may be round-off."""
-    size = np.abs(matrix)
-    return bool(((size > 0.0) & (size < _SUSPICIOUS * size.max())).any())
 
 
 def is_regular(structure: Signature, p: Array | None = None) -> bool:
