@@ -250,10 +250,6 @@ def test_inputs_of_another_scene_are_missed_by_name(inputs: sc.Solution) -> None
     [
         ({"inputs": np.zeros((3, 3))}, "the inputs must be a Solution or a function of time, not a numpy.ndarray"),
         ({"inputs": lambda _: ["a", "b", "c"]}, "the inputs at t = 0 s must be numbers, not a list"),
-        (
-            {"inputs": lambda _: None},
-            "the function of time returns 0 inputs at t = 0 s, rotary crane, points has 3:...",
-        ),
         ({"rtol": "tight"}, "rtol must be a positive number, not the text 'tight'"),
         ({"atol": np.inf}, "atol must be positive and finite, not inf"),
         ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0.0"),
@@ -324,13 +320,6 @@ def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case: str) -> No
             t=np.array([0.0, 2.0]),
             time_limit=60,
         )
-
-
-def test_the_smooth_form_ends_and_sticks() -> None:
-    """It creeps at a velocity of v_s atanh(F/2), 0.0003 m/s at most."""
-    smooth = block(lambda v: -2.0 * ca.tanh(v / 5e-4))
-    found = sc.simulate(smooth, lambda time: np.array([np.sin(3 * time)]), t=np.array([0.0, 1.0, 2.0]))
-    assert np.ptp(found["x"][1:]) < 3e-4
 
 
 def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter() -> None:

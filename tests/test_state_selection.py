@@ -71,21 +71,6 @@ def test_order_survives_every_new_choice_of_states(method: sc.Method, order: int
     assert statistics.constraint_violation < 1e-13
 
 
-def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular() -> None:
-    stepper = sc.Stepper(scene(), sc.Reduced(states=(("q.x", 0), ("q.x", 1))), sc.RadauIIA(3), step=DURATION / 400)
-    reference = scene().reference
-    state, report = stepper.start(reference.jet(0.0, stepper.start_order))
-    worst = 0.0
-    for k in range(400):
-        t = DURATION / 400 * (k + np.array(stepper.nodes))
-        state, report = stepper.advance(state, reference.jet(t, stepper.start_order))
-        if not report.converged:
-            break
-        values = stepper.values(state, reference.jet(float(t[-1]), stepper.start_order))
-        worst = max(worst, abs(values["x"] - values["s"] - np.sin(angle(400)[k + 1])))
-    assert not report.converged or worst > 100 * error(sc.RadauIIA(3), 400)[0]
-
-
 def test_a_system_that_never_needs_another_choice_makes_one() -> None:
     solution = sc.solve(sc.scenes.mass_on_car(), step=0.02)
     assert solution.statistics.choices_of_states == 1

@@ -15,12 +15,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from servocore.checks.between_instants import Beside, Looked, Moments, look
+from servocore.checks.between_instants import Beside, Ends, Moments, look
 from servocore.checks.branches import MANY, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, told
 from servocore.checks.motion import Motion
@@ -109,7 +108,7 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     function = _compiled_mass(problem.resolved)
     if function is None:
         return
-    few = np.unique(np.linspace(0, len(t) - 1, _INSTANTS).round().astype(int))
+    few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
     t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
     masses = at_instants(function, q, jets=jets, p=problem.p)[0].reshape(len(q), len(q), -1, order="F")
     eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
@@ -214,7 +213,8 @@ def jumps(motion: Motion) -> Iterator[Finding]:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
     rows = _motion_rows(outcome)
-    found = _of_motion(motion, look(motion.beside, at, rows, _LEAST), rows)
+    _, left, gaps = look(motion.beside, at, rows, _LEAST)
+    found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
     yield from steps_passed(problem, *switches)
 
@@ -225,15 +225,14 @@ def _motion_rows(array: DerivativeArray) -> Rows:
     return Rows.of(array, [(j, order) for order in range(2) for j in range(len(array.system.coordinates))])
 
 
-def _of_motion(motion: Motion, looked: Looked, rows: Rows) -> Iterator[tuple[float, Finding]]:
+def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Iterator[tuple[float, Finding]]:
     """Yield the jumps of coordinates and velocities, and the gaps of a motion, with their times."""
     quantities, path = motion.problem.system.coordinates.quantities, motion.problem.reference
     n, ranges = len(quantities), rows.ranges(motion.states)
-    sides = [(looked.left.of(np.array([k])), looked.right.of(np.array([k])), False) for k in range(len(looked.left.t))]
-    for left, right, gap in [*sides, *((*ends, True) for ends in looked.gaps)]:
-        row = int(
-            (rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)).argmax()
-        ) % (n if gap else 2 * n)
+    sides = [(short[0].of(k), short[1].of(k)) for k in np.arange(len(short[0].t))[:, None]]
+    for (left, right), gap in [*((ends, False) for ends in sides), *((ends, True) for ends in gaps)]:
+        missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
+        row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
         for side, aside in (
             (left, -_ASIDE),
@@ -270,7 +269,7 @@ def _switching_arguments(resolved: ResolvedSystem) -> ca.Function | None:
     return ca.Function("sc_switching", given, [ca.densify(ca.vertcat(*levels))]) if levels else None
 
 
-def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moments, tuple[Moments, Moments]]:
+def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moments, Ends]:
     """Return moments with those on both sides of every switch between them, and these sides.
 
     Between two switches that lie close together (`sign` changes, `floor` steps, a branch of `if_else` ends) a model may
@@ -306,16 +305,9 @@ def with_switches(problem: Problem, beside: Beside, at: Moments) -> tuple[Moment
     return every.of(order), (left, right)
 
 
-class SteppedQuantities(NamedTuple):
-    """(q, v, path with the time, p) -> quantities of the motion that must not jump."""
-
-    function: ca.Function
-    quantities: tuple[Quantity, ...]
-
-
 @made_once
-def _stepped_quantities(resolved: ResolvedSystem) -> SteppedQuantities | None:
-    """Compile entries of the mass and the potential that hold jumps, None if there is none."""
+def _stepped_quantities(resolved: ResolvedSystem) -> tuple[ca.Function, tuple[Quantity, ...]] | None:
+    """Compile (q, path with the time, p) -> entries of mass and potential that hold jumps; and list these, if any."""
     system = resolved.system
     found: list[tuple[Quantity, ca.SX]] = []
     names = system.coordinates.names
@@ -329,7 +321,7 @@ def _stepped_quantities(resolved: ResolvedSystem) -> SteppedQuantities | None:
         return None
     values = ca.densify(ca.vertcat(*(each for _, each in found)))
     function = ca.Function("sc_stepped", [system.q, system.gamma[:, 0], system.p], [values])
-    return SteppedQuantities(function, tuple(each for each, _ in found))
+    return function, tuple(each for each, _ in found)
 
 
 def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Finding]:
@@ -340,9 +332,9 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
     rows = _motion_rows(problem.array).values
     q = rows[: len(rows) // 2]
     # At one time, so that what depends on time alone is no step.
-    before, after = (along_path(problem, stepped.function, left.t, side.states[q])[0] for side in (left, right))
+    before, after = (along_path(problem, stepped[0], left.t, side.states[q])[0] for side in (left, right))
     for row, k in np.argwhere(np.abs(after - before) > _LEAST * np.maximum(np.abs(after), np.abs(before))):
-        quantity, time = stepped.quantities[row], left.t[k]
+        quantity, time = stepped[1][row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()
         what = f"at t = {time:.9g} s {quantity.name} jumps from {values}, which is an impulse"
         yield Finding(what, cause=_SMOOTH, error=IntegrationFailed)

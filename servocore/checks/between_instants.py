@@ -51,37 +51,32 @@ class Moments:
         return Moments(np.concatenate([self.t, other.t]), np.hstack([self.states, other.states]))
 
 
-@dataclass(frozen=True, eq=False)
-class Looked:
-    """The result of a look: moments between the instants, and the intervals left.
-
-    Attributes
-    ----------
-    between : Moments
-        What was found by halving.
-    left, right : Moments
-        Ends of intervals that are too short to be halved, and over which values change all the same.
-    gaps : list of (Moments, Moments)
-        Ends of intervals in which no motion was found.
-    """
-
-    between: Moments
-    left: Moments
-    right: Moments
-    gaps: list[tuple[Moments, Moments]]
+Ends = tuple[Moments, Moments]
+"""Ends of intervals."""
 
 
-def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()) -> Looked:
+def look(
+    beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()
+) -> tuple[Moments, Ends, list[Ends]]:
     """Halve the intervals over which values change by `share` of their ranges more than their rates say.
 
     Those that hold one of the singularities `passages` are left out.
+
+    Returns
+    -------
+    between : Moments
+        What was found by halving.
+    left : Ends
+        Of intervals that are too short to be halved, and over which values change all the same.
+    gaps : list of Ends
+        Of intervals in which no motion was found.
     """
     at = at if np.isfinite(at.states).all() else at.of(_known(at))
-    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]](), rows.ranges(at.states)
-    regular = np.ones(max(len(at.t) - 1, 0), dtype=bool)
+    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[Ends](), rows.ranges(at.states)
+    left, right = at.of(slice(-1)), at.of(slice(1, None))
     for each in passages:
-        regular &= (at.t[1:] <= each.before) | (at.t[:-1] >= each.after)
-    left, right = at.of(slice(-1)).of(regular), at.of(slice(1, None)).of(regular)
+        regular = (right.t <= each.before) | (left.t >= each.after)
+        left, right = left.of(regular), right.of(regular)
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
         worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
@@ -96,7 +91,7 @@ def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequen
         left, middle, right = left.of(found), middle.of(found), right.of(found)
         inserted = inserted.and_then(middle)
         left, right = left.and_then(middle), middle.and_then(right)
-    return Looked(inserted, left, right, gaps)
+    return inserted, (left, right), gaps
 
 
 def _known(at: Moments) -> npt.NDArray[np.bool_]:
@@ -128,25 +123,24 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
         return
     inside = along_path(motion.problem, program.observe, between.t, between.states)[0]
     system, hidden = motion.problem.system, list[tuple[float, Quantity, str]]()
-    times, watched = between.t, {*system.inputs, *system.observables}
+    watched = {*system.inputs, *system.observables}
     for k, quantity in enumerate(program.channels):
         if quantity not in watched or quantity.unit == "rad":
             continue
-        row, peak = np.nan_to_num(inside[k], nan=np.inf), float(np.abs(values[k]).max())
-        at = [
-            f"at t = {t:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
-            for t, value in zip(times, row, strict=True)
-        ]
-        worst, lowest, size = int(np.abs(row).argmax()), int(row.argmin()), max(peak, ROUND_OFF * quantity.magnitude)
-        if quantity.positive and not row[lowest] > 0.0:
-            yield Finding(f"between two instants, {at[lowest]}, {quantity.wrong_sign}", error=IntegrationFailed)
-        if passing[worst] and abs(row[worst]) > _TIMES * size:
-            most = f"no more than {peak:.4g} {quantity.unit} at all instants"
-            what = f"{quantity.name} has a pole between two instants: {at[worst]}, and {most}"
-            yield Finding(what, error=IntegrationFailed)
-        if abs(row[worst]) > _TIMES * size:
-            said = f"{at[worst]}, at the instants at most {peak:.4g} {quantity.unit}"
-            hidden.append((abs(row[worst]) / size, quantity, said))
+        name, unit, peak = quantity.name, quantity.unit, float(np.abs(values[k]).max())
+        row, size = np.nan_to_num(inside[k], nan=np.inf), max(peak, ROUND_OFF * quantity.magnitude)
+        worst, lowest = (
+            (each, f"at t = {between.t[each]:.9g} s {name} is {row[each]:.4g} {unit}")
+            for each in (int(np.abs(row).argmax()), int(row.argmin()))
+        )
+        if quantity.positive and not row[lowest[0]] > 0.0:
+            yield Finding(f"between two instants, {lowest[1]}, {quantity.wrong_sign}", error=IntegrationFailed)
+        if abs(row[worst[0]]) > _TIMES * size:
+            if passing[worst[0]]:
+                what = f"{name} has a pole between two instants: {worst[1]}, and no more than {peak:.4g} {unit} at all"
+                yield Finding(f"{what} instants", error=IntegrationFailed)
+            said = f"{worst[1]}, at the instants at most {peak:.4g} {unit}"
+            hidden.append((abs(row[worst[0]]) / size, quantity, said))
     if hidden:
         _, worst_quantity, said = max(hidden, key=lambda each: each[0])
         others = ", ".join(quantity.name for _, quantity, _ in hidden if quantity is not worst_quantity)
@@ -158,7 +152,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
-    between = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages).between
+    between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
     if len(between.t):  # less regular, values are all round-off
         branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
         sizes = np.abs(branch.determinants(motion.t, motion.states))

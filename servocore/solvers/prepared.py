@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -176,23 +177,19 @@ class _Trial:
         return loose if loose.error <= tolerance else best
 
 
-@dataclass(frozen=True, eq=False)
-class _Whole:
-    """A whole run as one function: (state, gamma, h, p) -> entries of the states at both ends of every step."""
-
-    run: ca.Function
-
-
 @partial(made_once, most=_MOST_LOOPS)
-def _whole(program: Program, elements: int, newton: float) -> _Whole:
-    """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
+def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
+    """Return a whole run as one function, (state, gamma, h, p) -> entries of the states at both ends of every step.
+
+    They are NaN after a step that is not solved or ends with a wrong sign.
+    """
     step, (_, entries) = _bare_step(program, newton), _dense_output(program)
     state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
     gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
     after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
     verdict = _verdict(program).map(elements)(after, ca.repmat(p, 1, elements))
     solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
-    return _Whole(ca.Function("sc_run", [state, gamma, h, p], [solved]))
+    return SimpleNamespace(run=ca.Function("sc_run", [state, gamma, h, p], [solved]))
 
 
 @made_once

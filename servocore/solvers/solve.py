@@ -185,12 +185,12 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
         q = np.stack([solution[name] for name in problem.system.coordinates.names])
     else:
         return  # a user's route reports what it will
-    if problem.resolved.redundant or problem.resolved.mass_varies:
-        from servocore.checks.along_motion import left_out, negative_masses  # noqa: PLC0415 - many need neither
+    kinked = problem.resolved.holds(KINKS)
+    if kinked or problem.resolved.redundant or problem.resolved.mass_varies:
+        from servocore.checks.along_motion import jumps, left_out, negative_masses  # noqa: PLC0415 - many need none
 
         yield from negative_masses(problem, t, q)
         yield from left_out(problem, t, q)
-    kinked = problem.resolved.holds(KINKS)
     if not problem.flat:
         inputs = solution.values[:, : len(problem.system.inputs)]
         odd = steps_that_stand_out(inputs)
@@ -200,8 +200,6 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
     if motion is None:
         return
     if kinked:
-        from servocore.checks.along_motion import jumps  # noqa: PLC0415 - few models have kinks
-
         yield from jumps(motion)
     if motion.values is not None:
         yield from passed(motion)
