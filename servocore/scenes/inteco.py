@@ -94,6 +94,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     """Exact duty cycles and motion for reference jets of order four or higher: the gantry crane's, and friction."""
     load = np.asarray(reference)
     answer = frictionless(load, parameters)
+    answer["M_w"] = answer["M_w"] / parameters["winch_radius"]  # the duty of the line's drive is one of a force
     rates = follow(load, parameters, OUTPUTS).rates
     for letter, rate, force in zip(DRIVES.values(), rates, ("F_x", "F_y", "M_w"), strict=True):
         friction = _friction(rate, np.tanh(rate / parameters["creep"]), parameters, letter)
