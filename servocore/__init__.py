@@ -74,9 +74,8 @@ if TYPE_CHECKING:
     from servocore.model.drawing import Part as Part
     from servocore.model.drives import Drive as Drive
     from servocore.model.generalize import generalize as generalize
-    from servocore.model.limit_files import read_limits as read_limits
     from servocore.model.limits import Limit as Limit
-    from servocore.model.parameter_files import read_parameters as read_parameters
+    from servocore.model.parameter_files import read_limits as read_limits, read_parameters as read_parameters
     from servocore.model.potentials import Potential as Potential
     from servocore.model.quantity import Quantity as Quantity
     from servocore.model.scene import Scene as Scene

@@ -10,13 +10,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.away_from_home import (
+from servocore.checks.along_motion import (
     require_redundant_constraints,
     with_redundant_constraints_as_limits,
 )
-from servocore.checks.before_run import require_feasible
+from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c

@@ -18,7 +18,7 @@ from servocore.export.variables import Choice
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.references.base import Reference
+from servocore.references.base import Reference, subdivided
 from servocore.references.hermite import hermite
 from servocore.references.periodic import Periodic
 from servocore.references.piecewise import PiecewisePolynomial
@@ -199,7 +199,7 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
         path = replace(path, end_time=path.start_time + path.period)
     ends = path.stretches
     parts = -(-_ROWS // (len(ends) - 1))
-    t = np.interp(np.arange((len(ends) - 1) * parts + 1) / parts, np.arange(len(ends)), ends)
+    t = subdivided(ends, parts)
     return hermite(t, path.jet(t, min(order, path.max_order)))[0]
 
 
