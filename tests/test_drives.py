@@ -153,6 +153,17 @@ def test_limits_of_energy_and_effective_torque_hold_for_the_run_as_a_whole() -> 
         sc.solve(crane.with_limits(**{"M_w.energy": ("5 kJ", None)}))
 
 
+def test_the_shortest_duration_keeps_limits_of_the_run_as_a_whole() -> None:
+    crane = driven_crane().with_limits(**{"F.rms_torque": "0.9 N m"})
+    shortest, path = sc.shortest_duration(crane), crane.reference
+    assert isinstance(path, RestToRest)
+    sc.solve(crane.with_reference(sc.rest_to_rest(path.start, path.end, shortest)))
+    with pytest.raises(sc.LimitBroken, match="over the whole run"):
+        sc.solve(crane.with_reference(sc.rest_to_rest(path.start, path.end, 0.999 * shortest)))
+    with pytest.raises(sc.PlanningFailed, match="no duration was found"):  # less than what the weight of the load takes
+        sc.shortest_duration(crane.with_limits(**{"M_w.energy": "0.1 kJ"}))
+
+
 @pytest.mark.nightly
 def test_plans_keep_limits_of_the_run_as_a_whole() -> None:
     crane = driven_crane()

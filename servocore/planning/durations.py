@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from servocore.checks.motion_limits import require_run_limits
 from servocore.errors import InvalidModel, LimitBroken, PlanningFailed, ServocoreError
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -18,6 +19,7 @@ from servocore.problem import Problem
 from servocore.references.base import survey
 from servocore.references.timed_path import TimeScaled
 from servocore.solvers.exact_inversion import ExactInversion
+from servocore.solvers.solve import solve
 
 _DIGITS = 4
 _MOST_BUMPS = 20
@@ -59,7 +61,9 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     rows = limit_rows(problem, places[0])
     require_at_rest(rows, problem, places)
     jets = path.jet(t, rows.order)
-    duration = shortest_kept(partial(_kept, rows, problem.p, jets, path.duration))
+    at_instants_kept = partial(_kept, rows, problem.p, jets, path.duration)
+    sums_kept = partial(_sums_kept, scene, problem, model)
+    duration = shortest_kept(lambda tried: at_instants_kept(tried) and sums_kept(tried), at_instants_kept)
     for _ in range(_MOST_BUMPS):
         if not math.isfinite(duration):
             break
@@ -70,7 +74,9 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
         except LimitBroken:  # between two instants of the grid
             duration = rounded + 0.5 * step
         else:
-            return rounded
+            if sums_kept(rounded):
+                return rounded
+            duration = rounded + 0.5 * step
     raise PlanningFailed(f"{scene.name}: no duration was found at which the law keeps all limits")
 
 
@@ -97,3 +103,15 @@ def _kept(rows: Rows, p: Array, jets: Array, original: float, duration: float) -
     stretched = jets * (original / duration) ** np.arange(jets.shape[1])[:, None]
     (values,) = at_instants(rows.function, jets=stretched, p=p)
     return bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())
+
+
+def _sums_kept(scene: Scene, problem: Problem, model: str | None, duration: float) -> bool:
+    """Whether limits of energies and effective values over the whole run are kept at a duration."""
+    if not problem.run_limits:
+        return True
+    try:
+        moved = scene.with_reference(TimeScaled.to(scene.reference, duration))
+        require_run_limits(problem, solve(moved, model=model, checks=False))
+    except ServocoreError:
+        return False
+    return True
