@@ -21,7 +21,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import at_instants
-from servocore.numerics.conditioning import condition_numbers
+from servocore.numerics.components import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray

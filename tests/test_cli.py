@@ -16,7 +16,7 @@ from command_lines import CommandLine, write
 from present import present
 
 import servocore as sc
-from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
+from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS
 from crane_fmu.cli.commands import app
 from servocore.cli import feedforward
 from servocore.numerics.compiled_calls import Array
@@ -235,10 +235,10 @@ class TestFeedforward:
         radial = ["--from", 5, 2.83, -5, "--to", 3, 1.698, -5, "--duration", 10]
         assert run("feedforward", *radial, "--formulation", "original", "--step", 0.01).exit_code == 0
 
-    @pytest.mark.parametrize("profile", [*PROFILES, "three-phase --ramp 8"])
+    @pytest.mark.parametrize("profile", [*sc.TIME_LAWS, "three-phase --ramp 8"])
     def test_every_profile_can_be_asked_for(self, profile: str) -> None:
         _, values = table(run("feedforward", *LINE, "--profile", *profile.split()).stdout)
-        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES.get(profile, sc.three_phase(8.0)))
+        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, sc.TIME_LAWS.get(profile, sc.three_phase(8.0)))
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
 
     def test_parameters_from_a_file_change_the_crane(self) -> None:
@@ -335,7 +335,7 @@ def test_the_examples_of_the_page_run(arguments: Sequence[str]) -> None:
 def test_the_page_names_every_option_and_every_choice() -> None:
     listed = set(re.findall(r"--[a-z][a-z-]*", run("feedforward", "--help").stdout)) - {"--help"}
     assert {option for option in listed if f"`{option}" not in PAGE} == set()
-    for name in (*PROFILES, *MODELS, *FORMULATIONS, *METHODS, *sc.scenes.rotary_crane().parameter_values()):
+    for name in (*sc.TIME_LAWS, *MODELS, *FORMULATIONS, *METHODS, *sc.scenes.rotary_crane().parameter_values()):
         assert re.search(rf"(`|^){name}\b", PAGE, re.MULTILINE), name
 
 

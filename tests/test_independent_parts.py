@@ -21,8 +21,14 @@ sys.path.insert(0, str(ROOT))
 
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
-from servocore.numerics.components import filled, parts_of, singular_values  # noqa: E402
-from servocore.numerics.conditioning import condition_number, condition_numbers, gram_solver  # noqa: E402
+from servocore.numerics.components import (  # noqa: E402
+    condition_number,
+    condition_numbers,
+    filled,
+    gram_solver,
+    parts_of,
+    singular_values,
+)
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, unit_rows  # noqa: E402
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402

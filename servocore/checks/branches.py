@@ -22,7 +22,7 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.conditioning import condition_number
+from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns

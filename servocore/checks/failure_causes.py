@@ -19,7 +19,7 @@ from servocore.checks.findings import BISECTIONS, ROUND_OFF
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.conditioning import condition_number
+from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem

@@ -349,12 +349,8 @@ def run_values(motion: Motion, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
     limits = motion.problem.run_limits
     values = limited_values(replace(motion, problem=replace(motion.problem, limits=limits)), t)
-    found = []
-    for limit, each in zip(limits, values, strict=True):
-        assert limit.over_run is not None
-        total = np.trapezoid(limit.over_run.integrand(each), t)
-        found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
-    return np.array(found)
+    pairs = zip(limits, values, strict=True)
+    return np.array([limit.over_run.course(t, each)[-1] for limit, each in pairs if limit.over_run])
 
 
 def require_run_limits(problem: Problem, solution: Solution) -> None:

@@ -73,7 +73,8 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
     own = scene.model().parameters.names
     scene = scene.with_parameters(**{name: value for name, value in given.items() if name in own})
     moved = path.along(scene)
-    allowed = question.allowed(moved.model().outputs[0].unit)
+    # A scene without effects is refused for that, whatever the unit of its outputs.
+    allowed = question.allowed(moved.model().outputs[0].unit) if declared else 1.0
     with PatientProgress("estimating"):
         found = effects(
             moved,

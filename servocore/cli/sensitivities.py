@@ -50,14 +50,12 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
 
 def _table(result: Sensitivities) -> rich.table.Table:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("quantity")
-    for name in result.parameters:
-        table.add_column(f"by {name}", justify="right")
+    table.add_column("parameter")
     for quantity in result.quantities:
-        effects = [
-            result[quantity.name, name] * size / 100.0
-            for name, size in zip(result.parameters, result.sizes, strict=True)
-        ]
-        shown = [f"{effect[np.abs(effect).argmax()]:.3g} {quantity.unit}" for effect in effects]
-        table.add_row(quantity.name, *shown)
+        table.add_column(quantity.name, justify="right")
+    for name, size in zip(result.parameters, result.sizes, strict=True):
+        effects = [result[quantity.name, name] * size / 100.0 for quantity in result.quantities]
+        largest = [effect[np.abs(effect).argmax()] for effect in effects]
+        shown = [f"{each:.3g} {of.unit}" for each, of in zip(largest, result.quantities, strict=True)]
+        table.add_row(name, *shown)
     return table

@@ -10,7 +10,7 @@ from servocore.cli.console import PatientProgress
 from servocore.cli.export import Component
 from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
 from servocore.errors import require_package
-from servocore.export.scene_system import export_ssp
+from servocore.export.fmu import export_ssp
 
 EXAMPLES = ("overhead_crane -o crane.ssp", "cars --from 1 --to 3 --duration 4 -o cars.ssp")
 

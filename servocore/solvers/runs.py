@@ -185,12 +185,7 @@ def with_run_quantities(solution: Solution) -> Solution:
     found, t = run_quantities(solution.channels), solution.t
     if not found or len(t) < 2:
         return solution
-    values = np.column_stack([solution[each.of] for each in found])
-    rms = np.array([each.rms for each in found])
-    sums = integrated(t, np.where(rms, values**2, values))
-    sums[1:] = np.where(rms, np.sqrt(np.maximum(sums[1:], 0.0) / (t[1:, None] - t[0])), sums[1:])
-    sums[0] = np.where(rms, np.abs(values[0]), 0.0)
-    table = np.column_stack([solution.values, sums])
+    table = np.column_stack([solution.values, *(each.course(t, solution[each.of]) for each in found)])
     return replace(solution, channels=(*solution.channels, *(each.quantity for each in found)), values=table)
 
 
@@ -199,14 +194,6 @@ def without_run_quantities(solution: Solution) -> Solution:
     added = [each.quantity for each in run_quantities(solution.channels)]
     own = [k for k, channel in enumerate(solution.channels) if channel not in added]
     return replace(solution, channels=tuple(solution.channels[k] for k in own), values=solution.values[:, own])
-
-
-def integrated(t: Array, values: Array) -> Array:
-    """Return the integrals of trajectories (N, ...) from the first of the instants (N,) on, by Simpson's rule."""
-    from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
-
-    found: Array = cumulative_simpson(values, x=t, axis=0, initial=0.0)
-    return found
 
 
 Progress = Callable[[int, int], None]

@@ -127,7 +127,7 @@ def solve(
 
         require_run_limits(problem, solution)
     if certify:
-        from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
+        from servocore.certificate.certify import require_certified  # noqa: PLC0415 - few ask
 
         require_certified(solution, 1e-8 if isinstance(route, Pointwise) else LARGEST_UNWARNED)
     return solution
