@@ -15,7 +15,7 @@ from benchmarks.atlas.runs import Array
 from servocore.dae import Dae, Equation, Unknown
 from servocore.numerics.compiled_calls import Call
 from servocore.numerics.square_systems import compile_solver
-from servocore.solvers.forward_integration import Tolerance, integrated
+from servocore.solvers.forward_integration import integrated
 from servocore.stepping.energy_momentum import compile_conserving_step, conserving_equations
 from servocore.stepping.forward_dynamics import compile_plant, forward_rate
 
@@ -126,9 +126,8 @@ class Mechanism:
         """Return the drift of what `simulate` integrates with error control, at `count` instants."""
         rate, still = Call(forward_rate(self.system, held=False)), np.zeros(len(self.system.inputs))
         t, names = np.linspace(0.0, duration, count), list(self.system.coordinates.names)
-        limit = Tolerance(1e-9, 1e-9, None)
         turn = lambda _, state: rate(state, still, np.zeros(len(self.system.outputs)), self.p)[0]  # noqa: E731
-        return self.drift(integrated(self.system.name, names, turn, self.start, t, limit)[0])
+        return self.drift(integrated(self.system.name, names, turn, self.start, t, 1e-9, 1e-9, None)[0])
 
     def _conserving(self, system: sc.MechanicalSystem, h: float) -> tuple[ca.Function, Array]:
         equations, _ = conserving_equations(system)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,25 +27,8 @@ _RESOLVED = 1e-12  # of a state: a change over less is a jump for any integrator
 _SAME = 2.0  # a force that is a hundred times as far away no larger than this does not grow: it jumps
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """Tolerances of the integrator, and how long it may take.
-
-    Attributes
-    ----------
-    relative, absolute : float
-        On positions and velocities.
-    seconds : float or None
-        Of this machine; None for no limit.
-    """
-
-    relative: float
-    absolute: float
-    seconds: float | None = None
-
-
 def integrated(
-    name: str, coordinates: Sequence[str], rate: Rate, start: Array, t: Array, tolerance: Tolerance
+    name: str, coordinates: Sequence[str], rate: Rate, start: Array, t: Array, r: float, a: float, limit: float | None
 ) -> tuple[Array, int, int]:
     """Integrate an ordinary differential equation and report it at instants in rising order.
 
@@ -62,8 +44,10 @@ def integrated(
         State at the first instant.
     t : ndarray, shape (N,)
         Instants.
-    tolerance : Tolerance
-        How accurate, and how long.
+    r, a : float
+        Relative and absolute tolerance of positions and velocities.
+    limit : float or None
+        Seconds of this machine that it may take.
 
     Returns
     -------
@@ -82,7 +66,6 @@ def integrated(
     states, done, steps, evaluations = np.repeat(start[:, None], len(t), axis=1), int((t == t[0]).sum()), 0, 0
     if done == len(t):
         return states, 0, 0
-    r, a = tolerance.relative, tolerance.absolute
     solver: scipy.integrate.OdeSolver = scipy.integrate.DOP853(rate, t[0], start, t[-1], rtol=r, atol=a)
     began, stiff, recent = time.monotonic(), False, deque[tuple[float, Array]](maxlen=_WATCHED)
     while done < len(t):
@@ -93,10 +76,10 @@ def integrated(
                 f"{name}: the forward simulation stopped at t = {solver.t:.6g} s:"
                 f" {message or 'its state is no longer finite'}"
             )
-        if tolerance.seconds is not None and time.monotonic() - began > tolerance.seconds:
+        if limit is not None and time.monotonic() - began > limit:
             raise IntegrationFailed(
                 f"{name}: the forward simulation had come to t = {solver.t:.6g} s of {t[-1]:.6g} s when its time limit"
-                f" of {tolerance.seconds:g} s was over"
+                f" of {limit:g} s was over"
             )
         recent.append((solver.t, solver.y))
         if steps % _WATCHED == 0 and solver.t - recent[0][0] < _SLOW * (t[-1] - t[0]):

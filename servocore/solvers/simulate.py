@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
-from servocore.solvers.forward_integration import Tolerance, integrated
+from servocore.solvers.forward_integration import integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
 from servocore.solvers.runs import with_run_quantities
 from servocore.stepping.exact_evaluation import along_path, exact_unknowns
@@ -115,7 +115,7 @@ def simulate(
             raise InvalidSetting("inputs given as a function need the times at which to report")
         instants, evaluate = rising_times(t), CheckedInputs(inputs, problem.system)
     if method is None and step is None:
-        return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
+        return _report(problem, instants, *_integrated(problem, evaluate, instants, (rtol, atol, time_limit)))
     return _conserved(problem, evaluate, instants, method, step)
 
 
@@ -131,7 +131,7 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
     _require_no_steps(problem, t, motion.states)
     u = values_at(inputs, t)
-    known = _report(problem, _Motion(t, motion.states, motion.multipliers, u), motion.steps, motion.iterations)
+    known = _report(problem, t, (motion.states, motion.multipliers.T, u.T), motion.steps, motion.iterations)
     statistics = replace(
         known.statistics,
         newton_iterations=motion.iterations,
@@ -147,8 +147,10 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     )
 
 
-def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance) -> tuple[_Motion, int, int]:
-    """Return the motion at the instants `t`, with the integrator's steps and evaluations."""
+def _integrated(
+    problem: Problem, inputs: Inputs, t: Array, tolerance: tuple[float, float, float | None]
+) -> tuple[tuple[Array, ...], int, int]:
+    """Return states, multipliers and inputs (rows, N) at instants, with the integrator's steps and evaluations."""
     move, undisturbed = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs))
 
     def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
@@ -160,12 +162,14 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
 
     name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
-    states, steps, evaluations = integrated(name, [quantity.name for quantity in quantities], rate, start, t, tolerance)
+    states, steps, evaluations = integrated(
+        name, [quantity.name for quantity in quantities], rate, start, t, *tolerance
+    )
     _require_no_steps(problem, t, states)
     u = values_at(inputs, t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
-    return _Motion(t, states, np.array(forces).reshape(len(t), -1), u), steps, evaluations
+    return (states, np.array(forces).reshape(len(t), -1).T, u.T), steps, evaluations
 
 
 @made_once
@@ -197,16 +201,6 @@ def _inverted(problem: Problem, time: float) -> Array:
     return state
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Instants, shape (N,), states (2 n, N), multipliers (N, m_h) and inputs (N, m)."""
-
-    t: Array
-    states: Array
-    multipliers: Array
-    inputs: Array
-
-
 def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
     """Raise `IntegrationFailed` if a motion (2 n, N) passes a step of the potential or of the mass: it is no motion."""
     outcome = problem.resolved.outcome
@@ -227,12 +221,10 @@ def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
     told(problem.system.name, "", steps_passed(problem, *switches))
 
 
-def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
+def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, evaluations: int) -> Solution:
     known, function = _observation(problem.resolved)
-    q = motion.states[: len(problem.system.coordinates)]
-    told(problem.system.name, "", left_out(problem, motion.t, q))
-    columns = motion.states, motion.multipliers.T, motion.inputs.T
-    values, violations, deviations = along_path(problem, function, motion.t, *columns)
+    told(problem.system.name, "", left_out(problem, t, columns[0][: len(problem.system.coordinates)]))
+    values, violations, deviations = along_path(problem, function, t, *columns)
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
             # atan2 jumps by a full turn where a motion is continuous.
@@ -253,7 +245,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     )
     table = np.column_stack([values.T, deviation])
     name = f"{problem.system.name}, forward simulation"
-    return with_run_quantities(Solution(motion.t, (*known, tracking), table, name, statistics))
+    return with_run_quantities(Solution(t, (*known, tracking), table, name, statistics))
 
 
 @made_once
