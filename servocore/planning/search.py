@@ -10,7 +10,7 @@ import numpy as np
 from servocore.errors import PlanningFailed
 from servocore.planning.integrator_chains import Law
 from servocore.planning.report import in_words
-from servocore.planning.transcription import Outcome, Task, Transcription
+from servocore.planning.transcription import SOLVED, Outcome, Task, Transcription
 
 EXCESS = 1e-4
 """Of half its range: a limit broken by less counts as kept."""
@@ -64,19 +64,16 @@ def planned(
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
     free = np.zeros((len(task.upper), half.intervals * _CHECKS)), np.full(len(task.totals), EXCESS)
     failures = []
-    for name, start in begun:
-        coarse = half.solve(start, *free, progress)
-        if not coarse.solved:
-            failures.append(f"{in_words(coarse.status)}, from the {name}")
-            continue
-        outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
-        if outcome.solved:
-            return SearchResult(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
-        failures.append(f"{in_words(outcome.status)}, from the {name}")
-    for name, start in begun:  # half as many intervals may be too few
-        outcome, iterations, rounds = _refined(whole, start.refined(), progress)
-        if outcome.solved:
-            return SearchResult(outcome, np.nan, iterations, rounds, name)
+    for doubled in (True, False):  # half as many intervals may be too few
+        for name, start in begun:
+            coarse = half.solve(start, *free, progress) if doubled else Outcome(start, SOLVED, 0)
+            outcome, iterations, rounds = coarse, 0, 0
+            if coarse.solved:
+                outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
+            if outcome.solved:
+                duration = coarse.law.duration if doubled else np.nan
+                return SearchResult(outcome, duration, coarse.iterations + iterations, rounds, name)
+            failures += [f"{in_words(outcome.status)}, from the {name}"] if doubled else []
     raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
@@ -64,8 +66,8 @@ def _law_between(start: Array, end: Array, length: int, shape: Shape, duration: 
 
 def shortest(task: Task, shape: Shape) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
-    coarse, fine = (_jets(task, shape, count) for count in _instants(task))
-    return shortest_kept(partial(_kept, task, fine), partial(_kept, task, coarse))
+    coarse, fine = (partial(_kept, task, _jets(task, shape, count)) for count in _instants(task))
+    return shortest_kept(fine, coarse)
 
 
 def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] | None = None) -> float:
@@ -85,37 +87,34 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
         longest *= 2.0
         if longest > LONGEST:
             return np.inf
-    for duration in longest * _FACTOR ** np.arange(-_TRIED, 1):
-        if (roughly is None or roughly(duration)) and kept(duration):
-            break
-    return _between(kept, float(duration) / _FACTOR, float(duration), _HALVINGS)
+    return _first_kept(
+        lambda duration: (roughly is None or roughly(duration)) and kept(duration),
+        longest * _FACTOR ** np.arange(-_TRIED, 1),
+        _HALVINGS,
+    )
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
     durations = dict[float, float]()
     low, high = _RAMPS
+    tried = near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
             if ramp not in durations:
-                durations[ramp] = _shortest_near(task, shape_of(three_phase(ramp)), near)
+                jets = _jets(task, shape_of(three_phase(ramp)), _instants(task)[0])
+                durations[ramp] = _first_kept(partial(_kept, task, jets), tried, _HALVINGS // 3)
         best = min(durations, key=lambda each: durations[each])
         reach = (high - low) / (_TRIED_RAMPS - 1)
         low, high = max(best - reach, _RAMPS[0]), min(best + reach, _RAMPS[1])
     return shortest(task, shape_of(three_phase(best))), best
 
 
-def _shortest_near(task: Task, shape: Shape, near: float) -> float:
-    """Return roughly the shortest duration at which a law keeps all limits, if it is not far above `near`."""
-    jets = _jets(task, shape, _instants(task)[0])
-    for duration in near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8):
-        if _kept(task, jets, duration):
-            return _between(partial(_kept, task, jets), duration / _FACTOR, float(duration), _HALVINGS // 3)
-    return np.inf
-
-
-def _between(kept: Callable[[float], bool], bad: float, good: float, halvings: int) -> float:
-    for _ in range(halvings):
+def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[Any]], halvings: int) -> float:
+    """Return the first of some durations at which limits are kept, less what bisection saves; infinite without one."""
+    good = next((duration for duration in tried.tolist() if kept(duration)), np.inf)
+    bad = good / _FACTOR
+    for _ in range(halvings if good < np.inf else 0):
         middle = (bad + good) / 2.0
         bad, good = (bad, middle) if kept(middle) else (middle, good)
     return good
@@ -137,6 +136,6 @@ def _kept(task: Task, jets: Array, duration: float) -> bool:
     """Whether a law keeps the limits, without the margin of a plan."""
     stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
     bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
-    values = task.values(stretched)
+    values, _ = task.values(stretched)
     kept = ((values <= 1.0) & (values >= bounds)).all()
     return bool(kept and (task.over_all(stretched, duration) <= 0.0).all())
