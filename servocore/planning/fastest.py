@@ -10,8 +10,8 @@ import numpy as np
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
-from servocore.planning.report import KeptLimits, PlanReport, kept_limits
-from servocore.planning.search import EXCESS, SearchResult, planned
+from servocore.planning.report import PlanReport, kept_limits
+from servocore.planning.search import EXCESS, planned
 from servocore.planning.space import Space
 from servocore.planning.tasks import (
     Way,
@@ -119,99 +119,49 @@ def fastest(
         )
     if progress is not None:
         require_callable(progress, "progress", "a function of a text")
+    told = progress or _silent
     bounded = within_limits(scene, limits)
     if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
         scene.with_reference(path)  # which refuses units that are implausible for the scene
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
-    corners = tuple(corner_problems(bounded, model, robust or {}))
+    corners = corner_problems(bounded, model, robust or {})
     length = corners[0].array.reference_order + smooth
     quick = with_a_formula(bounded, corners, robust or {}, curve)
-
-    def judged(reference: Reference) -> KeptLimits:
-        planned_corners = [replace(corner, reference=reference) for corner in corners]
-        return kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
-
-    if free is not None:
-        return _free(bounded, curve, quick, judged, length, free, intervals, progress)
-    task = task_along(curve, quick, length)
-    if progress is not None:
-        progress("looking for a law to start from")
-    polynomial = shortest(task, shape_of(smooth_polynomial(length)))
-    if not np.isfinite(polynomial):
-        raise LimitBroken(
-            f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
-        )
-    result = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
-    reference = TimedPath.of(curve, result.outcome.law.path())
-    return reference, _reported(scene.name, reference, judged(reference), result, _compared(task, polynomial))
-
-
-def _free(
-    scene: Scene,
-    curve: PiecewisePolynomial,
-    corners: Sequence[Problem],
-    judged: Callable[[Reference], KeptLimits],
-    length: int,
-    space: Space,
-    intervals: int,
-    progress: Callable[[str], None] | None,
-) -> tuple[Reference, PlanReport]:
-    """Plan with the way free between the ends of a line."""
-    if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
-        raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
-    limited = {limit.quantity for limit in scene.limits}
-    for quantity in corners[0].system.inputs:
-        if quantity.name not in limited:
-            raise InvalidSetting(f"a plan with a free path needs a limit of every input; {quantity.name} has none")
-    start, end = curve.ends
-    space.require(corners[0].system, hangs=scene.tracked == "load" and rope_is_depth(corners[0], curve.ends))
-    thick = space.thickened(_THIN * float(np.linalg.norm(end - start)) / intervals)
-    for place in (start, end):
-        thick.require_rest(scene.name, place)
-    task = task_free(start, end, corners, length, thick)
-    if progress is not None:
-        progress("looking for ways to start from")
-    begun, scale = starts_free(task, corners, thick, intervals // 2)
-    result = planned(task, begun, 1.02 * scale, intervals, progress)
-    reference = result.outcome.law.path()
-    clearance = space.clearance(reference, gravity_of(corners[0]))
-    if clearance < 0.0:
+    if free is None:
+        task = task_along(curve, quick, length)
+        told("looking for a law to start from")
+        scale = shortest(task, shape_of(smooth_polynomial(length)))
+        if not np.isfinite(scale):
+            raise LimitBroken(
+                f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
+            )
+        begun = starts_along(task, scale, intervals // 2)
+    else:
+        thick = _thickened(free, bounded, curve, quick[0], intervals)
+        task = task_free(curve.ends, quick, length, thick)
+        told("looking for ways to start from")
+        begun, scale = starts_free(task, quick, thick, intervals // 2)
+    result = planned(task, begun, 1.02 * scale, intervals, told)
+    law = result.outcome.law.path()
+    reference = TimedPath.of(curve, law) if free is None else law
+    clearance = np.inf if free is None else free.clearance(law, gravity_of(quick[0]))
+    if free is not None and clearance < 0.0:
         raise PlanningFailed(
-            f"{scene.name}: on the path that was found {', '.join(space.clearance_of)} do not keep clear of the bodies"
+            f"{scene.name}: on the path that was found {', '.join(free.clearance_of)} do not keep clear of the bodies"
         )
-    try:
-        line = task_along(curve, corners, length)
-        compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
-    except LimitBroken:  # at rest on the line
-        compared = (np.inf, np.inf)
-    return reference, _reported(scene.name, reference, judged(reference), result, compared, clearance)
-
-
-def _compared(task: Task, polynomial: float) -> tuple[float, float]:
-    """Return the shortest durations of the polynomial and the best three-phase law."""
-    smooth_enough = task.length <= three_phase().smoothness and np.isfinite(polynomial)
-    return polynomial, shortest_three_phase(task, polynomial)[0] if smooth_enough else np.nan
-
-
-def _reported(
-    name: str,
-    reference: Reference,
-    kept: KeptLimits,
-    result: SearchResult,
-    compared: tuple[float, float],
-    clearance: float = np.inf,
-) -> PlanReport:
-    """Report a plan; raises `PlanningFailed` if it breaks a limit."""
+    planned_corners = [replace(corner, reference=reference) for corner in corners]
+    kept = kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
     if kept.violation > EXCESS:
         raise PlanningFailed(
-            f"{name}: the law that was found breaks the limit of {kept.worst} by"
+            f"{scene.name}: the law that was found breaks the limit of {kept.worst} by"
             f" {kept.violation:.2g} of half its range between the points of the solver's grid"
         )
-    return PlanReport(
+    polynomial, ramped = _compared(task, scale) if free is None else _on_the_line(curve, quick, length)
+    return reference, PlanReport(
         duration=reference.duration,
-        degree9=compared[0],
-        three_phase=compared[1],
-        degree=2 * result.outcome.law.length + 1,
+        degree9=polynomial,
+        three_phase=ramped,
+        degree=2 * length + 1,
         limits=kept,
         grid_error=result.coarse - reference.duration,
         status=result.outcome.status,
@@ -221,3 +171,37 @@ def _reported(
         deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )
+
+
+def _silent(_: str) -> None:
+    """Report no progress."""
+
+
+def _thickened(space: Space, scene: Scene, curve: PiecewisePolynomial, problem: Problem, intervals: int) -> Space:
+    """Return the obstacles as the solver sees them; raise unless a free path can be planned between a line's ends."""
+    if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
+        raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
+    limited = {limit.quantity for limit in scene.limits}
+    for quantity in problem.system.inputs:
+        if quantity.name not in limited:
+            raise InvalidSetting(f"a plan with a free path needs a limit of every input; {quantity.name} has none")
+    space.require(problem.system, hangs=scene.tracked == "load" and rope_is_depth(problem, curve.ends))
+    thick = space.thickened(_THIN * float(np.linalg.norm(curve.ends[1] - curve.ends[0])) / intervals)
+    for place in curve.ends:
+        thick.require_rest(scene.name, place)
+    return thick
+
+
+def _compared(task: Task, polynomial: float) -> tuple[float, float]:
+    """Return the shortest durations of the polynomial and the best three-phase law."""
+    smooth_enough = task.length <= three_phase().smoothness and np.isfinite(polynomial)
+    return polynomial, shortest_three_phase(task, polynomial)[0] if smooth_enough else np.nan
+
+
+def _on_the_line(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> tuple[float, float]:
+    """Return the same on the line between the ends of a free path: infinite where a limit is broken at rest there."""
+    try:
+        line = task_along(curve, corners, length)
+        return _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
+    except LimitBroken:
+        return np.inf, np.inf

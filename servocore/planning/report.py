@@ -202,9 +202,7 @@ def kept_limits(
     }
     proved, evidence = False, f"not proved for more than {_MOST_VARIED} ranges of parameters" if proof else "not proved"
     if proof and len(ranges) <= _MOST_VARIED:
-        certificate = certify(
-            scene, parameters={name: (low, high) for name, (low, high) in ranges.items()}, model=model
-        )
+        certificate = certify(scene, parameters=ranges, model=model)
         proved, evidence = certificate.verdict == "proved", certificate.summary
     sampled = [_sampled(problem, _SHOWN if proved else _INSTANTS) for problem in corners]
     violation, worst, _ = max(sampled, key=lambda each: each[0])
@@ -242,11 +240,12 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
     """Return each bound of a limit, and by how much values are beyond it, divided by half the range."""
     low, high = limit.bound, limit.upper
     both = np.isfinite(low) and np.isfinite(high)
-    violations = []
-    for bound, over in ((low, low - values), (high, values - high)):
-        if np.isfinite(bound):
-            violations.append((bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0)))
-    return violations
+    beyond = ((low, low - values), (high, values - high))
+    return [
+        (bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0))
+        for bound, over in beyond
+        if np.isfinite(bound)
+    ]
 
 
 def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:

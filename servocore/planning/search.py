@@ -39,7 +39,7 @@ def planned(
     begun: Sequence[tuple[str, Law]],
     scale: float,
     intervals: int,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None],
 ) -> SearchResult:
     """Return the fastest law for a task.
 
@@ -53,7 +53,7 @@ def planned(
         A typical duration in s.
     intervals : int
         Of the grid, even.
-    progress : callable, optional
+    progress : callable
         Called with a text on the progress.
 
     Raises
@@ -77,7 +77,7 @@ def planned(
     raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
 
 
-def _refined(whole: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:
+def _refined(whole: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
     """Solve, and go on on grids twice as fine where limits stay broken between the points."""
     outcome, iterations, rounds = _tightened(whole, start, progress)
     for doubled in range(1, _REFINEMENTS + 1):
@@ -89,7 +89,7 @@ def _refined(whole: Transcription, start: Law, progress: Callable[[str], None] |
     return outcome, iterations, rounds
 
 
-def _tightened(program: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:
+def _tightened(program: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
     """Solve, look on a finer grid, narrow bounds where something went beyond them, and solve again."""
     task, m = program.task, program.checks
     finer = max(_FINER, -(-_FINEST // (program.intervals * m)))

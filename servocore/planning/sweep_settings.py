@@ -12,7 +12,6 @@ from math import prod
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
@@ -91,29 +90,6 @@ class Grid:
         starts = product(*(range(0, length, part) for length, part in zip(self.shape, shape, strict=True)))
         for k, start in enumerate(starts):
             yield k, tuple(slice(a, min(a + part, n)) for a, part, n in zip(start, shape, self.shape, strict=True))
-
-    def values(self, name: str, block: Slices) -> Array:
-        """Return the varied values for all cases of a block, in C order."""
-        dimension, values = self.columns[name]
-        spread: Array = self._spread(values, list(self.dimensions).index(dimension), block)
-        return spread
-
-    def paths(self, block: Slices) -> npt.NDArray[np.intp]:
-        """Return which path each case of a block has."""
-        if PATH not in self.dimensions:
-            return np.zeros(prod(slice_.stop - slice_.start for slice_ in block), dtype=np.intp)
-        spread: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
-        return spread
-
-    def case(self, block: Slices, k: int) -> dict[str, float]:
-        """Return the varied values, by name, for case k of a block."""
-        return {name: float(self.values(name, block)[k]) for name in self.columns}
-
-    def _spread(self, values: Any, axis: int, block: Slices) -> Any:
-        shape = [slice_.stop - slice_.start for slice_ in block]
-        along = [1] * len(shape)
-        along[axis] = shape[axis]
-        return np.broadcast_to(values[block[axis]].reshape(along), shape).ravel()
 
 
 def drawn(ranges: Mapping[str, tuple[float, float]], count: int, seed: int) -> list[dict[str, float]]:

@@ -16,6 +16,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
 from servocore.model.quantity import Quantity
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, peaked
 from servocore.planning.sweep_settings import CASE, DURATION, PATH, Slices, SweepSettings
 
@@ -65,6 +66,15 @@ def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
     coordinates |= {name: np.arange(grid.dimensions[name]) for name in (PATH, CASE) if name in grid.dimensions}
     coordinates |= {INSTANT: (INSTANT, instants, {"units": "1"})} if swept.inputs else {}
     return xarray.Dataset(variables, coordinates, {_SETTINGS: json.dumps(settings)})
+
+
+def varied(blank: Any, name: str, block: Slices) -> Array:
+    """Return the values of something that varies for all cases of a block, in C order; zeros if it does not."""
+    part = blank[FAILURE][block]
+    if name not in part.coords:
+        return np.zeros(part.size)
+    values: Array = part.coords[name].broadcast_like(part).to_numpy().ravel()
+    return values
 
 
 def _meaning(name: str, quantity: Quantity) -> str:
@@ -253,8 +263,8 @@ class Parquet(Store):
     def put(self, number: int, block: Slices, answers: Answers) -> None:
         """Write a block beside its place, and then put it there."""
         arrow, grid = extra("pyarrow"), self._grid
-        columns: dict[str, Any] = {PATH: grid.paths(block)} if PATH in grid.dimensions else {}
-        columns |= {name: grid.values(name, block) for name in grid.columns}
+        columns: dict[str, Any] = {PATH: varied(self._blank, PATH, block)} if PATH in grid.dimensions else {}
+        columns |= {name: varied(self._blank, name, block) for name in grid.columns}
         columns |= {name: list(answers[name]) if self._is_over_time(name) else answers[name] for name in self._blank}
         fields = [
             arrow.field(name, arrow.array(values).type, metadata={"units": self._blank[name].attrs.get("units", "")})

@@ -121,17 +121,17 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
     orders = 1 + max(length, *(rows.order for rows in every))
     s = ca.SX.sym("s", 1, orders)
     gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), ca.horzsplit(s)))
-    return _task(s, gamma, every, corners, (np.zeros(1), np.ones(1)), length)
+    return _task(s, gamma, every, corners, np.array([[0.0], [1.0]]), length)
 
 
-def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
-    """Return the task of a law between two places; raises `InvalidReference` if a limit cannot be kept at one."""
-    every = _kept_at_rest(corners, np.array([start, end]))
+def task_free(ends: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
+    """Return the task of a law between places (2, m); raises `InvalidReference` if a limit cannot be kept at one."""
+    every = _kept_at_rest(corners, ends)
     orders = max(2, length, *(rows.order for rows in every)) + 1
-    gamma, system = ca.SX.sym("gamma", len(start), orders), corners[0].system
+    gamma, system = ca.SX.sym("gamma", ends.shape[1], orders), corners[0].system
     clear = ca.Function("sc_clear", [system.gamma, system.p], [space.rows(system.gamma, system.parameters)])
-    padded = ca.horzcat(gamma, ca.SX.zeros(len(start), system.gamma.size2() - orders))
-    return _task(gamma, gamma, every, corners, (start, end), length, clear(padded, corners[0].p))
+    padded = ca.horzcat(gamma, ca.SX.zeros(ends.shape[1], system.gamma.size2() - orders))
+    return _task(gamma, gamma, every, corners, ends, length, clear(padded, corners[0].p))
 
 
 def _task(
@@ -139,7 +139,7 @@ def _task(
     gamma: ca.SX,
     every: Sequence[Rows],
     corners: Sequence[Problem],
-    ends: tuple[Array, Array],
+    ends: Array,
     length: int,
     away: ca.SX | None = None,
 ) -> Task:
@@ -161,7 +161,7 @@ def _task(
         expressions.append(away)
         lower.append(np.full(away.numel(), -np.inf))
     bounds, way = np.concatenate(lower), float(np.linalg.norm(ends[1] - ends[0]))
-    sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(ends[0]), way)
+    sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(ends.shape[1], way)
     sizes[0] = np.maximum(np.abs(ends).max(axis=0), way)
     stacked = [ca.vertcat(*expressions), ca.vertcat(*equations), ca.vertcat(ca.SX(0, 1), *[each for each, _ in totals])]
     local = ca.Function(

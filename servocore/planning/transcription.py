@@ -179,9 +179,7 @@ class Transcription:
         """Where in an interval the rows are kept."""
         return np.arange(self.checks) / self.checks
 
-    def solve(
-        self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None] | None = None
-    ) -> Outcome:
+    def solve(self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None]) -> Outcome:
         """Solve from a law.
 
         Parameters
@@ -192,11 +190,10 @@ class Transcription:
             By how much bounds are narrowed.
         less : ndarray, shape (totals,)
             By how much those of totals are.
-        progress : callable, optional
+        progress : callable
             Called with a text on the progress.
         """
-        if progress is not None:
-            progress(f"solving on {self.intervals} intervals")
+        progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
         zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
         defects = np.zeros(zeros)
