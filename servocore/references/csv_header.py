@@ -14,7 +14,7 @@ _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # spreadsheets write it above a header
 
 
-def bytes_of(file: Path) -> tuple[bytes, list[str]]:
+def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
     """Return a file as UTF-8 with LF at ends of lines, and notes of conversions."""
     try:
         data = file.read_bytes()
@@ -33,17 +33,19 @@ def bytes_of(file: Path) -> tuple[bytes, list[str]]:
 
 
 class Header(NamedTuple):
-    """The header of a file: its text, cells with their units, delimiter, first byte and number of the line after it."""
+    """The header of a file: its text, names and units of its columns, delimiter, its line, and notes of conversions."""
 
     text: str
-    cells: list[tuple[str, re.Match[str] | None]]
+    names: list[str]
+    units: list[str | None]
     delimiter: str
-    first: int
     line: int
+    notes: list[str]
 
 
-def header_of(file: Path, data: bytes, expected: str) -> Header:
-    """Read the header of a file; `expected` is the header that a refusal names."""
+def header_of(file: Path, expected: str) -> tuple[Header, bytes]:
+    """Read the header of a file, and the rows below it; `expected` is the header that a refusal names."""
+    data, notes = _bytes_of(file)
     first, line, header = 0, 0, ""
     while first < len(data) and (not header or _SEPARATOR.fullmatch(header)):
         end = data.find(b"\n", first) % (len(data) + 1)
@@ -52,4 +54,6 @@ def header_of(file: Path, data: bytes, expected: str) -> Header:
         raise InvalidReference(f"{file}, line 1: the file is empty, but a header {expected} was expected")
     delimiter = next((mark for mark in ";\t" if mark in header), ",")
     cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
-    return Header(header, [(cell, _WITH_UNIT.fullmatch(cell)) for cell in cells], delimiter, first, line)
+    parts = [match.groups() if (match := _WITH_UNIT.fullmatch(cell)) else (cell, None) for cell in cells]
+    units = [unit and unit.replace("\u03bc", "µ") for _, unit in parts]
+    return Header(header, [name for name, _ in parts], units, delimiter, line, notes), data[first:]
