@@ -175,18 +175,6 @@ class Store(ABC):
     def _stored_settings(self) -> str:
         """Return the settings of an existing store; raises `KeyError`, `ValueError` or `OSError` if it is none."""
 
-    @abstractmethod
-    def known(self) -> set[int]:
-        """Return the numbers of the blocks that are complete."""
-
-    @abstractmethod
-    def put(self, number: int, block: Slices, answers: Answers) -> None:
-        """Write a block."""
-
-    @abstractmethod
-    def dataset(self) -> Any:
-        """Return the dataset of all that was written."""
-
 
 class Zarr(Store):
     """A Zarr store: a block is a chunk of every array."""

@@ -123,13 +123,15 @@ class TimeScaled(Reference):
     @property
     def stretches(self) -> FloatArray:
         """Those of the path."""
-        inner = self.start_time + (self.path.stretches[1:-1] - self.start_time) * self.factor
-        return np.array([self.start_time, *inner, self.end_time])
+        return self._scaled(self.path.stretches)
 
     @property
     def joints(self) -> FloatArray:
         """Those of the path."""
-        inner = self.start_time + (self.path.joints[1:-1] - self.start_time) * self.factor
+        return self._scaled(self.path.joints)
+
+    def _scaled(self, t: FloatArray) -> FloatArray:
+        inner = self.start_time + (t[1:-1] - self.start_time) * self.factor
         return np.array([self.start_time, *inner, self.end_time])
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
