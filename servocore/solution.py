@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, lock_arrays
-from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, figure_of, html_table
+from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, drawing_of, figure_of, html_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -312,11 +312,38 @@ class Solution:
         for value, kind, what in ((speed, Real, "a positive speed"), (frames, Integral, "a whole number of frames")):
             if not isinstance(value, kind) or not value > 0:
                 raise InvalidSetting(f"an animation needs {what}, not {value!r}")
-        if self.origin is None:
-            raise InvalidSetting("this solution lacks its problem, as from a file, so that it cannot be drawn")
         return animation_of(self._motion(), self.origin.name.replace("_", " "), speed, frames)
 
+    def draw(self, time: float) -> Figure:
+        """Draw the system in space at the instant that is next to a time, as `animate` does.
+
+        Parameters
+        ----------
+        time : float
+            In s.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Made by pyplot, so that ``matplotlib.pyplot.show()`` shows it.
+
+        Raises
+        ------
+        InvalidSetting, InvalidModel
+            As `animate`.
+
+        Examples
+        --------
+        >>> import servocore as sc
+        >>> sc.solve(sc.scenes.cars(), step=0.1).draw(0.5).savefig("cars.png")
+        """
+        figure, draw = drawing_of(self._motion())
+        draw(min(range(len(self.t)), key=lambda k: abs(float(self.t[k]) - time)))
+        return figure
+
     def _motion(self) -> Motion:
+        if self.origin is None:
+            raise InvalidSetting("this solution lacks its problem, as from a file, so that it cannot be drawn")
         import casadi as ca  # noqa: PLC0415 - for animations only
 
         from servocore.model.drawing import picture_of  # noqa: PLC0415
