@@ -182,11 +182,7 @@ class Solution:
     motion: Any = field(default=None, repr=False)  # a `Motion`, of a higher layer
 
     def __post_init__(self) -> None:
-        self._lock()
-
-    def _lock(self) -> None:
-        """Make the arrays read-only: `error` and others are computed from them."""
-        lock_arrays(self, "t", "values")
+        lock_arrays(self, "t", "values")  # `error` and others are computed from them
 
     @cached_property  # it may take longer than the solution
     def error(self) -> ErrorEstimate:
@@ -209,7 +205,7 @@ class Solution:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._lock()
+        lock_arrays(self, "t", "values")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -273,10 +269,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If matplotlib is missing; it is part of the extra ``report``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if matplotlib is missing, which is part of the extra ``report``.
         """
         return figure_of(self.t, self._curves(names), self.route)
 
@@ -302,12 +296,6 @@ class Solution:
             matplotlib is missing; it is part of the extra ``report``.
         InvalidModel
             If the drawing of the scene cannot be drawn, or there is nothing to draw.
-
-        Examples
-        --------
-        >>> import servocore as sc
-        >>> solution = sc.solve(sc.scenes.cars(), step=0.1)
-        >>> solution.animate(frames=5).save("cars.gif", writer="pillow")
         """
         for value, kind, what in ((speed, Real, "a positive speed"), (frames, Integral, "a whole number of frames")):
             if not isinstance(value, kind) or not value > 0:
@@ -325,17 +313,12 @@ class Solution:
         Returns
         -------
         matplotlib.figure.Figure
-            Made by pyplot, so that ``matplotlib.pyplot.show()`` shows it.
+            Made by pyplot.
 
         Raises
         ------
         InvalidSetting, InvalidModel
             As `animate`.
-
-        Examples
-        --------
-        >>> import servocore as sc
-        >>> sc.solve(sc.scenes.cars(), step=0.1).draw(0.5).savefig("cars.png")
         """
         figure, draw = drawing_of(self._motion())
         draw(min(range(len(self.t)), key=lambda k: abs(float(self.t[k]) - time)))
@@ -373,10 +356,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If pandas is missing; it is part of the extra ``sweep``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if pandas is missing, which is part of the extra ``sweep``.
         """
         return data_frame(self.t, self._curves(names), {"route": self.route})
 
@@ -395,10 +376,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If xarray is missing; it is part of the extra ``sweep``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if xarray is missing, which is part of the extra ``sweep``.
         """
         return dataset(self.t, self._curves(names), {"route": self.route})
 

@@ -58,13 +58,6 @@ class TestDefaultManoeuvre:
         assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
         assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
 
-    def test_is_near_a_limit_for_two_thirds_of_the_time(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
-        path, _ = default_plan  # on 80 intervals four fifths, as docs/planning says
-        exact = CRANE.with_reference(path).exact(np.linspace(0.0, path.duration, 2001))
-        bounds = {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}
-        nearest = np.max([np.abs(exact[name]) / bound for name, bound in bounds.items()], axis=0)
-        assert 0.6 < np.mean(nearest > 0.95) < 0.75
-
     def test_is_a_path_that_everything_takes(self, default_plan: tuple[sc.Reference, PlanReport]) -> None:
         path, report = default_plan
         scene = CRANE.with_reference(path).with_limits(**DEFAULT)

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from crane_fmu.report import figures
 from crane_fmu.report.page import UNITS, Fact, Illustration, Part, Table, number, parameter_table
-from crane_fmu.report.study import DEFAULT, INPUTS, MOTION, PAPER, STEPS, Cycle, Errors, LoadRun, Study, largest
-from crane_fmu.report.style import Array
+from crane_fmu.report.study import DEFAULT, INPUTS, MOTION, PAPER, STEPS, Array, Cycle, Errors, LoadRun, Study, largest
 
 _PERCENT = tuple(f"{name} (%)" for name in INPUTS)
 _MOTION = ("φ (rad)", "s (m)", "l (m)")

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 import servocore as sc
-from crane_fmu.report.style import Array, Trajectories
+
+Array = npt.NDArray[np.float64]
 
 INPUTS = ("M_b", "F", "M_w")
 MOTION = ("phi", "s", "l")
@@ -27,6 +30,13 @@ Announce = Callable[[str], None]
 
 Errors = Mapping[str, float]
 """Of M_b, F, M_w relative to the largest value of each, of phi (rad), s (m), l (m) absolute."""
+
+
+class Trajectories(Protocol):
+    """Arrays over time by name: a `Solution`, or a closed form."""
+
+    def __getitem__(self, name: str, /) -> Array:
+        """Return one trajectory."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from itertools import cycle
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -72,11 +70,3 @@ def sensitivities_figure(result: Sensitivities) -> Figure:
         for each in result.quantities
     ]
     return figure_of(result.t, curves, "effect of one per cent more of each parameter")
-
-
-def saved_figure(figure: Figure, file: Path) -> bytes:
-    """Return a figure as the content of a PNG, SVG or PDF file, the same bytes in every run."""
-    stream, kind = io.BytesIO(), file.suffix[1:].lower()
-    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-    figure.savefig(stream, format=kind, metadata=metadata)
-    return stream.getvalue()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from servocore.files import figure_file
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Sweep of {title}</title>
@@ -37,9 +38,8 @@ def sweep_page(swept: Any, title: str, store: str) -> tuple[str, bytes]:
     axes = figure.subplots()
     _draw(axes, swept, list(settings["varied"]), first)
     axes.set_title("")
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return _page(swept, settings["varied"], title, first, stream.getvalue(), store), stream.getvalue()
+    picture = figure_file(figure, ".png")
+    return _page(swept, settings["varied"], title, first, picture, store), picture
 
 
 def _draw(axes: Axes, swept: Any, varied: Sequence[str], name: str) -> None:

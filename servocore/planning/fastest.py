@@ -10,6 +10,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
+from servocore.planning.integrator_chains import Law
 from servocore.planning.report import PlanReport, kept_limits
 from servocore.planning.search import EXCESS, planned
 from servocore.planning.space import Space
@@ -25,7 +26,7 @@ from servocore.planning.tasks import (
     task_free,
     with_a_formula,
 )
-from servocore.planning.time_laws import LONGEST, shape_of, shortest, shortest_three_phase, smooth_polynomial
+from servocore.planning.time_laws import LONGEST, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -117,9 +118,7 @@ def fastest(
         raise InvalidSetting(
             f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
         )
-    if progress is not None:
-        require_callable(progress, "progress", "a function of a text")
-    told = progress or _silent
+    told = _told(progress)
     bounded = within_limits(scene, limits)
     if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
         scene.with_reference(path)  # which refuses units that are implausible for the scene
@@ -127,20 +126,7 @@ def fastest(
     corners = corner_problems(bounded, model, robust or {})
     length = corners[0].array.reference_order + smooth
     quick = with_a_formula(bounded, corners, robust or {}, curve)
-    if free is None:
-        task = task_along(curve, quick, length)
-        told("looking for a law to start from")
-        scale = shortest(task, shape_of(smooth_polynomial(length)))
-        if not np.isfinite(scale):
-            raise LimitBroken(
-                f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
-            )
-        begun = starts_along(task, scale, intervals // 2)
-    else:
-        thick = _thickened(free, bounded, curve, quick[0], intervals)
-        task = task_free(curve.ends, quick, length, thick)
-        told("looking for ways to start from")
-        begun, scale = starts_free(task, quick, thick, intervals // 2)
+    task, begun, scale = _begun(bounded, curve, quick, length, free, intervals, told)
     result = planned(task, begun, 1.02 * scale, intervals, told)
     law = result.outcome.law.path()
     reference = TimedPath.of(curve, law) if free is None else law
@@ -173,8 +159,37 @@ def fastest(
     )
 
 
-def _silent(_: str) -> None:
-    """Report no progress."""
+def _told(progress: Callable[[str], None] | None) -> Callable[[str], None]:
+    """Return what takes texts on the progress."""
+    if progress is None:
+        return lambda _: None
+    require_callable(progress, "progress", "a function of a text")
+    return progress
+
+
+def _begun(
+    scene: Scene,
+    curve: PiecewisePolynomial,
+    corners: Sequence[Problem],
+    length: int,
+    free: Space | None,
+    intervals: int,
+    told: Callable[[str], None],
+) -> tuple[Task, list[tuple[str, Law]], float]:
+    """Return the task of a plan, laws to start from, and a typical duration in s."""
+    if free is not None:
+        thick = _thickened(free, scene, curve, corners[0], intervals)
+        task = task_free(curve.ends, corners, length, thick)
+        told("looking for ways to start from")
+        return task, *starts_free(task, corners, thick, intervals // 2)
+    task = task_along(curve, corners, length)
+    told("looking for a law to start from")
+    scale = shortest(task, smooth_polynomial(length))
+    if not np.isfinite(scale):
+        raise LimitBroken(
+            f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
+        )
+    return task, starts_along(task, scale, intervals // 2), scale
 
 
 def _thickened(space: Space, scene: Scene, curve: PiecewisePolynomial, problem: Problem, intervals: int) -> Space:
@@ -202,6 +217,6 @@ def _on_the_line(curve: PiecewisePolynomial, corners: Sequence[Problem], length:
     """Return the same on the line between the ends of a free path: infinite where a limit is broken at rest there."""
     try:
         line = task_along(curve, corners, length)
-        return _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
+        return _compared(line, shortest(line, smooth_polynomial(length)))
     except LimitBroken:
         return np.inf, np.inf

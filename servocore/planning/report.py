@@ -227,9 +227,7 @@ def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):
-            excess = float(
-                np.max(np.where(np.isnan(over) & limit.rate, -np.inf, np.where(np.isnan(over), np.inf, over)))
-            )
+            excess = float(np.where(np.isnan(over), -np.inf if limit.rate else np.inf, over).max())
             if excess > worst:
                 worst, name = excess, limit.quantity
             active += _spells(limit, bound, t, over > -_ACTIVE)

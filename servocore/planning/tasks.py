@@ -19,7 +19,7 @@ from servocore.planning.curves import along, slopes_at, through_points
 from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Inner, Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
-from servocore.planning.time_laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
+from servocore.planning.time_laws import law_of, peaks, polynomial_path, shortest, smooth_polynomial
 from servocore.planning.transcription import Task, Total, totals_of
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
@@ -161,7 +161,7 @@ def _task(
         expressions.append(away)
         lower.append(np.full(away.numel(), -np.inf))
     bounds, way = np.concatenate(lower), float(np.linalg.norm(ends[1] - ends[0]))
-    sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(ends.shape[1], way)
+    sizes = peaks(smooth_polynomial(length), length)[:, None] * np.full(ends.shape[1], way)
     sizes[0] = np.maximum(np.abs(ends).max(axis=0), way)
     stacked = [ca.vertcat(*expressions), ca.vertcat(*equations), ca.vertcat(ca.SX(0, 1), *[each for each, _ in totals])]
     local = ca.Function(
@@ -197,11 +197,11 @@ def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[st
     """Return laws to start from, the best first."""
     own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
     return [
-        (f"{own.name} law", law_of(task, shape_of(own), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, slow", law_of(task, shape_of(own), 3.0 * polynomial, intervals)),
-        ("three-phase law", law_of(task, shape_of(three_phase()), 1.5 * polynomial, intervals)),
-        (f"{far.name} law", law_of(task, shape_of(far), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, fast", law_of(task, shape_of(own), 0.5 * polynomial, intervals)),
+        (f"{own.name} law", law_of(task, own, 1.02 * polynomial, intervals)),
+        (f"{own.name} law, slow", law_of(task, own, 3.0 * polynomial, intervals)),
+        ("three-phase law", law_of(task, three_phase(), 1.5 * polynomial, intervals)),
+        (f"{far.name} law", law_of(task, far, 1.02 * polynomial, intervals)),
+        (f"{own.name} law, fast", law_of(task, own, 0.5 * polynomial, intervals)),
     ]
 
 
@@ -239,7 +239,7 @@ def _begun(
         middle = [(task.start + task.end) / 2.0 + offset] if offset.any() else []
         curve = through_points(np.array([task.start, *middle, task.end]))
         try:
-            duration = shortest(task_along(curve, corners, task.length), shape_of(smooth_polynomial(task.length)))
+            duration = shortest(task_along(curve, corners, task.length), smooth_polynomial(task.length))
         except LimitBroken:
             continue
         if not np.isfinite(duration):

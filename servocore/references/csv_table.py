@@ -21,9 +21,8 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
-from servocore.references.csv_header import Header, header_of
+from servocore.references.csv_header import EXAMPLE, Header, clock_from, header_of, without_stamps
 from servocore.references.likely_units import UndeclaredUnits, doubtful_units
-from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
 PREFIXES = ("", "v", "a", "j", "s")
 """Prefix of a column of positions, velocities, accelerations, jerks and snaps."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
-from servocore.references.base import FloatArray, numbers_of, points, positive_time
+from servocore.references.base import FloatArray, numbers_of, points, positive_time, times_of
 from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
@@ -370,11 +370,6 @@ def _chord_times(waypoints: FloatArray, duration: float) -> FloatArray:
         )
     way = np.concatenate([[0.0], np.cumsum(chords)])
     way /= way[-1]
-    early, late = np.zeros(len(way)), np.full(len(way), duration)
-    for _ in range(60):  # bisection: s(t) rises monotonically
-        middle = (early + late) / 2.0
-        short = three_phase().jet(middle, duration - middle, duration, 0)[:, 0] < way
-        early, late = np.where(short, middle, early), np.where(short, late, middle)
-    times: FloatArray = (early + late) / 2.0
+    times = times_of(lambda t: three_phase().jet(t, duration - t, duration, 0)[:, 0], way, 0.0, duration)
     times[0], times[-1] = 0.0, duration
     return times
