@@ -261,10 +261,6 @@ def test_long_lists_of_a_printed_report_are_cut_and_the_report_keeps_them() -> N
     assert len(report.variable_offsets) == 42 + 37 + 3
 
 
-def test_analysing_twice_says_the_same() -> None:
-    assert str(sc.analyse(scene("gantry_crane"))) == str(sc.analyse(scene("gantry_crane")))
-
-
 # What solve makes of it ----------------------------------------------------------------------------------------------
 
 

@@ -20,7 +20,7 @@ from servocore import (
 )
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
-from servocore.references.hermite import hermite
+from servocore.references.piecewise import hermite
 from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

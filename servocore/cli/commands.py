@@ -6,6 +6,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import rich.box
@@ -14,24 +15,23 @@ from rich.markup import escape
 
 from servocore.analysis import analyse
 from servocore.cli import (
-    cache,
-    drives,
-    effects,
     export,
     feedforward,
     identification,
     plan,
-    sensitivities,
+    studies,
     sweep,
     view,
 )
-from servocore.cli.command import Command
+from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, advised_here, table_console
+from servocore.cli.kinds import choice
 from servocore.cli.options import Subject
 from servocore.errors import InvalidSetting
 from servocore.importers.assembly import Mechanism
 from servocore.importers.from_file import SUFFIXES
 from servocore.model.scene import Scene
+from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 from servocore.scenes import REGISTRY
 
 NAME = "servocore"
@@ -124,6 +124,38 @@ def listed(scene: Scene, mechanism: Mechanism) -> list[tuple[str, str]]:
     return rows + [("left out", each) for each in mechanism.left_out]
 
 
+@dataclass(frozen=True)
+class Action:
+    """Action on the cache."""
+
+    title = "Cache"
+
+    clear: bool = option(
+        kind=choice("action", {"clear": True}), metavar="[clear]", default=False,
+        help="Clear the cache; without this word it is described.",
+    )  # fmt: skip
+
+
+def show_cache(action: Action) -> None:
+    """Print place and size of the compiled machine code, or remove it.
+
+    Removed code is compiled again when it is needed. The folder is the user's cache folder, or the one in the
+    environment variable SERVOCORE_CACHE.
+    """
+    kept = CodeCache.of_user()
+    if refusal := kept.refusal():
+        raise InvalidSetting(f"no machine code is kept: {refusal}; set {FOLDER} to another folder")
+    if action.clear:
+        count, size = kept.clear()
+        where = f"removed from {kept.folder}"
+    else:
+        found = kept.contents()
+        count, size = len(found), sum(file.stat().st_size for file in found)
+        where = f"of at most {MOST_BYTES / 1e6:.3g} MB in {kept.folder}"
+    libraries = "library" if count == 1 else "libraries"
+    table_console().print(f"{count} {libraries} of machine code with {size / 1e6:.3g} MB {where}", soft_wrap=True)
+
+
 app = CommandLine(
     NAME,
     "Inverse dynamics of underactuated mechanical systems by servo constraints.\n\nThe commands analyse scenes of the"
@@ -135,15 +167,15 @@ app = CommandLine(
         Command("import", import_file, IMPORT_EXAMPLES),
         Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES),
         Command("plan", plan.plan_motion, plan.EXAMPLES, plan.FIXED),
-        Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
+        Command("sensitivities", studies.show_sensitivities, studies.SENSITIVITIES_EXAMPLES, studies.FIXED),
         Command("sweep", sweep.sweep_scene, sweep.EXAMPLES),
-        Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
-        Command("drives", drives.show_drives, drives.EXAMPLES),
+        Command("effects", studies.show_effects, studies.EFFECTS_EXAMPLES, {"model": None}),
+        Command("drives", studies.show_drives, studies.DRIVES_EXAMPLES),
         Command("identify", identification.identify_scene, identification.EXAMPLES, {"model": None}),
         Command("excite", identification.excite_scene, identification.EXCITE_EXAMPLES, {"model": None}),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
         Command("ssp", export.export_system, export.SSP_EXAMPLES),
-        Command("cache", cache.show_cache, cache.EXAMPLES),
+        Command("cache", show_cache, ("", "clear")),
     ],
 )
