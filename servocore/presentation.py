@@ -77,7 +77,7 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
 
     rows = "".join(
         f"<tr><th>{escape(curve.name)}</th><td>{escape(curve.unit)}</td>"
-        + "".join(f"<td>{value:.6g}</td>" for value in _ends_and_extremes(curve.values))
+        + "".join(f"<td>{value:.6g}</td>" for v in (curve.values,) for value in (v[0], v[-1], v.min(), v.max()))
         + f"<td style='text-align:left'>{escape(curve.description)}</td></tr>"
         for curve in curves
     )
@@ -85,10 +85,6 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
     head = "".join(f"<th>{column}</th>" for column in columns)
     text = "<br>".join(escape(line) for line in heading if line)
     return f"<p>{text}</p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-
-
-def _ends_and_extremes(values: Array) -> tuple[float, float, float, float]:
-    return float(values[0]), float(values[-1]), float(values.min()), float(values.max())
 
 
 def data_frame(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:

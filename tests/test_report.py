@@ -119,14 +119,6 @@ class TestFigures:
         assert labels(figure) == ["share of the line", "its second derivative (1/s²)"]
         assert below.get_xlabel() == "time (s)"
 
-    def test_the_motion_is_drawn_in_degrees_and_metres(self, found: Study) -> None:
-        figure = figures.stack((*MOTION, *INPUTS), [figures.Curve("exact inversion", found.base.t, found.base, {})])
-        assert sorted(labels(figure)) == sorted(LABELS.values())
-        assert labels(figure)[:3] == [LABELS[name] for name in ("phi", "s", "l")]
-        assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
-        assert np.asarray(figure.axes[0].lines[0].get_ydata())[-1] == pytest.approx(135.0)
-        assert legend(figure) == ["exact inversion"]
-
     def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found: Study) -> None:
         redundant, generalized = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
         figure = figures.inputs_compared(redundant, generalized, found.base)
@@ -180,14 +172,6 @@ class TestFigures:
         gusty = replace(found.tracking[0], gust=(8.0, 10.0))
         assert "gust" in legend(figures.strayed([gusty], [gusty]))
         assert "gust" not in legend(figure)
-
-    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane: sc.Scene) -> None:
-        radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
-        solution = sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1)
-        figure = figures.stack((*INPUTS, *MOTION), [figures.Curve("backward Euler", solution.t, solution, {})])
-        for axes in figure.axes:
-            low, high = axes.get_ylim()
-            assert high - low > 1e-3
 
     @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
     def test_a_picture_is_the_same_every_time(self, crane: sc.Scene, suffix: str) -> None:

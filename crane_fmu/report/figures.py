@@ -6,7 +6,6 @@ Fonts and line styles remain distinct in grey. No global setting is changed, and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
 
@@ -18,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 
 import servocore as sc
-from crane_fmu.report.study import INPUTS, Array, Errors, LoadRun, Trajectories
+from crane_fmu.report.study import Array, Errors, LoadRun
 from servocore.files import figure_file
 
 BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
@@ -61,17 +60,14 @@ LABELS = {
     "M_b": "slewing torque $M_b$ (N m)",
     "F": "trolley force $F$ (N)",
     "M_w": "winch torque $M_w$ (N m)",
-    "phi": "bridge angle $\\varphi$ (°)",
-    "s": "trolley position $s$ (m)",
-    "l": "rope length $l$ (m)",
 }
-"""Axis labels with the unit that is drawn; angles in degrees."""
+"""Axis labels of the inputs."""
 
 styled = mpl.rc_context(_RC)
 """Decorates functions that make or save figures in this style."""
 
 
-def panels(labels: Sequence[str], height: float = 1.75) -> tuple[Figure, list[Axes]]:
+def panels(labels: Sequence[str], height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure of labelled panels above each other that share their time axis.
 
     Parameters
@@ -139,38 +135,6 @@ LEAST_ERROR = 1e-3
 """In mm; a smaller distance is a numerical residual, and is drawn as this one."""
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Trajectories by name over time, and their look."""
-
-    label: str
-    t: Array
-    values: Trajectories
-    look: Look
-
-
-def _keep_rounding_flat(axes: Axes) -> None:
-    """Widen the axis of a quantity that is constant up to round-off."""
-    low, high = axes.dataLim.intervaly
-    slightest = 1e-6 * max(1.0, abs(low), abs(high))
-    if high - low < slightest:
-        axes.set_ylim((low + high) / 2 - 1e4 * slightest, (low + high) / 2 + 1e4 * slightest)
-
-
-@styled
-def stack(names: Sequence[str], curves: Sequence[Curve], height: float = 1.75) -> Figure:
-    """Return a figure with one panel a quantity, angles in degrees."""
-    figure, axes = panels([LABELS[name] for name in names], height)
-    for axis, name in zip(axes, names, strict=True):
-        for curve in curves:
-            values = np.degrees(curve.values[name]) if name == "phi" else curve.values[name]
-            axis.plot(curve.t, values, label=curve.label, markevery=max(1, len(values) // 25), **curve.look)
-        axis.margins(x=0.01)
-        _keep_rounding_flat(axis)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
-    return figure
-
-
 @styled
 def reference_function(reference: sc.Reference) -> Figure:
     """Return the share of a straight line that the load has travelled, and its second derivative.
@@ -192,14 +156,21 @@ def reference_function(reference: sc.Reference) -> Figure:
     return figure
 
 
+@styled
 def inputs_compared(redundant: sc.Solution, generalized: sc.Solution, default: sc.Solution) -> Figure:
     """Return the inputs of both sets of coordinates on top of each other, by one scheme, with those by the default."""
     curves = (
-        Curve("default: exact inversion", default.t, default, DEFAULT_LINE),
-        Curve("generalized coordinates (GEN)", generalized.t, generalized, PAPER_LINE),
-        Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
+        ("default: exact inversion", default, DEFAULT_LINE),
+        ("generalized coordinates (GEN)", generalized, PAPER_LINE),
+        ("redundant coordinates (RED)", redundant, REDUNDANT),
     )
-    return stack(INPUTS, curves, height=2.1)
+    figure, axes = panels(list(LABELS.values()), height=2.1)
+    for axis, name in zip(axes, LABELS, strict=True):
+        for label, run, look in curves:
+            axis.plot(run.t, run[name], label=label, markevery=max(1, len(run.t) // 25), **look)
+        axis.margins(x=0.01)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
+    return figure
 
 
 @styled

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -30,13 +29,6 @@ Announce = Callable[[str], None]
 
 Errors = Mapping[str, float]
 """Of M_b, F, M_w relative to the largest value of each, of phi (rad), s (m), l (m) absolute."""
-
-
-class Trajectories(Protocol):
-    """Arrays over time by name: a `Solution`, or a closed form."""
-
-    def __getitem__(self, name: str, /) -> Array:
-        """Return one trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +189,7 @@ def error(scene: sc.Scene, solution: sc.Solution) -> Errors:
     return apart(solution, scene.exact(solution.t))
 
 
-def apart(run: Trajectories, judge: Trajectories) -> Errors:
+def apart(run: sc.Solution, judge: sc.Solution | Mapping[str, Array]) -> Errors:
     """Return the largest differences of a run from another that it is judged by."""
     relative = {name: largest(run[name] - judge[name]) / largest(judge[name]) for name in INPUTS}
     return relative | {name: largest(run[name] - judge[name]) for name in MOTION}

@@ -32,7 +32,7 @@ class Active:
     unit: str
     begin: float
     end: float
-    told: str = ""
+    told: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,7 @@ class PlanReport:
         if math.isfinite(self.clearance):
             lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [
-            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at"
-            f" {spell.told or f'{spell.bound:g} {spell.unit}'}"
+            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at {spell.told}"
             for spell in self.active
         ]
         return "\n".join(lines)

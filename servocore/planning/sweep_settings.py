@@ -59,12 +59,12 @@ class Grid:
         """
         table = _table(varied)
         columns = {name: _numbers(name, values) for name, values in (table or varied or {}).items()}
+        along = {name: name if table is None else CASE for name in columns}
         dimensions = {PATH: paths} if paths else {}
-        if table is None:
-            dimensions |= {name: len(values) for name, values in columns.items()}
-            return cls(_some(dimensions), {name: (name, values) for name, values in columns.items()})
-        dimensions[CASE] = len(next(iter(columns.values()), ()))
-        return cls(_some(dimensions), {name: (CASE, values) for name, values in columns.items()})
+        dimensions |= {along[name]: len(values) for name, values in columns.items()}
+        if not dimensions:
+            raise InvalidSetting("nothing varies: give parameters, durations or references")
+        return cls(dimensions, {name: (along[name], values) for name, values in columns.items()})
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -122,12 +122,6 @@ def _numbers(name: str, values: Any) -> Array:
     if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
         raise InvalidSetting(f"the values of {name} in a sweep must be a row of finite numbers")
     return numbers
-
-
-def _some(dimensions: Mapping[str, int]) -> dict[str, int]:
-    if not dimensions:
-        raise InvalidSetting("nothing varies: give parameters, durations or references")
-    return dict(dimensions)
 
 
 _LOOKED_AT = 7  # instants, to decide whether a law is the same in another time

@@ -6,8 +6,7 @@ import json
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -31,6 +30,8 @@ SUFFIX = ".parquet"
 
 _DONE = "blocks/done"  # which blocks of a store are complete; no part of the dataset
 _SETTINGS, _SETTINGS_FILE = "settings", "_settings.json"  # readers of tables pass over names that begin so
+
+_quiet = partial(warnings.catch_warnings, action="ignore")  # Zarr: other libraries may not know its texts yet
 
 Answers = Mapping[str, Any]
 """The results of a block by variable, shape (cases,), or (cases, N) over time."""
@@ -279,11 +280,3 @@ class Parquet(Store):
 
     def _part(self, number: int) -> Path:
         return self._path / f"part-{number:06d}{SUFFIX}"
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Hold back Zarr's remark that other libraries may not know its texts yet."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield

@@ -250,18 +250,18 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
     pieces = 1
     while pieces + free.degree <= len(t) // 3:
         inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
+        pieces *= 2
         if _surely_too_few(t, positions, inner_knots, free, allowed):
-            pieces *= 2
             continue
         fitted = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
-        if _distance(fitted.spline(t), positions).max() <= allowed:
-            for start, end in ((True, True), (True, False), (False, True)):
-                ends = replace(free, start=start, end=end)
-                spline = fit(t, positions, inner_knots, ends)
-                if _distance(spline(t), positions).max() <= allowed:
-                    return _Fit(spline, ends, inner_knots)
-            return fitted
-        pieces *= 2
+        if _distance(fitted.spline(t), positions).max() > allowed:
+            continue
+        for start, end in ((True, True), (True, False), (False, True)):
+            ends = replace(free, start=start, end=end)
+            spline = fit(t, positions, inner_knots, ends)
+            if _distance(spline(t), positions).max() <= allowed:
+                return _Fit(spline, ends, inner_knots)
+        return fitted
     return None
 
 
