@@ -109,9 +109,9 @@ def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePol
     return np.allclose(values[: len(one)], values[len(one) :], rtol=0.0, atol=_ALIKE, equal_nan=True)
 
 
-def _kept_at_rest(corners: Sequence[Problem], places: Array) -> list[Rows]:
+def _kept_at_rest(corners: Sequence[Problem], begin: Array, places: Array) -> list[Rows]:
     """Return the limits of all corners; raises `InvalidReference` if one cannot be kept at rest at places."""
-    every = [limit_rows(corner, places[0]) for corner in corners]
+    every = [limit_rows(corner, begin) for corner in corners]
     for rows, corner in zip(every, corners, strict=True):
         require_at_rest(rows, corner, places, _ROOM)
     return every
@@ -119,7 +119,7 @@ def _kept_at_rest(corners: Sequence[Problem], places: Array) -> list[Rows]:
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
     """Return the task of a law along a curve; raises `InvalidReference` if a limit cannot be kept at rest."""
-    every = _kept_at_rest(corners, curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0])
+    every = _kept_at_rest(corners, curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0])
     orders = 1 + max(length, *(rows.order for rows in every))
     s = ca.SX.sym("s", 1, orders)
     gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), ca.horzsplit(s)))
@@ -128,7 +128,7 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
 
 def task_free(ends: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
     """Return the task of a law between places (2, m); raises `InvalidReference` if a limit cannot be kept at one."""
-    every = _kept_at_rest(corners, ends)
+    every = _kept_at_rest(corners, ends[0], ends)
     orders = max(2, length, *(rows.order for rows in every)) + 1
     gamma, system = ca.SX.sym("gamma", ends.shape[1], orders), corners[0].system
     clear = ca.Function("sc_clear", [system.gamma, system.p], [space.rows(system.gamma, system.parameters)])
