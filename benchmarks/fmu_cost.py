@@ -29,7 +29,7 @@ from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.build.flatness import flat_motion
+from crane_fmu.build.sampling import flat_motion
 
 BATCHES, CYCLES, STEP = 200, 20, 0.005
 SETTINGS: dict[str, dict[str, str]] = {

@@ -6,7 +6,6 @@ The variables of each FMU are in its model description.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -20,9 +19,6 @@ FORMULATIONS, METHODS = choices.FORMULATIONS, choices.METHODS
 
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""
-
-PROFILES = sc.TIME_LAWS
-"""Time laws of a straight line; the first is the default."""
 
 
 # Names that the variables of several FMUs have in common --------------------------------------------------------------
@@ -70,9 +66,7 @@ NO_STARTS: Starts = MappingProxyType({})
 FROM_FILE = "file"
 """Item of a trajectory's `profile`: the path that the FMU contains, in place of a time law."""
 
-_LOAD, _CRANE = components("load.position"), ("phi", "s", "l", "tension")
-_STARTS = components(*(f"start.{order}" for order in ORDERS))
-_MOVING = (*components(*(f"load.{order}" for order in ORDERS[1:])), *_STARTS[3:], "M_b", "F", "M_w")
+_MOVING = (*components(*(f"{of}.{order}" for of in ("load", "start") for order in ORDERS[1:])), "M_b", "F", "M_w")
 
 
 @dataclass(frozen=True)
@@ -87,14 +81,11 @@ class FmuKind:
         The user page in the documentation; its template has the same name and ``.j2``.
     runs : tuple of dict
         Start values for the runs of the check.
-    resting : tuple of str
-        Outputs that must equal those of a crane at rest at the end of each run.
     """
 
     name: str
     page: str
     runs: tuple[dict[str, float | str], ...]
-    resting: tuple[str, ...]
 
     @property
     def file_name(self) -> str:
@@ -116,26 +107,10 @@ class FmuKind:
         """
         if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
             return ({},)
-        hold, still = at_rest(starts)["M_w"], {name: 0.0 for name in _MOVING if name in starts}
-        return tuple(still | run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
-
-    def rest(self, starts: Starts) -> dict[str, float]:
-        """Return the expected outputs at the end of each run.
-
-        Parameters
-        ----------
-        starts : mapping
-            Start values by the name of the variable.
-
-        Returns
-        -------
-        dict of str to float
-            By the name of the output, in its unit.
-        """
-        if self is LOAD_TRAJECTORY and starts:
-            return {}
-        values = at_rest(starts)
-        return {name: values[name] for name in self.resting}
+        still: dict[str, float | str] = {name: 0.0 for name in _MOVING if name in starts}
+        known = crane_with(starts).parameter_values()
+        hold: dict[str, float | str] = {"M_w": -known["load_mass"] * known["gravity"] * known["winch_radius"]}
+        return tuple(still | run | (hold if "M_w" in run else {}) for run in self.runs)
 
 
 def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] = MappingProxyType({})) -> sc.Scene:
@@ -157,49 +132,22 @@ def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] = MappingProxyType
     return crane.with_parameters(**{name: float(starts[name]) for name in crane.parameter_values() if name in starts})
 
 
-def at_rest(starts: Starts) -> dict[str, float]:
-    """Return the outputs of a crane whose load hangs at rest at its start.
-
-    Parameters
-    ----------
-    starts : mapping
-        Start values by the name of the variable.
-
-    Returns
-    -------
-    dict of str to float
-        By the name of the output, in its unit.
-    """
-    crane = crane_with(starts)
-    path, known = crane.reference, crane.parameter_values()
-    home = path.jet(path.start_time, 0)[0].tolist()
-    names = _LOAD if _LOAD[0] in starts else _STARTS  # of the inverse model, or of the plant
-    place = [float(starts.get(name, value)) for name, value in zip(names, home, strict=False)]
-    tension = known["load_mass"] * known["gravity"]
-    values = {"phi": math.atan2(place[1], place[0]), "s": math.hypot(*place[:2]), "l": -place[2], "tension": tension}
-    values |= {"M_b": 0.0, "F": 0.0, "M_w": -tension * known["winch_radius"], "swing": 0.0}
-    return values | dict(zip(_LOAD, place, strict=True))
-
-
 LOAD_TRAJECTORY = FmuKind(
     name="LoadTrajectory",
     page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in sc.TIME_LAWS),
-    resting=_LOAD,
 )
 
 ROTARY_CRANE = FmuKind(
     name="RotaryCrane",
     page="fmu.md",
     runs=tuple({"model": model, "formulation": name} for model, name in product(MODELS, FORMULATIONS)),
-    resting=(*_CRANE, "M_b", "F", "M_w", "swing"),
 )
 
 CRANE_PLANT = FmuKind(
     name="CranePlant",
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),
-    resting=(*_CRANE, *_LOAD),
 )
 
 KINDS: Mapping[str, FmuKind] = {kind.name: kind for kind in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}

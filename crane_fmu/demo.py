@@ -48,15 +48,12 @@ class Demo:
         Sentences on the results of the default, then of the scheme of the paper.
     tables : tuple of Table
         The results as tables of texts.
-    notes : tuple of str
-        Sentences on omitted parts.
     """
 
     folder: Path
     files: tuple[str, ...]
     summary: tuple[str, ...]
     tables: tuple[Table, ...]
-    notes: tuple[str, ...]
 
 
 def demo(
@@ -97,7 +94,7 @@ def demo(
         outputs = run_fmu(fmu, scene.reference, steps[0])
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
-        cycle = example_cycle(scene, examples_folder())
+        cycle = example_cycle(scene)
         put(draft, {INPUTS_FILE: "".join(table_pieces(found.base, COLUMNS["rotary_crane"]))})
         announce("drawing figures")
         write_report(draft, found, contents.sections(found, outputs, loop, cycle))
@@ -107,13 +104,12 @@ def demo(
         contents.fmu_table(found, outputs),
         contents.tracking_table(found.tracking),
         contents.loop_table(loop),
-        *([] if cycle is None else [contents.cycle_table(cycle)]),
+        contents.cycle_table(cycle),
         contents.paper_table(found, factors=False),
         contents.difference_table(found),
     )
-    missing = "the working cycle is left out: its example files are not installed"
     told = (*contents.summary(found), *([f"Certificate: {found.certificate}."] if certify else []))
-    return Demo(target, files, told, tables, () if cycle is not None else (missing,))
+    return Demo(target, files, told, tables)
 
 
 def build_system(folder: Path, announce: Announce) -> Path:
@@ -189,38 +185,32 @@ def write_report(folder: Path, found: Study, sections: Mapping[str, Sequence[Par
     put(folder, {REPORT: page(contents.TITLE, contents.facts(found), live, sections, drawings)})
 
 
-def examples_folder() -> Path | None:
-    """Return where the example paths are.
+def examples_folder() -> Path:
+    """Return where the example paths are: a folder in the installed package, or beside it in a clone.
 
     Returns
     -------
-    Path or None
-        A folder in the installed package, or beside it in a clone; nothing if there is neither.
+    Path
+        The folder.
     """
     here = Path(__file__).resolve().parent
-    for folder in (here / "examples", here.parent / "examples"):
-        if (folder / "working_cycle_waypoints.csv").is_file():
-            return folder
-    return None
+    return next(folder for folder in (here / "examples", here.parent / "examples") if folder.is_dir())
 
 
-def example_cycle(scene: sc.Scene, folder: Path | None) -> Cycle | None:
+def example_cycle(scene: sc.Scene) -> Cycle:
     """Compute the working cycle of the examples.
 
     Parameters
     ----------
     scene : Scene
         The rotary crane.
-    folder : Path or None
-        What `examples_folder` returned.
 
     Returns
     -------
-    Cycle or None
-        Nothing without a folder.
+    Cycle
+        Its motion and inputs.
     """
-    if folder is None:
-        return None
+    folder = examples_folder()
     file = folder / "working_cycle_waypoints.csv"
     through, samples = sc.waypoints_from_csv(file), sc.from_csv(folder / "working_cycle_sampled.csv")
     return working_cycle(scene, through, samples, np.loadtxt(file, delimiter=",", skiprows=1))

@@ -36,17 +36,19 @@ if TYPE_CHECKING:
         ServocoreWarning as ServocoreWarning,
     )
     from servocore.export.about import About as About
-    from servocore.export.estimates import SampledEstimates as SampledEstimates
-    from servocore.export.feedback import SampledFeedback as SampledFeedback
     from servocore.export.fmu import (
         export_fmu as export_fmu,
         export_plant as export_plant,
+        export_ssp as export_ssp,
         export_trajectory as export_trajectory,
     )
     from servocore.export.native_model import HostRules as HostRules
     from servocore.export.plant_model import PlantOptions as PlantOptions
     from servocore.export.routes import SteppedRoutes as SteppedRoutes
-    from servocore.export.scene_system import export_ssp as export_ssp
+    from servocore.export.sampled_laws import (
+        SampledEstimates as SampledEstimates,
+        SampledFeedback as SampledFeedback,
+    )
     from servocore.export.trajectory_model import TrajectoryOptions as TrajectoryOptions
     from servocore.export.wasm import export_wasm as export_wasm
     from servocore.formulations.base import Formulation as Formulation
@@ -72,9 +74,8 @@ if TYPE_CHECKING:
     from servocore.model.drawing import Part as Part
     from servocore.model.drives import Drive as Drive
     from servocore.model.generalize import generalize as generalize
-    from servocore.model.limit_files import read_limits as read_limits
     from servocore.model.limits import Limit as Limit
-    from servocore.model.parameter_files import read_parameters as read_parameters
+    from servocore.model.parameter_files import read_limits as read_limits, read_parameters as read_parameters
     from servocore.model.potentials import Potential as Potential
     from servocore.model.quantity import Quantity as Quantity
     from servocore.model.scene import Scene as Scene

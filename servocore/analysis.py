@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.checks.before_run import require_feasible
-from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
-from servocore.checks.internal_stability import (
+from servocore.checks.before_run import (
     ADVICE,
     FLAT,
     MINIMUM_PHASE,
     SINGULAR,
     internal_dynamics,
+    require_feasible,
 )
+from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.motion import motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import at_instants
-from servocore.numerics.conditioning import condition_numbers
+from servocore.numerics.components import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray

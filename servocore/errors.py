@@ -146,6 +146,15 @@ def require_real(value: object, what: str, wanted: str, error: type[ServocoreErr
         raise error(f"{what} must be {wanted}, not {described(value)}")
 
 
+def require_positive(value: float, what: str, wanted: str, *, or_zero: bool = False) -> None:
+    """Raise `InvalidSetting`, with the expected and the given value, unless `value` is positive and finite, or zero."""
+    require_real(value, what, wanted, InvalidSetting)
+    if not (0.0 < value < float("inf") or (or_zero and value == 0.0)):
+        raise InvalidSetting(
+            f"{what} must be {'finite and not negative' if or_zero else 'positive and finite'}, not {value:g}"
+        )
+
+
 def require_formulation(value: object) -> None:
     """Raise `InvalidSetting` unless this is a formulation."""
     if not _offers(value, "dae"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -25,8 +26,8 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, lock_arrays
 from servocore.numerics.components import filled
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import holds_any
-from servocore.references.base import FloatArray, Reference
+from servocore.numerics.step_operations import operations_in
+from servocore.references.base import Reference
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
 
@@ -77,14 +78,18 @@ class ResolvedSystem:
         ]
         return signs + margins
 
-    @property
+    @cached_property
     def mass_varies(self) -> bool:
         """Whether the mass matrix depends on the configuration."""
-        return _mass_varies(self)
+        return bool(ca.depends_on(self.system.mass, self.system.q))
 
     def holds(self, operations: set[int]) -> bool:
         """Whether the equations hold one of some operations, such as `KINKS`, given by their numbers in CasADi."""
-        return _holds(self, frozenset(operations))
+        return bool(operations & self._operations)
+
+    @cached_property  # asked for by every solve
+    def _operations(self) -> set[int]:
+        return operations_in(ca.veccat(*equations_of(self.system)))
 
     @property
     def array(self) -> DerivativeArray:
@@ -111,16 +116,6 @@ _FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "
 def equations_of(system: MechanicalSystem) -> list[ca.SX]:
     """Return all expressions that make up the equations of a system."""
     return [getattr(system, name) for name in _FIELDS]
-
-
-@made_once
-def _mass_varies(resolved: ResolvedSystem) -> bool:
-    return bool(ca.depends_on(resolved.system.mass, resolved.system.q))
-
-
-@made_once
-def _holds(resolved: ResolvedSystem, operations: frozenset[int]) -> bool:
-    return any(holds_any(each, set(operations)) for each in equations_of(resolved.system))
 
 
 @made_once
@@ -266,7 +261,7 @@ class Problem:
         """
         if isinstance(subject, MechanicalSystem):
             system, p = subject, np.array(subject.home_parameters)
-            scene = Scene(system.name, {"only": lambda: subject}, _AtRest.at(system.home))
+            scene = Scene(system.name, {"only": lambda: subject}, _at_rest(system.home))
         else:
             require_kind(subject, Scene, "the problem", "a Scene", InvalidModel)
             scene, system = subject, subject.model(model)
@@ -318,17 +313,10 @@ class Problem:
         return self.resolved.dae(formulation)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _AtRest(Reference):
-    """A path that stays where it is."""
+def _at_rest(place: tuple[float, ...]) -> Reference:
+    """Return a path that stays where it is, with all derivatives."""
+    from servocore.references.piecewise import PiecewisePolynomial  # noqa: PLC0415 - scenes have paths
 
-    place: tuple[float, ...]
-
-    @classmethod
-    def at(cls, place: tuple[float, ...]) -> _AtRest:
-        return cls(start_time=0.0, end_time=1.0, dimension=len(place), max_order=99, smoothness=99, place=place)
-
-    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
-        derivatives = np.zeros((len(t), order + 1, self.dimension))
-        derivatives[:, 0] = self.place
-        return derivatives
+    coefficients = np.zeros((1, 100, len(place)))
+    coefficients[:, 0] = place
+    return PiecewisePolynomial.of(np.array([0.0, 1.0]), coefficients, 99, np.array([place] * 2), (True, True))

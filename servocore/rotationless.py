@@ -6,43 +6,27 @@ return constraints, and `Assembly.system` makes a `MechanicalSystem` of both. On
 docs/howto/assemble-a-mechanism.md.
 """
 
-from servocore.model.rotationless.assembly import Assembly
-from servocore.model.rotationless.flexible import Beam, ElasticRope, Section
+# ruff: noqa: I001, PLC0414 - every name is exported; a line is a module with all its names
+from servocore.model.rotationless.assembly import Assembly as Assembly
+from servocore.model.rotationless.flexible import Beam as Beam, ElasticRope as ElasticRope, Section as Section
 from servocore.model.rotationless.joints import (
-    angle,
-    cylindrical,
-    displacement,
-    distance,
-    fixed,
-    on_line,
-    on_plane,
-    prismatic,
-    revolute,
-    rope,
-    spherical,
+    angle as angle,
+    cylindrical as cylindrical,
+    displacement as displacement,
+    distance as distance,
+    fixed as fixed,
+    on_line as on_line,
+    on_plane as on_plane,
+    prismatic as prismatic,
+    revolute as revolute,
+    rope as rope,
+    spherical as spherical,
 )
-from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, turned
-
-__all__ = [
-    "GROUND",
-    "Assembly",
-    "Beam",
-    "ElasticRope",
-    "Frame",
-    "Place",
-    "PointMass",
-    "RigidBody",
-    "Section",
-    "angle",
-    "cylindrical",
-    "displacement",
-    "distance",
-    "fixed",
-    "on_line",
-    "on_plane",
-    "prismatic",
-    "revolute",
-    "rope",
-    "spherical",
-    "turned",
-]
+from servocore.model.rotationless.parts import (
+    GROUND as GROUND,
+    Frame as Frame,
+    Place as Place,
+    PointMass as PointMass,
+    RigidBody as RigidBody,
+    turned as turned,
+)

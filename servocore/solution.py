@@ -34,8 +34,6 @@ class Statistics:
         Largest ``|c|`` in the unit of the outputs, and largest ``|dc/dt|``.
     constraint_violation, constraint_rate_violation : float
         Largest ``|g|`` and ``|dg/dt|``.
-    rejected : int
-        Steps that error control rejected.
     error_estimate : float or None
         With error control: its estimate of the largest error of the inputs, relative to their peaks.
     choices_of_states : int
@@ -56,7 +54,6 @@ class Statistics:
     servo_rate_violation: float
     constraint_violation: float
     constraint_rate_violation: float
-    rejected: int = 0
     error_estimate: float | None = None
     choices_of_states: int = 1
     input_noise: float | None = None

@@ -27,33 +27,24 @@ def called(function: ca.Function) -> Call:
 
 
 @dataclass(frozen=True)
-class Feedback:
-    """The law for one input time: see `feedback_functions`."""
-
-    begin: Call
-    follow: Call
-
-
-@dataclass(frozen=True)
-class Estimation:
-    """See `sc.SampledEstimates`."""
+class Sampled:
+    """The law for one input time, see `feedback_functions`, or the estimator of `sc.SampledEstimates`."""
 
     begin: Call
     follow: Call
 
 
 @cache
-def laws() -> dict[str, Feedback]:
+def laws() -> dict[str, Sampled]:
     """Return the feedback by input time."""
     found = feedback_functions(sc.scenes.rotary_crane().model(LAW_MODEL))
     return {
-        time: Feedback(*(called(found[f"{name}_{time}"]) for name in ("begin", "feedback")))
-        for time in ("start", "end")
+        time: Sampled(*(called(found[f"{name}_{time}"]) for name in ("begin", "feedback"))) for time in ("start", "end")
     }
 
 
 @cache
-def estimation() -> Estimation:
+def estimation() -> Sampled:
     """Return what estimates derivatives that are not connected."""
     found = estimates_of(sc.scenes.rotary_crane()).functions
-    return Estimation(called(found["first_samples"]), called(found["estimate"]))
+    return Sampled(called(found["first_samples"]), called(found["estimate"]))

@@ -24,8 +24,7 @@ from random import Random
 
 from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions
-from hostile_fmu import DISCARD, ERROR, HOSTILE, OK, WARNING, Fmu, Instance
-from hostile_vectors import Vectors
+from hostile_fmu import DISCARD, ERROR, HOSTILE, OK, WARNING, Fmu, Instance, Vectors
 
 VALUES = (*HOSTILE, 1.0, 5.0, -5.0, 0.1, 100.0)
 STEPS = (0.1, 0.1, 0.05, 0.01, 1e-7, 0.0, -0.0, -0.1, math.nan, math.inf, -math.inf, 1e300, 5e-324)

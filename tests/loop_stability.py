@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-from called import Feedback
+from called import Sampled
 from loops import CRANE
 
 import servocore as sc
@@ -48,7 +48,7 @@ class Loop:
     given, and its memory; the cost-to-go, which depends on the path alone, is kept beside.
     """
 
-    def __init__(self, law: Feedback, at: str, h: float, jet: np.ndarray) -> None:
+    def __init__(self, law: Sampled, at: str, h: float, jet: np.ndarray) -> None:
         self._law, self._at_end, self._h, self._plant = law, at == "end", h, _plant_step()
         x = np.array([np.arctan2(jet[1], jet[0]), np.hypot(*jet[:2]), -jet[2], *[0.0] * 7])
         u = np.array([0.0, 0.0, -P[2] * P[5] * P[4]])
@@ -85,7 +85,7 @@ class Loop:
         self.state, self.cost = self.step(self.state, jet, following)
 
 
-def transition_norms(law: Feedback, at: str, h: float) -> Iterator[float]:
+def transition_norms(law: Sampled, at: str, h: float) -> Iterator[float]:
     """Yield norms of the transition matrix from the start of the default manoeuvre on, until four seconds after it."""
     path = CRANE.reference
     t = h * np.arange(round((path.duration + 4.0) / h) + 2)
@@ -101,7 +101,7 @@ def transition_norms(law: Feedback, at: str, h: float) -> Iterator[float]:
         loop.advance(jet, following)
 
 
-def sensitivity(law: Feedback, at: str, h: float, place: np.ndarray) -> float:
+def sensitivity(law: Sampled, at: str, h: float, place: np.ndarray) -> float:
     """Return by how much a disturbance at the inputs is amplified at most, where the crane stands still."""
     jet = np.concatenate([place, np.zeros(12)])
     loop = Loop(law, at, h, jet)

@@ -91,7 +91,7 @@ def taken(model: Any, data: Any, names: Sequence[str], x: np.ndarray) -> np.ndar
 def terms(tree: Tree) -> tuple[Layout, ca.Function]:
     """Return the coordinates, and M, inertia forces, weight with springs, dampers as a function of q and v."""
     assembly = Assembly(tree, Options())
-    layout, q, v = assembly.layout, assembly.q, assembly.v
+    layout, q, v = assembly, assembly.q, assembly.v
     forces = ca.mtimes(layout.reduction.T, layout.motion.inertia_forces())
     weight = ca.gradient(assembly._potential(ca.SX(ca.DM(list(tree.gravity)))), q)
     return layout, ca.Function("terms", [q, v], [assembly.mass, forces, weight, -assembly._damping()])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
-from functools import cache
+from functools import cache, partial
 
 import casadi as ca
 import numpy as np
@@ -16,8 +16,8 @@ from problems import actuated_chain, driven_pendulum, redundant_pendulum
 from thinned import thinned
 
 import servocore as sc
-from servocore.checks.internal_stability import ADVICE
-from servocore.numerics.conditioning import condition_number
+from servocore.checks.before_run import ADVICE
+from servocore.numerics.components import condition_number
 from servocore.references.rest_to_rest import RestToRest
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
@@ -59,7 +59,11 @@ def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates() -> None:
         assert len(report.equation_offsets) == len(report.variable_offsets)
 
 
-@pytest.mark.parametrize("make", [actuated_chain, driven_pendulum, redundant_pendulum], ids=lambda each: each.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [actuated_chain, driven_pendulum, redundant_pendulum, partial(redundant_pendulum, "theta")],
+    ids=["chain", "pendulum", "x of a redundant one", "its angle"],
+)
 def test_as_many_inputs_as_degrees_of_freedom_make_index_three(make: Callable[[], sc.MechanicalSystem]) -> None:
     report = sc.analyse(make())
     assert report.degrees_of_freedom == report.inputs

@@ -80,7 +80,7 @@ def out_of_reach(rng: np.random.Generator, bad: bool) -> sc.Scene:
     return reaching(rng, rng.uniform(1.81, 3.0) if bad else rng.uniform(1.3, 1.7))
 
 
-@family("negative at t")
+@family("refuted: mass matrix")
 def negative_masses(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """An arm whose mass falls where it stretches: negative beyond 1.71 m from the shoulder."""
     scene = reaching(rng, rng.uniform(1.73, 1.78) if bad else rng.uniform(1.3, 1.69))

@@ -13,7 +13,7 @@ from command_lines import CommandLine, write
 from present import present
 
 import servocore as sc
-from crane_fmu.catalogue import METHODS, MODELS, PROFILES
+from crane_fmu.catalogue import METHODS, MODELS
 from crane_fmu.cli.commands import app
 from servocore.cli import feedforward
 from servocore.numerics.compiled_calls import Array
@@ -217,10 +217,10 @@ class TestFeedforward:
         radial = ["--from", 5, 2.83, -5, "--to", 3, 1.698, -5, "--duration", 10]
         assert run("feedforward", *radial, "--formulation", "original", "--step", 0.01).exit_code == 0
 
-    @pytest.mark.parametrize("profile", [*PROFILES, "three-phase --ramp 8"])
+    @pytest.mark.parametrize("profile", [*sc.TIME_LAWS, "three-phase --ramp 8"])
     def test_every_profile_can_be_asked_for(self, profile: str) -> None:
         _, values = table(run("feedforward", *LINE, "--profile", *profile.split()).stdout)
-        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES.get(profile, sc.three_phase(8.0)))
+        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, sc.TIME_LAWS.get(profile, sc.three_phase(8.0)))
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
 
     def test_parameters_from_a_file_change_the_crane(self) -> None:

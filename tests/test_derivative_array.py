@@ -25,12 +25,6 @@ def test_it_is_square_once_the_states_are_known(name: str, model: str) -> None:
     assert len(set(array.unknowns)) == len(array.unknowns)
 
 
-@pytest.mark.parametrize("cars", [2, 3, 5])
-def test_cars_need_twice_as_many_derivatives_of_the_path_as_there_are_cars(cars: int) -> None:
-    array = derivative_array(car_chain([1.0] * cars, [50.0] * (cars - 1), [0.5] * (cars - 1)))
-    assert array.reference_order == 2 * cars
-
-
 def test_every_row_is_the_time_derivative_of_the_row_before() -> None:
     """Along any motion y(t), gamma(t), polynomial in t: the rows are compared with derivatives of a Taylor series."""
     array = derivative_array(scene("overhead_crane").model("points"))
@@ -91,15 +85,6 @@ def test_full_actuation_is_plain_inverse_dynamics(jet: Array) -> None:
     stiffness = 70.0 * np.array([[2.0, -1.0], [-1.0, 1.0]])
     expected = np.array([[3.0, 0.5], [0.5, 2.0]]) @ jet[2] + 3.0 * jet[1] + stiffness @ jet[0]
     np.testing.assert_allclose([found["u.F1", 0], found["u.F2", 0]], expected, rtol=1e-12, atol=1e-11)
-
-
-def test_states_of_internal_dynamics_are_left_free_at_their_guess() -> None:
-    """s and s' of the mass on a car belong to no path; the rest follows from them."""
-    array = derivative_array(scene("mass_on_car").model())
-    assert {(array.names[j], order) for j, order in array.states} in (
-        {("q.s", 0), ("q.s", 1)},
-        {("q.x", 0), ("q.x", 1)},
-    )
 
 
 def test_an_instant_without_solution_is_not_passed_off_as_one() -> None:

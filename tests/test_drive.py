@@ -60,13 +60,21 @@ def renamed() -> Path:
     return file
 
 
+def maps(names: dict[str, str]) -> list[str]:
+    return [part for ours, theirs in names.items() for part in ("--map", f"{ours}={theirs}")]
+
+
 def farthest(said: str) -> float:
     return float(said.split(" is ")[1].split(" mm", maxsplit=1)[0])
 
 
-def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path) -> None:
-    maps = [part for ours, theirs in NAMES.items() for part in ("--map", f"{ours}={theirs}")]
-    result = driven(renamed(), *maps, *LINE, "--output", tmp_path / "motion.csv")
+@pytest.mark.parametrize("in_file", [False, True])
+def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path, in_file: bool) -> None:
+    given = maps(NAMES)
+    if in_file:
+        given = ["--map", str(tmp_path / "names.toml")]
+        Path(given[1]).write_text("".join(f'{ours} = "{theirs}"\n' for ours, theirs in NAMES.items()), "utf-8-sig")
+    result = driven(renamed(), *given, *LINE, "--output", tmp_path / "motion.csv")
     assert result.exit_code == 0, result.output
     assert farthest(result.stdout) < 2.0
     table = np.genfromtxt(tmp_path / "motion.csv", delimiter=",", names=True)
@@ -74,23 +82,13 @@ def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path) -> Non
     assert 1e3 * table["distance"].max() == pytest.approx(farthest(result.stdout), rel=1e-2)
 
 
-def test_a_file_may_hold_the_names(tmp_path: Path) -> None:
-    (tmp_path / "names.toml").write_text(
-        "".join(f'{ours} = "{theirs}"\n' for ours, theirs in NAMES.items()), "utf-8-sig"
-    )
-    result = driven(renamed(), "--map", tmp_path / "names.toml", *LINE)
-    assert result.exit_code == 0, result.output
-    assert farthest(result.stdout) < 2.0
-
-
 def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path: Path) -> None:
     (tmp_path / "foreign.py").write_text(FOREIGN)
     file = FmuBuilder.build_FMU(tmp_path / "foreign.py", dest=tmp_path)
     names = {"M_b": "tau", "F": "f", "M_w": "hoist", "x": "px", "y": "py", "z": "pz"}
-    maps = [part for ours, theirs in names.items() for part in ("--map", f"{ours}={theirs}")]
     errors = []
     for step in ("0.01", "0.005"):
-        result = driven(file, *maps, *LINE, "--step", step)
+        result = driven(file, *maps(names), *LINE, "--step", step)
         assert result.exit_code == 0, result.output
         errors.append(farthest(result.stdout))
     assert errors[0] < 20.0
@@ -112,6 +110,5 @@ def test_what_is_wrong_is_one_sentence(arguments: list[str], sentence: str) -> N
 
 
 def test_a_load_that_starts_elsewhere_is_told() -> None:
-    maps = [part for ours, theirs in NAMES.items() for part in ("--map", f"{ours}={theirs}")]
-    result = driven(renamed(), *maps, "--set", "start.position[1]=5.1", *LINE)
+    result = driven(renamed(), *maps(NAMES), "--set", "start.position[1]=5.1", *LINE)
     assert "It starts 0.1 m off its path: set the plant's start so that the load is at (5, 0, -5) m." in result.stdout

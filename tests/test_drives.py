@@ -26,9 +26,9 @@ from crane_fmu.run import nothing_left
 from servocore.checks.motion_limits import limited_values
 from servocore.cli.commands import app
 from servocore.export.variables import ORDERS
-from servocore.model.drive_files import read_drives
 from servocore.model.drives import largest_torque
 from servocore.model.limits import Bounds
+from servocore.model.parameter_files import read_drives
 from servocore.problem import Problem
 from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.exact_inversion import prepared_motion

@@ -17,8 +17,7 @@ from present import present
 from problems import Rest, as_scene, car_chain, changed, scene
 
 import servocore as sc
-from servocore.checks.better_solutions import stated_branch
-from servocore.checks.wrong_inputs import LARGEST_UNWARNED
+from servocore.checks.better_solutions import LARGEST_UNWARNED, stated_branch
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep

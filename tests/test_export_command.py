@@ -307,7 +307,7 @@ def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car", "wind"])
 def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
     steps = 40
-    scene, orders = scene_called(name), exported(name).mathematics.orders
+    scene, orders = scene_called(name), exported(name).orders
     export_c(scene, "source")
     command = [*compiler, "-std=c99", "-O1", "-Wall", "-Werror", "-Wno-unused-function", "-ffp-contract=off"]
     subprocess.run([*command, f"{name}.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)
@@ -350,7 +350,7 @@ def test_units_of_derivatives(unit: str, order: int, expected: str, exponents: d
 def test_a_universal_library_holds_each_slice_on_a_page_of_its_own() -> None:
     header = b"\xcf\xfa\xed\xfe" + (0x01000007).to_bytes(4, "little") + (3).to_bytes(4, "little")
     slices = [header + bytes(100), header.replace(b"\x07", b"\x0c") + b"x" * 20000]
-    whole = targets.universal(slices)
+    whole = targets.universal([targets.Library(each, None) for each in slices]).content
     assert whole[:8] == b"\xca\xfe\xba\xbe\0\0\0\x02"
     for k, each in enumerate(slices):
         processor, kind, offset, size, alignment = (

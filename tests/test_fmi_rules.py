@@ -463,6 +463,34 @@ def test_the_page_tells_ranges_and_what_may_change(name: str) -> None:
     assert "Parameters may be changed at any time" not in page
 
 
+def rows_of_libraries(file: Path) -> dict[str, list[str]]:
+    """Return stack and size by the library, as the page of an FMU tells them."""
+    with zipfile.ZipFile(file) as archive:
+        page = archive.read("documentation/index.html").decode()
+        rows = dict(re.findall(r"<tr><td>(binaries/[^<]+)</td>(.*?)</tr>", page, re.DOTALL))
+        assert set(rows) == {name for name in archive.namelist() if name.startswith("binaries/")}
+        found = {name: re.findall("<td>(.*?)</td>", row) for name, row in rows.items()}
+        assert all(each[1] == f"{archive.getinfo(name).file_size} bytes" for name, each in found.items())
+    return found
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", ["rotary_crane trajectory", "mass_on_car", "mass_on_car plant"])
+def test_the_page_tells_the_stack_and_the_size_of_the_libraries(name: str, fmi: int) -> None:
+    ((stack, _),) = rows_of_libraries(native_file(name, fmi)).values()
+    told = re.fullmatch("at most ([0-9]+) bytes", stack)
+    assert told
+    assert int(told[1]) > 512  # the message of a refusal alone
+
+
+def test_the_page_says_where_a_compiler_reports_no_stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SERVOCORE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("servocore.export.targets._FRAMES", ())
+    for _ in "compiled", "from the cache":
+        file = sc.export_trajectory(sc.scenes.cars(), tmp_path / "x.fmu", targets="host")
+        assert [each[0] for each in rows_of_libraries(file).values()] == ["not reported by the compiler"]
+
+
 def test_rates_of_internal_states_are_described_as_rates() -> None:
     texts = {each.name: each.description for each in exported("mass_on_car").variables}
     assert texts["internal.s.velocity"].startswith("velocity of s")

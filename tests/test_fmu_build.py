@@ -18,7 +18,7 @@ from present import present
 
 import servocore as sc
 from crane_fmu.build import fmu as build
-from crane_fmu.build.archive import packed
+from crane_fmu.build.fmu import packed
 from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel

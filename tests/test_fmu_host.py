@@ -104,33 +104,6 @@ def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> No
         assert found[0]["M_b"].tolist() == found[1]["M_b"].tolist()
 
 
-# --- state -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("wrong", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "rotary crane state 1", "guid": "x"}'])
-def test_a_foreign_state_is_refused_and_nothing_changes(wrong: bytes) -> None:
-    with Host() as host:
-        host.start()
-        host.fmu.setFMUState(host.fmu.deSerializeFMUstate(wrong))
-        assert host.messages == ["the state to restore is not one of this FMU; nothing was changed"]
-        assert host.step(0.0, 0.1)
-
-
-def test_a_hundred_instances_in_one_process_work() -> None:
-    """PythonFMU 0.7 gives away a reference to the entry module's names with each."""
-    done = in_a_process(
-        "import sys, gc\nfrom pathlib import Path\nfrom fmu_host import Host\n"
-        "for k in range(100):\n"
-        "    with Host(Path(sys.argv[1])) as host:\n"
-        "        assert host.start().step(0.0, 0.1)\n"
-        "    gc.collect()\n"
-        "print('done')",
-        fmu_file(),
-    )
-    assert done.stdout.strip() == "done", done.stderr
-    assert done.returncode == 0
-
-
 FAULT = """
 import gc, sys
 from pathlib import Path
@@ -171,18 +144,3 @@ def test_an_exception_in_a_callback_neither_ends_nor_harms_the_host(kind: str) -
     done = in_a_process(FAULT, fmu_file(), kind)
     assert done.stdout.strip() == "alive", done.stderr
     assert done.returncode == 0
-
-
-def test_wrong_value_references_do_not_end_the_host() -> None:
-    done = in_a_process(
-        "import sys, math\nfrom pathlib import Path\nfrom fmu_host import Host\n"
-        "with Host(Path(sys.argv[1])) as host:\n"
-        "    assert math.isnan(host.fmu.getReal([999])[0])\n"
-        "    host.fmu.setReal([999], [1.0])\n"
-        "    host.fmu.setString([0], ['x'])\n"
-        "    assert host.start().step(0.0, 0.1)\n"
-        "    assert all('internal error' in each or 'ignored' in each for each in host.messages)\n"
-        "print('alive')",
-        fmu_file(),
-    )
-    assert done.stdout.strip() == "alive", done.stderr

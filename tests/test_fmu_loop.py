@@ -9,9 +9,22 @@ import pytest
 from called import laws
 from fmu_host import Host
 from loop_information import smallest_distance
-from loop_schedules import KINDS, distances, schedule
 from loop_stability import sensitivity, transition_norms
-from loops import BOUNDS, CRANE, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
+from loops import (
+    BOUNDS,
+    CRANE,
+    KINDS,
+    STEPS,
+    Case,
+    Loop,
+    deviation,
+    deviation_over,
+    distances,
+    fastest,
+    jets_of,
+    random_case,
+    schedule,
+)
 from plain_crane import advance, flat, linear, measured_of, riccati, sampled, worth
 from scipy.linalg import expm, logm
 from thinned import thinned

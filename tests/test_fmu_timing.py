@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from called import estimation
-from fmu_host import Host
+from fmu_host import OUTPUTS, Host
 from hypothesis import given
 from hypothesis import strategies as st
 from present import present
@@ -34,27 +34,17 @@ def sine(t: Array | float) -> Array:
     return jets
 
 
-def driven(
-    step: float,
-    connected: str,
-    stop: float = 3.0,
-    settings: Mapping[str, float | str] | None = None,
-    jets: Callable[[Array | float], Array] = sine,
-) -> tuple[Array, dict[str, Array], list[str]]:
-    """Times and outputs of a host that connects derivatives up to one order, from the first step on."""
-    t = np.arange(round(stop / step) + 1.0) * step
-    names = ("M_b", "F", "M_w", "s", "l")
-    later = (settings or {}).get("input_time") == "end"
+def driven(t: Array, connected: str, jets: Array, at: str = "start") -> tuple[dict[str, Array], list[str]]:
+    """Outputs after each step, and what was said, of a host that connects derivatives up to one order."""
     rows = []
     with Host() as host:
-        host.set(**(settings or {}))
-        host.start(_told(jets(t[:1])[0], connected))
-        for k in range(len(t) - 1):
-            host.tell(_told(jets(t[k + later])[0], connected))
-            assert host.step(t[k], step), host.messages
-            rows.append([host[name] for name in names])
+        host.set(input_time=at, connected=connected).start(_told(jets[0], connected), float(t[0]))
+        for k, (now, then) in enumerate(pairwise(t.tolist())):
+            host.tell(_told(jets[k + (at == "end")], connected))
+            assert host.step(now, then - now), host.messages
+            rows.append(host.get(*OUTPUTS))
         said = list(host.messages)
-    return t[1:], dict(zip(names, np.array(rows).T, strict=True)), said
+    return dict(zip(OUTPUTS, np.array(rows).T, strict=True)), said
 
 
 def _told(jet: Array, connected: str) -> Array:
@@ -67,27 +57,31 @@ def exact(t: Array) -> dict[str, Array]:
     return present(sc.scenes.rotary_crane().closed_form)(sine(t), CRANE.parameter_values())
 
 
-def error(name: str, step: float, connected: str = "snap", **settings: Any) -> float:
-    t, found, _ = driven(step, connected, settings={"connected": connected, **settings})
-    late = t > 1.0
-    return float(np.abs(found[name] - exact(t)[name])[late].max())
+def even(step: float, stop: float = 3.0) -> Array:
+    return np.arange(round(stop / step) + 1.0) * step
+
+
+def error(name: str, step: float, connected: str = "snap", at: str = "start") -> float:
+    t = even(step)
+    found, _ = driven(t, connected, sine(t), at)
+    return float(np.abs(found[name] - exact(t[1:])[name])[t[1:] > 1.0].max())
 
 
 def test_with_all_derivatives_connected_the_lag_is_gone() -> None:
     """A host that holds its inputs would see s late by a step: an error of 5e-3 m at 10 ms."""
     assert error("s", 0.01) < 1e-6 * SIZE
-    t, found, _ = driven(0.01, "snap")
-    lagging = np.abs(found["s"] - exact(t - 0.01)["s"]).max()
-    assert lagging > 3e-3 * SIZE
+    t = even(0.01)
+    found, _ = driven(t, "snap", sine(t))
+    assert np.abs(found["s"] - exact(t[:-1])["s"]).max() > 3e-3 * SIZE
 
 
 @pytest.mark.parametrize("at", ["start", "end"])
 @pytest.mark.parametrize("connected", ORDERS[:-1])
 def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(connected: str, at: str) -> None:
     """Snap, and with it F, to third order in the step, lag included: to first order by the extrapolation of snap."""
-    motion = error("s", 0.02, connected, input_time=at)
+    motion = error("s", 0.02, connected, at)
     assert motion < 3e-5
-    errors = [error("F", step, connected, input_time=at) for step in (0.02, 0.01)]
+    errors = [error("F", step, connected, at) for step in (0.02, 0.01)]
     assert errors[0] < 0.05 * 60.0
     assert errors[1] < 0.6 * errors[0]
 
@@ -149,18 +143,10 @@ def uneven(step: float, share: float) -> Array:
 
 def drive_errors(times: Array, jets: Array | None = None) -> tuple[Array, list[str]]:
     """Largest errors of the drives' inputs as shares of their peaks with positions connected, and what was said."""
-    jets = MANOEUVRE.jet(times, 4) if jets is None else jets
-    found = []
-    with Host() as host:
-        host.set(connected="position").start(_told(jets[0], "position"), float(times[0]))
-        for k in range(len(times) - 1):
-            host.tell(_told(jets[k], "position"))
-            assert host.step(float(times[k]), float(times[k + 1] - times[k])), host.messages
-            found.append(host.get("M_b", "F", "M_w"))
-        said = list(host.messages)
-    exact = CRANE.exact(times[1:])
-    wanted = np.array([exact[name] for name in ("M_b", "F", "M_w")]).T
-    return (np.abs(np.array(found) - wanted) / np.abs(wanted).max(axis=0)).max(axis=1), said
+    found, said = driven(times, "position", MANOEUVRE.jet(times, 4) if jets is None else jets)
+    wanted = CRANE.exact(times[1:])
+    shares = [np.abs(found[name] - wanted[name]) / np.abs(wanted[name]).max() for name in ("M_b", "F", "M_w")]
+    return np.max(shares, axis=0), said
 
 
 @pytest.mark.parametrize(
@@ -213,8 +199,8 @@ def test_outputs_do_not_depend_on_when_the_run_begins(start: float) -> None:
 
 @pytest.mark.parametrize("step", [0.01, 0.1, 1.0])
 def test_the_default_manoeuvre_gives_no_cause_for_remarks(step: float) -> None:
-    _, _, said = driven(step, "snap", 20.0, jets=lambda t: CRANE.reference.jet(np.atleast_1d(t), 4))
-    assert said == []
+    t = even(step, 20.0)
+    assert driven(t, "snap", MANOEUVRE.jet(t, 4))[1] == []
 
 
 def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_start() -> None:

@@ -21,12 +21,18 @@ sys.path.insert(0, str(ROOT))
 
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
-from servocore.numerics.components import filled, parts_of, singular_values  # noqa: E402
-from servocore.numerics.conditioning import condition_number, condition_numbers, gram_solver  # noqa: E402
+from servocore.numerics.components import (  # noqa: E402
+    condition_number,
+    condition_numbers,
+    filled,
+    gram_solver,
+    parts_of,
+    singular_values,
+)
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, unit_rows  # noqa: E402
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402
-from servocore.solvers import results  # noqa: E402
+from servocore.solvers import runs  # noqa: E402
 from servocore.structure.inversion import diagonal_blocks, inversion  # noqa: E402
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
@@ -189,7 +195,7 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
 
 
 def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "along_path", lambda *_, **__: pytest.fail("observed once more"))
+    monkeypatch.setattr(runs, "along_path", lambda *_, **__: pytest.fail("observed once more"))
     scene = sc.scenes.gantry_crane()
     solution = sc.solve(scene, step=scene.reference.duration / 50)
     np.testing.assert_allclose(solution["F_x"], scene.exact(solution.t)["F_x"], rtol=1e-9)

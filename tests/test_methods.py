@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -86,19 +88,19 @@ def test_a_tableau_refuses_to_exist_where_its_order_conditions_fail(b: list[floa
         Tableau(good.c, good.A + 1e-6, good.b, 3)
 
 
-@pytest.mark.parametrize("order", [0, 7, -1])
-def test_bdf_of_unstable_orders_is_refused(order: int) -> None:
-    with pytest.raises(sc.InvalidSetting, match="does not exist or is unstable; use 1 to 6"):
-        sc.BDF(order)
-
-
-@pytest.mark.parametrize("family", [sc.RadauIIA, sc.Gauss])
-@pytest.mark.parametrize("stages", [0, 11])
-def test_collocation_with_senseless_numbers_of_stages_is_refused(
-    family: type[sc.RadauIIA] | type[sc.Gauss], stages: int
+@pytest.mark.parametrize(
+    ("family", "number", "said"),
+    [
+        *((sc.BDF, order, "does not exist or is unstable; use 1 to 6") for order in (0, 7, -1)),
+        *((family, stages, "use 1 to 10") for family in (sc.RadauIIA, sc.Gauss) for stages in (0, 11)),
+        *((sc.GeneralizedAlpha, rho, "must lie in") for rho in (-0.1, 1.1, float("nan"))),
+    ],
+)
+def test_senseless_orders_stages_and_radii_are_refused(
+    family: Callable[[Any], sc.Method], number: float, said: str
 ) -> None:
-    with pytest.raises(sc.InvalidSetting):
-        family(stages)
+    with pytest.raises(sc.InvalidSetting, match=said):
+        family(number)
 
 
 @pytest.mark.parametrize("method", [each.method for each in METHODS if not each.damped], ids=lambda m: m.name)
@@ -181,12 +183,6 @@ def test_generalized_alpha_refuses_what_is_no_mechanical_system() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     with pytest.raises(sc.InvalidModel, match="needs positions with their velocities"):
         sc.GeneralizedAlpha().discretize(small_dae(x, z, gamma[0], z - x, gamma))
-
-
-@pytest.mark.parametrize("rho", [-0.1, 1.1, float("nan")])
-def test_a_senseless_spectral_radius_is_refused(rho: float) -> None:
-    with pytest.raises(sc.InvalidSetting, match="must lie in"):
-        sc.GeneralizedAlpha(rho)
 
 
 @pytest.mark.parametrize(

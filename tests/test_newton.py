@@ -84,12 +84,6 @@ def test_polynomial_systems_have_their_known_roots() -> None:
     np.testing.assert_allclose(root, [2.0, 1.0], rtol=1e-14)
 
 
-def test_the_guess_decides_between_branches() -> None:
-    x = ca.SX.sym("x")
-    assert solve(x, x**2 - 4, guess=[1.0])[0][0] == pytest.approx(2.0)
-    assert solve(x, x**2 - 4, guess=[-1.0])[0][0] == pytest.approx(-2.0)
-
-
 @pytest.mark.parametrize("size", range(1, 9))
 @settings(max_examples=10)
 @given(data=st.data())

@@ -1,13 +1,9 @@
-"""The crane on a flexible rope: against Bessel's functions, the path of a rope without mass, and ropes of lumps."""
+"""The crane on a flexible rope: against the path of a rope without mass, energy, and ropes of lumps."""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.optimize
-import scipy.special
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -35,56 +31,6 @@ def simulated(scene: sc.Scene, inputs: sc.Solution, step: float = 0.002, end: fl
 
 def load(solution: sc.Solution) -> Array:
     return np.array([solution[axis] for axis in "xyz"])
-
-
-# Swinging about rest --------------------------------------------------------------------------------------------------
-
-
-def frequencies(elements: int, count: int, **parameters: float) -> Array:
-    """Circular frequencies of swings across the bridge, all drives at rest."""
-    scene = crane(elements, **parameters)
-    system, start = scene.model(), at_rest(scene)
-    q = np.array([start[name] for name in system.coordinates.names])
-    p = np.array([scene.parameter_values()[name] for name in system.parameters.names])
-    rope, potential = system.constraints[-1], ca.SX(system.potential)
-    slopes = [ca.gradient(each, system.q) for each in (potential, rope)]
-    curves = [ca.hessian(each, system.q)[0] for each in (potential, rope)]
-    look = ca.Function("look", [system.q, system.p], [*slopes, *curves, system.mass])
-    force, pull, K, bend, M = (np.asarray(each) for each in look(q, p))
-    z = system.coordinates.names.index("rope.0.z")
-    K = K - float(force[z, 0] / pull[z, 0]) * bend  # the stiff piece bears the first node
-    aside = [k for k, name in enumerate(system.coordinates.names) if name == "y" or name.endswith(".y")]
-    squares = scipy.linalg.eigh(K[np.ix_(aside, aside)], M[np.ix_(aside, aside)], eigvals_only=True)
-    return np.sqrt(squares[:count])
-
-
-def bessel(count: int, load_mass: float, line_mass: float, length: float, above: float, gravity: float = 9.81) -> Array:
-    """The same of a continuous rope with a load, below a straight piece that only weighs on the first node."""
-    shift = load_mass / line_mass
-    tension = gravity * (load_mass + line_mass * length)
-    bears = tension + gravity * line_mass * above / 2
-
-    def gap(omega: float) -> float:
-        places = np.array([shift, shift + length])
-        root = 2 * omega * np.sqrt(places / gravity)
-        inner = omega / np.sqrt(gravity * places)
-        w = np.array([scipy.special.jv(0, root), scipy.special.yv(0, root)])
-        slope = -np.array([scipy.special.jv(1, root), scipy.special.yv(1, root)]) * inner
-        bottom = slope[:, 0] + omega**2 / gravity * w[:, 0]
-        top = tension * slope[:, 1] + bears / above * w[:, 1]
-        return float(np.linalg.det([bottom, top]))
-
-    grid = np.linspace(0.1, 150.0, 1500)
-    values = np.array([gap(each) for each in grid])
-    signs = np.flatnonzero(np.diff(np.sign(values)))[:count]
-    return np.array([scipy.optimize.brentq(gap, grid[k], grid[k + 1]) for k in signs])
-
-
-def test_the_crane_swings_with_the_frequencies_of_bessels_functions() -> None:
-    exact = bessel(3, 100.0, 5.0, 1.5, 3.5)
-    errors = [np.abs(frequencies(elements, 3, **HEAVY) - exact) / exact for elements in (8, 16)]
-    assert errors[-1].max() < 5e-3
-    np.testing.assert_allclose(np.log2(errors[0][1:] / errors[1][1:]), 2.0, atol=0.1)
 
 
 # Hoisting -------------------------------------------------------------------------------------------------------------

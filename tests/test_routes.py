@@ -12,9 +12,8 @@ from problems import Rest, scene
 
 import servocore as sc
 from servocore.numerics.memoization import made_once
-from servocore.solvers.adaptive import ToTolerance
 from servocore.solvers.exact_inversion import Pointwise
-from servocore.solvers.fixed_step import FixedStep, StateSelection
+from servocore.solvers.fixed_step import FixedStep, StateSelection, ToTolerance
 from servocore.solvers.solve import chosen_route
 from servocore.solvers.stable_inversion import StableInversion
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from problems import scene
-from scipy.interpolate import make_interp_spline
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("boom_crane")
 P = CRANE.parameter_values()
@@ -30,19 +28,6 @@ def test_the_tip_is_on_the_rope_s_line_and_on_the_boom_s_torus(model: str) -> No
     expected = (level * np.cos(found["phi"]), level * np.sin(found["phi"]), P["boom_length"] * np.sin(found["theta"]))
     np.testing.assert_allclose(tip, np.column_stack(expected), rtol=0.0, atol=1e-13)
     assert found["theta"].min() > 0.0
-
-
-def test_the_work_of_its_inputs_raises_load_and_boom() -> None:
-    t = np.linspace(0.0, CRANE.reference.duration, 4001)
-    found = CRANE.exact(t)
-
-    def rate(name: str) -> Array:
-        return make_interp_spline(t, found[name], k=7).derivative()(t)
-
-    power = found["M_s"] * rate("phi") + found["M_l"] * rate("theta") + found["M_w"] * rate("l") / P["winch_radius"]
-    raised = P["boom_mass"] * P["boom_centre"] * np.sin(found["theta"]) + P["load_mass"] * found["z"]
-    work = make_interp_spline(t, power, k=7).integrate(t[0], t[-1])
-    assert work == pytest.approx(P["gravity"] * (raised[-1] - raised[0]), rel=1e-8)
 
 
 def test_at_rest_the_boom_carries_itself_and_the_load() -> None:

@@ -28,16 +28,6 @@ def test_in_a_vertical_plane_it_is_the_overhead_crane(along_x: bool) -> None:
     np.testing.assert_allclose(found["swing"], np.abs(expected["swing"]), atol=1e-10)
 
 
-def test_the_bridge_is_accelerated_by_f_x_alone() -> None:
-    t = np.linspace(0.0, 6.0, 13)
-    light, heavy = (scene().with_parameters(bridge_mass=mass).exact(t) for mass in (0.0, 30.0))
-    accelerations = (heavy["F_x"] - light["F_x"]) / 30.0
-    h = 1e-3
-    before, at, after = (scene().exact(t[1:-1] + shift)["s_x"] for shift in (-h, 0.0, h))
-    np.testing.assert_allclose(accelerations[1:-1], (before - 2 * at + after) / h**2, atol=1e-5)
-    np.testing.assert_array_equal(heavy["F_y"], light["F_y"])
-
-
 @pytest.mark.parametrize(
     ("end", "duration", "sentence"),
     [((0.0, 0.0, -9.0), 1.0, "the rope goes slack"), ((1.0, 1.0, 0.5), 9.0, "the load is not below the trolley")],

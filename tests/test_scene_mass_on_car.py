@@ -81,22 +81,6 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
     assert slope == pytest.approx(rate, rel=0.05)
 
 
-@pytest.mark.parametrize("kind", ["inclined", "level", "flat", "unstable"])
-def test_the_independent_solution_keeps_both_equations_of_motion(kind: str) -> None:
-    this = scene_of(kind)
-    p = this.parameter_values()
-    cos, h = np.cos(p["inclination"]), 1e-3
-    t = np.linspace(0.5, 3.5, 7)
-    exact = this.exact(np.sort(np.concatenate([t + k * h for k in range(-2, 3)])))
-    x, s = (exact[name].reshape(len(t), 5) for name in ("x", "s"))
-    first, second = np.array([1, -8, 0, 8, -1]) / (12 * h), np.array([-1, 16, -30, 16, -1]) / (12 * h**2)
-    mass, car = p["mass"], p["car_mass"]
-    along = mass * (cos * x @ second + s @ second) + p["damping"] * s @ first + p["stiffness"] * s[:, 2]
-    forwards = (mass + car) * x @ second + mass * cos * s @ second - exact["u"].reshape(len(t), 5)[:, 2]
-    np.testing.assert_allclose(along, 0.0, atol=1e-6)
-    np.testing.assert_allclose(forwards, 0.0, atol=1e-6)
-
-
 def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_fades_on_both_sides() -> None:
     this = scene_of("unstable")
     exact = this.exact(np.array([-15.0, -1.0, 0.0, 4.0, 5.0, 19.0]))

@@ -53,21 +53,6 @@ def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook() -> Non
     np.testing.assert_allclose(M, [[first, J_2 + bent], [J_2 + bent, J_2]], rtol=1e-14)
 
 
-@pytest.mark.parametrize("tip", [False, True])
-def test_the_independent_solution_keeps_both_equations_of_motion_of_the_model(tip: bool) -> None:
-    system, this, h = generalized(), scene(tip), 2e-3
-    t = np.linspace(0.3, 1.7, 6)
-    exact = this.exact(np.sort(np.concatenate([t + k * h for k in range(-2, 3)])))
-    q = np.stack([exact[name].reshape(len(t), 5) for name in ("a", "b")])
-    v = q @ np.array([1, -8, 0, 8, -1]) / (12 * h)
-    acceleration = q @ np.array([-1, 16, -30, 16, -1]) / (12 * h**2)
-    symbols = [system.q, system.v, ca.SX.sym("a", 2), system.u, system.p]
-    balance = ca.Function("balance", symbols, [system.momentum_balance(symbols[2])])
-    p = system.parameters.values(this.parameters)
-    left = balance(q[:, :, 2], v, acceleration, exact["u"].reshape(len(t), 5)[:, 2][None], p)
-    np.testing.assert_allclose(left, 0.0, atol=1e-3 if tip else 1e-4)
-
-
 def test_under_the_exact_torque_the_tracked_point_returns_to_its_path() -> None:
     t = np.linspace(0.0, DURATION, 801)
     spline = make_interp_spline(t, scene().exact(t)["u"], k=5)

@@ -29,11 +29,9 @@ from problems import (
     scene,
     solved,
 )
-from scipy.interpolate import make_interp_spline
 from suite import FlatModelSuite, ModelSuite, ProblemSuite, ProjectedModelSuite, SceneSuite
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 
 
 def exported_implementations(package: str) -> set[str]:
@@ -188,36 +186,6 @@ def test_overhead_crane_s_closed_form_gives_the_published_instant() -> None:
     expected = {"s": 1.6581329241, "l": 4.1042979426, "F": 417.51828439, "M_w": -139.21837745}
     for name, value in expected.items():
         assert found[name][0] == pytest.approx(value, abs=2e-8)
-
-
-def rate(t: Array, values: Array) -> Array:
-    """Derivative of smooth samples by a spline of degree 7."""
-    return make_interp_spline(t, values, k=7).derivative()(t)
-
-
-@pytest.mark.parametrize(
-    ("scene_name", "powers"),
-    [
-        ("rotary_crane", {"M_b": "phi", "F": "s", "M_w": "l"}),
-        ("overhead_crane", {"F": "s", "M_w": "l"}),
-    ],
-)
-def test_inputs_of_the_closed_form_do_the_work_that_raises_the_load(scene_name: str, powers: dict[str, str]) -> None:
-    """From rest to rest the work of all inputs is m g times the height gained: no energy hides anywhere."""
-    crane = scene(scene_name)
-    p = crane.parameter_values()
-    t = np.linspace(crane.reference.start_time, crane.reference.end_time, 4001)
-    found = crane.exact(t)
-    power = np.sum(
-        [
-            found[name] * rate(t, found[velocity]) / (p["winch_radius"] if name == "M_w" else 1.0)
-            for name, velocity in powers.items()
-        ],
-        axis=0,
-    )
-    work = make_interp_spline(t, power, k=7).integrate(t[0], t[-1])
-    gained = p["load_mass"] * p["gravity"] * (found["z"][-1] - found["z"][0])
-    assert work == pytest.approx(gained, rel=1e-8)
 
 
 @pytest.mark.parametrize("scene_name", ["rotary_crane", "overhead_crane", "gantry_crane"])

@@ -71,21 +71,6 @@ def test_order_survives_every_new_choice_of_states(method: sc.Method, order: int
     assert statistics.constraint_violation < 1e-13
 
 
-def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular() -> None:
-    stepper = sc.Stepper(scene(), sc.Reduced(states=(("q.x", 0), ("q.x", 1))), sc.RadauIIA(3), step=DURATION / 400)
-    reference = scene().reference
-    state, report = stepper.start(reference.jet(0.0, stepper.start_order))
-    worst = 0.0
-    for k in range(400):
-        t = DURATION / 400 * (k + np.array(stepper.nodes))
-        state, report = stepper.advance(state, reference.jet(t, stepper.start_order))
-        if not report.converged:
-            break
-        values = stepper.values(state, reference.jet(float(t[-1]), stepper.start_order))
-        worst = max(worst, abs(values["x"] - values["s"] - np.sin(angle(400)[k + 1])))
-    assert not report.converged or worst > 100 * error(sc.RadauIIA(3), 400)[0]
-
-
 def test_a_system_that_never_needs_another_choice_makes_one() -> None:
     solution = sc.solve(sc.scenes.mass_on_car(), step=0.02)
     assert solution.statistics.choices_of_states == 1
@@ -99,11 +84,15 @@ def stretching(crank: float, nominal: float) -> sc.Scene:
     a, b, x, e = ca.vertsplit(coordinates.q)
     rod = (2.0 * crank + e) * ca.vertcat(ca.cos(b), ca.sin(b))
     pin = crank * ca.vertcat(ca.cos(a), ca.sin(a))
-    J = ca.jacobian(pin + rod / 2.0, coordinates.q)
+    centre, (turn, tilt, slide, _) = (
+        ca.jtimes(pin + rod / 2.0, coordinates.q, coordinates.v),
+        ca.vertsplit(coordinates.v),
+    )
+    kinetic = 0.04 * ca.sumsqr(centre) + crank**2 * (0.005 * turn**2 + 0.01 * tilt**2) + 0.02 * slide**2
     system = sc.MechanicalSystem(
         name="slider-crank", coordinates=coordinates, parameters=sc.Parameters(),
         inputs=(sc.Quantity("torque", "N.m"),), outputs=(sc.Quantity("angle", "rad"),),
-        mass=0.08 * ca.mtimes(J.T, J) + ca.diag(ca.vertcat(0.01 * crank**2, 0.02 * crank**2, 0.04, 0.0)), output=a,
+        mass=ca.sparsify(ca.hessian(kinetic, coordinates.v)[0]), output=a,
         input_matrix=ca.SX([[-1, 0, 0, 0]]), potential=5e5 * e**2,
         constraints=pin + rod - ca.vertcat(x + 3.0 * crank, 0),
         gamma=ca.SX.sym("gamma", 1, 25),
@@ -125,5 +114,5 @@ def test_a_slider_crank_that_starts_straight_is_solved_and_moves_as_a_rigid_one(
     exact = [float(law(q)[0]) * acceleration + float(law(q)[1]) * v**2 for q, v, acceleration in jets]
     np.testing.assert_allclose(solution["torque"], exact, atol=1e-3 * np.abs(exact).max())
     np.testing.assert_allclose(
-        solution["torque"], sc.solve(stretching(crank, 1e-4))["torque"], atol=1e-9 * np.abs(exact).max()
+        solution["torque"], sc.solve(stretching(crank, 1e-4))["torque"], atol=1e-12 * np.abs(exact).max()
     )

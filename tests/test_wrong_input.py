@@ -291,6 +291,7 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], sa
             "Parameters(...) must be made of Parameter, one by one, not a Quantity",
         ),
         (lambda: sc.Parameter("m", 1.0, "kg", 5.0, 2.0), "parameter m has no value between 5.0 and 2.0 kg"),
+        (lambda: sc.Parameter("m", "3", "kg"), "the default of parameter m must be a number..."),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: a_scene(lambda: None).model(), "mine: the factory of only returned None, not a MechanicalSystem"),  # type: ignore[arg-type, return-value]  # wrong on purpose
         (lambda: a_scene(lambda _: None).model(), "mine: the factory of only is called without arguments: ..."),  # type: ignore[arg-type, misc]  # wrong on purpose
         (lambda: sc.Scene("s", {}, PATH), "s: a scene needs a model"),
@@ -368,6 +369,8 @@ def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
         ({"step": "0.1"}, "the step must be a time in s or Adaptive(...), not the text '0.1'"),
         ({"step": sc.Adaptive}, "the step must be a time in s or Adaptive(...), not the class Adaptive"),
         ({"step": True}, "the step must be a time in s or Adaptive(...), not True"),
+        ({"step": np.array([0.1])}, "the step must be a time in s or Adaptive(...), not..."),
+        ({"start": [0.1]}, "rotary crane, points: a start must be values by name, such as {'theta': 0.1}, not..."),
         ({"step": 1e-12}, "the step of 1e-12 s divides the duration of 20 s into 2e+13 steps, more than 1e+08"),
         ({"progress": 3}, "progress must be a function of (steps done, steps in all), not 3"),
         (

@@ -9,14 +9,11 @@ from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row
 HEAD = """# Failure atlas
 
 How the integration of servo constraints fails, at which rate, and which routes stay accurate. Every row predicts a
-failure from theory, measures it, and measures beside it a route that survives, with its limit. `make atlas` measures
-all rows and writes this page, its figures and the table of all observations, [results.csv](results.csv): scene, route,
-parameter, value, expected and observed result, verdict. `python -m benchmarks.atlas --page` writes the page again from
-the stored results. The last run has {survives} observations of routes that survive, {fails} of failures, {refused} of
-refusals. {gaps}
-
-*survives*: accurate within the bound. *fails*: wrong, or ended with an error, as predicted. *refused*: an error in
-advance.
+failure from theory, measures it, and measures beside it a route that survives, with its limit. `make atlas` writes
+this page, its figures and [results.csv](results.csv), all observations beside the expected result;
+`python -m benchmarks.atlas --page` writes the page from the stored results. {survives} observations are of routes that
+survive (accurate within the bound), {fails} of failures (wrong, or ended with an error, as predicted), {refused} of
+refusals in advance. {gaps}
 """
 SUMMARY = """![Observations that survive, are refused or fail, by row and kind of route](summary.png)
 

@@ -135,8 +135,8 @@ ROW = Row(
     " the inputs are its difference quotient. The jump of the fifth derivative at the start of a path of degree 9"
     " excites it. An error of the first positions grows linearly with the number of steps (trapezoidal rule, index"
     " 3), quadratically with Gauss methods and on index 5.",
-    survivor="Generalized-alpha with ρ < 1 damps errors like n ρⁿ (ρ = 0.8: below 1e-6 N after {forgotten:d} steps),"
-    " multistep and Radau methods lose them after a fixed number of steps (row 3).",
+    survivor="Generalized-alpha with ρ = 0.8 damps such an error below 1e-6 N within {forgotten:d} steps; multistep and"
+    " Radau methods lose it (row 3).",
     limit="Generalized-alpha with ρ = 0.8 is of first order over the whole run, because of the kink at the start:"
     " {generalized_alpha_0_8:.1e} at the finest step.",
     caption="Left: errors that do not fall with the step, or rise. Right: growth of the input error after a start"

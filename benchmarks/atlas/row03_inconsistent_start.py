@@ -149,10 +149,10 @@ ROW = Row(
     avoid="initial values put together by hand, or from measurements",
     do="the start that `solve` and `Stepper.start` compute from the path",
     theory="A position that is off by δ at the start makes a velocity wrong by δ/h and an input by a multiple of m"
-    " δ/h². Methods that use the last k instants lose the error after a fixed number of steps, generalized-alpha"
-    " with ρ < 1 like n ρⁿ, the trapezoidal rule never. On the original form it costs δ/h⁴.",
-    survivor="The library starts from the exact inversion at the initial time: no spike, an input error of {own:.1e}"
-    " of the peak in the first 12 steps. The reduced form has no history: {reduced:.0e} N after one step.",
+    " δ/h², on the original form of δ/h⁴. Methods that use the last k instants lose the error after a fixed number of"
+    " steps, generalized-alpha with ρ < 1 like n ρⁿ, the trapezoidal rule never.",
+    survivor="The library starts from the exact inversion: no spike, an input error of {own:.1e} of the peak in the"
+    " first 12 steps. The reduced form has no history: {reduced:.0e} N after one step.",
     limit="With an error δ: {backward_euler:.0f} kg·δ/h² for two steps of backward Euler, {bdf2:.1f} with BDF2,"
     " {radau3:.0f} with Radau IIA(3). On the original form one micrometre in x₁ at h = 2 ms costs"
     " {original_peaks:.0f} times the input's peak.",

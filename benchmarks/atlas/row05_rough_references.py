@@ -162,11 +162,11 @@ ROW = Row(
     avoid="time laws of degree 3, 5 or 7 for a crane, and corners joined by straight lines",
     do="`DEGREE9` and above (or `three_phase`, `through`, `sampled`); heed the warning of `solve`",
     theory="The inputs of a flat system of index 5 contain the fourth derivative of the path. With k < 4 continuous"
-    " derivatives the inputs jump (k = 3) or need an impulse (k ≤ 2) at every junction; difference quotients then"
-    " grow like h⁰, h⁻¹, h⁻². The reduced form gives the exact inputs on both sides, without the impulse: a crane at"
-    " rest misses the path.",
-    survivor="From degree 9 on all routes converge (tracking error {tracking_9:.0e} m). With degree 7 the torque"
-    " jumps by {jump_7:.1%} of its peak. `solve` warns in advance: “{sentence}”. `sampled` refuses a corner.",
+    " derivatives they jump (k = 3) or need an impulse (k ≤ 2) at every junction; difference quotients then grow like"
+    " h⁰, h⁻¹, h⁻². The reduced form gives the exact inputs on both sides, without the impulse: a crane at rest misses"
+    " the path.",
+    survivor="From degree 9 on all routes converge (tracking error {tracking_9:.0e} m). With degree 7 the torque jumps"
+    " by {jump_7:.1%} of its peak, and `solve` warns in advance. `sampled` refuses a corner.",
     limit="From rest the load misses by {tracking_5:.1e} m with degree 5 and by {tracking_3:.1e} m with degree 3,"
     " whatever the step. Inputs of a path fitted to exact samples are accurate to {sampled:.1e}.",
     caption="Left: torque at the start. Middle: input error over the step. Right: tracking error when the exact"

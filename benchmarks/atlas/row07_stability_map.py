@@ -170,8 +170,7 @@ ROW = Row(
     limit="In generalized coordinates the reduced form fails in {reduced_gen_failed:d} of {cells:d} runs. Every route"
     " refuses a path that needs a slack rope.",
     caption="Overhead crane, 5 m sideways and 3 m down: error by number of steps and by the largest downward"
-    " acceleration; gen.: generalized coordinates. Black with ×: the run failed with an error; r: refused. Darker"
-    " than mid-scale: an error that makes the inputs useless.",
+    " acceleration; gen.: generalized coordinates.",
     measure=measure,
     draw=draw,
 )

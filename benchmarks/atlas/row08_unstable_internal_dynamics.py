@@ -179,8 +179,7 @@ ROW = Row(
     avoid="forward integration where `analyse` reports non-minimum phase, with any method and any step",
     do="`solve(scene)` with its default route, or `StableInversion()`; allow the input to begin before the path",
     theory="If the zero dynamics have an eigenvalue σ > 0, every error of a forward integration grows like exp(σ t),"
-    " whatever the method. The bounded solution is that of a two-point boundary value problem (stable inversion);"
-    " its input begins before the path.",
+    " whatever the method. The bounded solution is that of a two-point boundary value problem (stable inversion).",
     survivor="`StableInversion`, the default there, agrees with the independent solution to {arm_error:.0e} (arm) and"
     " {car_error:.0e} (mass on car). The simulated tip follows its path to {tip:.0e} of the path's length. The input"
     " begins {arm_pre:.2f} s before the motion and ends {arm_post:.2f} s after it.",
@@ -189,7 +188,7 @@ ROW = Row(
     " feedback besides: the mass on the car with a negative spring leaves the exact path at {plant_rate:.2f}/s"
     " (eigenvalue {plant:.2f}/s).",
     caption="Left and middle: error of the internal coordinate, integrated forward from rest. Right: the bounded"
-    " torque, which begins before the motion.",
+    " torque.",
     measure=measure,
     draw=draw,
 )

@@ -306,9 +306,8 @@ ROW = Row(
     " {short:.0e}; through it `solve` warns. Steps by hand from a wrong guess change over, {misled:.0%} of the peak"
     " off. A loss of rank between two of 201 instants is missed. From a right guess the reduced form errs by"
     " {reduced:.0e}, the original form by {original:.1%}.",
-    caption="Top: the smallest singular value of the Bricard linkage's constraints, and its torque. Bottom left:"
-    " towards the stretched position of the parallelogram. Bottom right: through it; a pointwise solution changes"
-    " over with its guess, `solve` does not.",
+    caption="Top: the smallest singular value of the Bricard linkage's constraints, and its torque. Bottom: towards and"
+    " through the stretched position of the parallelogram.",
     measure=measure,
     draw=draw,
 )

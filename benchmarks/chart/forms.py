@@ -26,7 +26,7 @@ from servocore import RadauIIA
 from servocore.formulations.projected import Projected
 from servocore.formulations.reduced import Reduced
 from servocore.model.system import MechanicalSystem
-from servocore.solvers.fixed_step_loop import run_steps
+from servocore.solvers.runs import run_steps
 from servocore.stepping.program import program_of
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import inversion

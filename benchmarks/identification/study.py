@@ -6,7 +6,7 @@ import json
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 import servocore as sc
 from benchmarks.identification.cranes import KINDS, WRONG, changed, crane, multisine, sensors, without_friction
-from servocore.effects.closed_loop import Driven, run_loop
+from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
-from servocore.effects.position_loops import gains_of
 from servocore.errors import ServocoreError
 from servocore.identification.fit import Weights
 
@@ -130,10 +129,10 @@ def cramer_rao(found: sc.Identified, true: dict[str, float]) -> dict[str, float]
 
     The noise is that of the samples, all of which count; the motion is free, and so are biases and delays.
     """
-    fit, values = found.fit, np.array([true[name] for name in found.names])
-    state = replace(found.estimate.state, theta=values / fit.scales)
-    factors = [np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0) for data in fit.stretches]
-    information = fit.step(state, [Weights(np.ones(each.shape[1]), each) for each in factors], 0.0)[1]
+    fit, values, state = found.fit, np.array([true[name] for name in found.names]), found.estimate.state
+    state = state._replace(x=np.concatenate([values / fit.scales, state.x[len(values) :]]))
+    weights = [Weights(np.ones(data.noise.shape[1]), 1.0 / data.noise) for data in fit.stretches]
+    information = fit.step(state, weights, 0.0)[1]
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))[: len(values)] * fit.scales / np.abs(values)
     return dict(zip(found.names, bounds.tolist(), strict=True))
 
@@ -143,5 +142,4 @@ def strayed(plant: sc.Scene, scene: sc.Scene, job: sc.Reference, loops: sc.Posit
     model, real = (sc.Problem.of(each.with_reference(job)) for each in (scene, plant))
     drives = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
     motion, own = (inverted(each, drives, 600) for each in (model, real))
-    gains = gains_of(model.system, drives, motion.end, model.p, loops)
-    return 1e3 * run_loop(real, Driven(motion, motion.inputs, gains), own, drives).error
+    return 1e3 * run_loop(own, motion, motion.gains(loops)).error

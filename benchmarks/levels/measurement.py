@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.levels.costs import Cost, Level, Spread
 from servocore.analysis import analyse
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE
+from servocore.checks.before_run import NON_MINIMUM_PHASE
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.formulations.projected import Projected

@@ -97,7 +97,9 @@ def _estimate() -> ca.Function:
     times, values, count = (ca.if_else(taken, new, old) for new, old in zip(more, (times, values, count), strict=True))
     age = ca.if_else(taken, 0, elapsed) + ca.if_else(at_end, 0, h)
     rows, error, variance, known = _estimated(times, values, count, variance, order)
-    found = ca.vertcat(ca.MX.zeros(1, DIMENSION), (_differences() == order) @ rows)
+    # Differences in order between derivatives 1, 2, ... of the path and of the samples.
+    apart = ca.MX(ca.DM([[path - sample for sample in range(1, _ROWS)] for path in range(1, _ROWS)]))
+    found = ca.vertcat(ca.MX.zeros(1, DIMENSION), (apart == order) @ rows)
     connected = ca.MX(ca.DM([k for k in range(_ROWS) for _ in range(DIMENSION)])) <= order
     path = ca.if_else(connected, given_path, ca.vec(found.T))
     after = ca.vertcat(times, ca.vec(values), count, age, variance)
@@ -113,11 +115,6 @@ def _worth(outputs: int) -> ca.Function:
     wrong = (p[0] / s + p[1] * s) * ca.fabs(drop) * error
     least = _DOUBT * ca.fmax(peak, _SLIGHT_TORQUE * p[2] * p[5] * s)
     return ca.Function("worth", given, [ca.vertcat(peak, wrong, least)])
-
-
-def _differences() -> ca.MX:
-    """Return the differences in order between derivatives 1, 2, ... of the path and of the samples."""
-    return ca.MX(ca.DM([[path - sample for sample in range(1, _ROWS)] for path in range(1, _ROWS)]))
 
 
 def _only(number: ca.MX | int, numbers: Sequence[int]) -> ca.MX:
@@ -162,7 +159,9 @@ def _estimated(
     absurd = ca.fmax(0, ca.norm_inf(top @ rows) - _ABSURD) / (top @ newest)
     second = count > degree + _MORE[1]
     more_rows, more_spread, _, residual = second_fit(*_last(times, values, 1), degree + 1 + _MORE[1], degree)
-    variance = ca.if_else(second, ca.fmax(_learnt(variance, residual), absurd**2), variance)
+    share = ca.if_else(residual > variance, _RISE, _FALL)  # the variance rises fast and falls slowly
+    learnt = ca.if_else(variance < 0, residual, variance + share * (residual - variance))
+    variance = ca.if_else(second, ca.fmax(learnt, absurd**2), variance)
     size = ca.sqrt(ca.fmax(variance, 0)) + _ROUNDING * ca.norm_inf(values[-1, :])
     wide, more_wide = top @ spread * size, top @ more_spread * size
     apart = ca.norm_2(top @ more_rows - top @ rows)
@@ -182,12 +181,6 @@ def _estimated(
 
 def _last(times: ca.MX, values: ca.MX, window: int) -> tuple[ca.MX, ca.MX]:
     return times[-_PLACES[window] :], values[-_PLACES[window] :, :]
-
-
-def _learnt(variance: ca.MX, newest: ca.MX) -> ca.MX:
-    """Return the variance after a new residual; it rises fast and falls slowly."""
-    share = ca.if_else(newest > variance, _RISE, _FALL)
-    return ca.if_else(variance < 0, newest, variance + share * (newest - variance))
 
 
 def _longer(n: int, fit: ca.Function) -> ca.Function:

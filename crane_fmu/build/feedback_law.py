@@ -36,11 +36,13 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.flatness import (
+from crane_fmu.build.sampling import (
     DRIVES,
     LOAD,
     POINTS,
+    SHORT_TURN,
     STATES,
+    advance,
     continued,
     fastest_pendulum,
     flat_motion,
@@ -48,9 +50,11 @@ from crane_fmu.build.flatness import (
     measured_state,
     offset,
     offset_at_start,
+    resting,
+    riccati_functions,
+    riccati_steps,
+    sampled,
 )
-from crane_fmu.build.riccati import riccati_functions, riccati_steps
-from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.catalogue import DIMENSION, ORDERS
 
 LAW_MODEL = "points"
@@ -318,7 +322,12 @@ def _situation(
     longest = ca.fmax(h, known["longest"] - FORGETTING * h)
     short = fastest_pendulum(before, measured[2], p) * longest <= SHORT_TURN
     state = parts.measured(measured)
-    force = _learnt(parts, known, state, p, last)
+    # The force on the load is corrected by the prediction error of the load's velocity over the last step.
+    missed, learning = (state - known["predicted"])[POINTS + LOAD.start :], 1 - ca.exp(-LEARNING_RATE * last)
+    share = ca.fmin(learning, LEARNING_SHARE)
+    pulled = ca.if_else(known["known"] > 0, share / last * parts.resisting(state, p) @ missed, none)
+    most = LARGEST_FORCE * p[2] * p[5]
+    force = ca.fmax(-most, ca.fmin(most, known["force"] + pulled))
     places = _places(parts, [before, jet, crackle], led, force, p, (h, longest), time)
     (_, u_here, _, u_there, _), middle = places[:5], places[5:]
     slope = (u_there - u_here) / h
@@ -333,25 +342,21 @@ def _bounded(
     time: str, flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX,
     longest: ca.SX, share: ca.SX, limits: ca.SX, strain: ca.SX,
 ) -> Sequence[ca.SX]:  # fmt: skip
-    """Return inputs within the limits of rope and drives, and the saturation; see `_feedback`."""
-    inputs = flat + more
-    inputs[2] = ca.fmin(inputs[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
-    return _within(limits, feedforward, share * (inputs - feedforward), strain - RECOVERY * h)
+    """Return inputs within the limits of rope and drives, and the saturation; see `_feedback`.
 
-
-def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return inputs within limits, with the direction of the feedback kept, and the saturation."""
-    base = ca.fmax(-limits, ca.fmin(limits, feedforward))
-    room = ca.if_else(more > 0, limits - base, limits + base) / ca.fmax(ca.fabs(more), 1e-9)
-    share = ca.fmin(1, ca.mmin(room))
-    return base + share * more, ca.fmin(ca.fmax(strain, 0) - ca.log(ca.fmax(share, 0.5)), 3)
-
-
-def _loosest(feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, further: ca.SX | float) -> ca.SX:
-    """Return the winch's largest torque with a taut rope, extrapolation of the torque included."""
+    The rope stays taut, extrapolation of the winch's torque included. The direction of the feedback is kept.
+    """
     load, winch, radius = p[2], p[3], p[4]
     most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
-    return (most + further * acting[2]) / (1 + further)
+    further = 0 if time == "end" else longest / h
+    inputs = flat + more
+    inputs[2] = ca.fmin(inputs[2], (most + further * acting[2]) / (1 + further))
+    feedback = share * (inputs - feedforward)
+    base = ca.fmax(-limits, ca.fmin(limits, feedforward))
+    room = ca.if_else(feedback > 0, limits - base, limits + base) / ca.fmax(ca.fabs(feedback), 1e-9)
+    kept = ca.fmin(1, ca.mmin(room))
+    strain = ca.fmin(ca.fmax(strain - RECOVERY * h, 0) - ca.log(ca.fmax(kept, 0.5)), 3)
+    return base + kept * feedback, strain
 
 
 def _places(
@@ -375,12 +380,3 @@ def _places(
         continued(jet, crackle, tau) + parts.offset(*led, tau)[1] + pulled for tau in (h, h + longest, h + longest / 2)
     )
     return *parts.flat(jet + now, p), *parts.flat(there, p), parts.flat(beyond, p)[0], *parts.flat(middle, p)
-
-
-def _learnt(parts: _Parts, known: dict[str, ca.SX], state: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-    """Return the force on the load, corrected by the prediction error of the load's velocity over h."""
-    missed = (state - known["predicted"])[POINTS + LOAD.start :]
-    share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
-    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(DRIVES))
-    most = LARGEST_FORCE * p[2] * p[5]
-    return ca.fmax(-most, ca.fmin(most, known["force"] + more))

@@ -1,34 +1,70 @@
-"""Build an FMU: compile the models, add the slave, pack, check, put in place."""
+"""Build a PythonFMU: compile the models, pack a slave around the native FMU of the same kind, check, put in place.
+
+All FMUs of one Python process share its modules. The sources in an FMU are therefore a package whose name contains a
+hash of its content: different builds do not collide, nor with an installed servocore. The order and the dates of the
+members are fixed: equal sources give equal bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
+import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
-from importlib import import_module
+import zipfile
+from collections.abc import Callable, Mapping
+from importlib import import_module, metadata
 from pathlib import Path
 from types import MappingProxyType
+from xml.etree import ElementTree as ET
 
 import servocore as sc
-from crane_fmu.build.archive import Progress, packed
 from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
-from crane_fmu.build.page import user_page
+from crane_fmu.build.page import documentation_page, user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
-from servocore.files import made_folder, require_writable, write_together
+from crane_fmu.run import nothing_left
+from servocore.export.targets import libraries
+from servocore.files import made_folder, require_writable, write_together, xml_document, zipped
 
 USUAL_TARGETS = "host,x86_64-windows"
 """Platforms that an FMU is built for by default."""
 
-_CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
+_HERE = Path(__file__).parent
+_CHECK = _HERE / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
+
+PREFIX = "rotary_crane_"
+"""Prefix of the names of all entry modules."""
+
+REAL_BINARY = "pythonfmu.so"
+"""Name of PythonFMU's own binary, which `shim.c` loads in Python processes."""
+
+_TOOL = "servocore"
+_PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
+_ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
+
+import ctypes as _ctypes
+
+from {bundle} import kernel as _kernel
+
+# For every instance PythonFMU 0.7 releases a reference to this module's namespace that it does not own. Without one
+# more reference for each, the namespace would be destroyed, and a later instance would find an empty module.
+_ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
+
+
+class {name}(_kernel.Slave):
+    """The slave class; its code is in the bundle."""
+    token = {token!r}
+'''
 
 
 def build_fmu(
     directory: Path,
-    progress: Progress = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
     kind: FmuKind = ROTARY_CRANE,
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
@@ -97,10 +133,9 @@ def page_of(kind: FmuKind) -> str:
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
-    expected = (json.dumps(each) for each in (kind.runs_with(starts), kind.rest(starts)))
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, *expected]
+        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs_with(starts))]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
@@ -110,3 +145,129 @@ def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     if done.returncode:
         reason = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
         raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {reason}")
+
+
+# The archive ----------------------------------------------------------------------------------------------------------
+
+
+def packed(native: bytes, kind: FmuKind) -> bytes:
+    """Return the archive of an FMU whose slave forwards its calls to the libraries of a native one.
+
+    Parameters
+    ----------
+    native : bytes
+        The archive of the native FMU.
+    kind : FmuKind
+        Which FMU it is.
+    """
+    with zipfile.ZipFile(io.BytesIO(native)) as archive:
+        given = {name: archive.read(name) for name in archive.namelist()}
+    description = given["modelDescription.xml"]
+    token = ET.fromstring(description).get("guid", "")
+    behind = {name.removeprefix("binaries/"): each for name, each in given.items() if name.startswith("binaries/")}
+    entry, files = _staged(kind, token, behind)
+    members = _packed_by_pythonfmu(kind, entry, files)
+    notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
+    licence = next(each for each in metadata.files("pythonfmu") or () if each.name.upper().startswith("LICENSE"))
+    members |= {
+        "modelDescription.xml": _wrapped(description, kind.name, notes),
+        "documentation/index.html": documentation_page(kind, native).encode(),
+        "documentation/licenses/pythonfmu.txt": licence.read_binary(),
+        "model.png": (_HERE / "resources" / "model.png").read_bytes(),
+    }
+    of_linux = [path for path in behind if path.startswith("linux64/")]
+    if of_linux:
+        library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
+        headers = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
+        texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
+        place, binary = _in_front(kind, headers, texts)
+        members |= {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}
+    return zipped(members)
+
+
+def _staged(kind: FmuKind, token: str, behind: Mapping[str, bytes]) -> tuple[str, dict[str, str | bytes]]:
+    """Return the name of the entry module, unique to the content, and the files for PythonFMU: module and bundle."""
+    from crane_fmu.slave import kernel  # noqa: PLC0415 - it needs PythonFMU, which native FMUs are built without
+
+    slave = Path(kernel.__file__).read_text(encoding="utf-8")
+    digest = hashlib.sha256(f"{kind.name}{_ENTRY}{metadata.version('pythonfmu')}{token}{slave}".encode())
+    for path, library in sorted(behind.items()):
+        digest.update(path.encode() + library)
+    entry = f"{PREFIX}{digest.hexdigest()[:16]}"
+    bundle = f"{entry}_bundle"
+    return entry, {
+        f"{entry}.py": _ENTRY.format(bundle=bundle, name=kind.name, token=token),
+        f"{bundle}/__init__.py": f'"""The runtime of {kind.file_name}."""\n',
+        f"{bundle}/kernel.py": slave,
+        **{f"{bundle}/{kernel.LIBRARIES}/{path}": library for path, library in behind.items()},
+    }
+
+
+def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | bytes]) -> dict[str, bytes]:
+    """Let PythonFMU pack an entry module and its bundle, and return the members of its archive.
+
+    Modules that an FMU of the same content has left in this process are dropped first: the builder would import them
+    in place of those that it packs, and find no slave. The required modules of PythonFMU are moved into the bundle, and
+    imported from there.
+    """
+    from pythonfmu.builder import FmuBuilder  # noqa: PLC0415
+
+    for name in [module for module in sys.modules if module.startswith(PREFIX)]:
+        del sys.modules[name]
+    with nothing_left(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
+        folder = Path(scratch)
+        put(folder, files)
+        archive = FmuBuilder.build_FMU(
+            folder / f"{entry}.py",
+            folder / kind.file_name,
+            project_files=[folder / f"{entry}_bundle"],
+            canGetAndSetFMUstate=True,
+            canSerializeFMUstate=True,
+        )
+        with zipfile.ZipFile(archive) as members:
+            packed_files = {name: members.read(name) for name in members.namelist() if "__pycache__" not in name}
+    home = f"resources/{entry}_bundle/"
+    kept = {f"resources/pythonfmu/{name}.py": f"{home}pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
+    result = {f"{home}pythonfmu/__init__.py": b""}
+    for name, data in packed_files.items():
+        if name.endswith(".py") and name.startswith(home):
+            result[name] = re.sub(rb"(?m)^(\s*)from pythonfmu\b", rb"\1from %b_bundle.pythonfmu" % entry.encode(), data)
+        elif name in kept or not name.startswith("resources/pythonfmu/"):
+            result[kept.get(name, name)] = data
+    return result
+
+
+def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
+    """Return a native FMU's model description, changed for PythonFMU; notes become a vendor annotation.
+
+    Outputs change in doStep only: there is no direct feedthrough, and there are no directional derivatives.
+    """
+    root = ET.fromstring(native)
+    root.attrib |= {
+        "modelName": name,
+        "generationTool": f"{root.get('generationTool')} with PythonFMU {notes['pythonfmu']}",
+    }
+    root.set("guid", root.get("guid", "").strip("{}"))  # as PythonFMU writes it
+    (simulation,) = root.iter("CoSimulation")
+    simulation.attrib |= {"modelIdentifier": name, "needsExecutionTool": "true"}
+    simulation.attrib.pop("providesDirectionalDerivative", None)
+    for sources in simulation.findall("SourceFiles"):
+        simulation.remove(sources)
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
+    annotations = ET.Element("VendorAnnotations")
+    ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
+    root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
+    return xml_document(root)
+
+
+def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:
+    """Return path and content of the binary for 64-bit Linux: hosts that are not Python run the FMU with it too.
+
+    In such hosts it forwards every call to the native library of the slave; see `shim.c`, where the texts are macros.
+    """
+    shim = (_HERE / "shim.c").read_text(encoding="utf-8")
+    config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
+    sources = {"shim.c": shim, "shim_config.h": config, **headers}
+    ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+    return place, built.content

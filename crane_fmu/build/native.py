@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,7 +14,7 @@ import casadi as ca
 import servocore as sc
 from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
-from crane_fmu.build.flatness import fastest_pendulum
+from crane_fmu.build.sampling import fastest_pendulum
 from crane_fmu.catalogue import (
     CRANE_PLANT,
     DIMENSION,
@@ -34,6 +35,15 @@ ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
 
 OF_PYTHONFMU = sc.HostRules(deferred_refusals=True)
 """Its setters cannot fail."""
+
+PLANT = sc.PlantOptions(
+    errors={"mass_error": "load_mass"},
+    offsets={"start.swing": ("swing_in", "swing_out")},
+    ranges={"start.swing": (-1.5, 1.5)},
+    identifier=CRANE_PLANT.name,
+    reasons={"tension": "the rope goes slack: its"},
+)
+"""Differences of CranePlant.fmu from the model of the crane."""
 
 _DISTANCE = 0.5  # m, from the path
 
@@ -75,10 +85,13 @@ def native_fmu(
         file = Path(folder, kind.file_name)
         if kind is LOAD_TRAJECTORY:
             progress("compiling the trajectory")
-            own = {name: value for name, value in starts.items() if name not in crane.parameter_values()}
-            sc.export_trajectory(crane, file, _trajectory(path, own, host == OF_PYTHONFMU), **common)
+            law, others = starts.get("profile"), ("profile", *crane.parameter_values())
+            own = {name: float(value) for name, value in starts.items() if name not in others}
+            named = None if law in (None, FROM_FILE) else str(law)
+            options = sc.TrajectoryOptions(path, named, own, kind.name, host == OF_PYTHONFMU)
+            sc.export_trajectory(crane, file, options, **common)
         elif kind is CRANE_PLANT:
-            sc.export_plant(crane, file, _plant(starts), model="generalized", **common)
+            sc.export_plant(crane, file, replace(PLANT, start=starts), model="generalized", **common)
         else:
             along = crane if path is None else crane.with_reference(path)
             common |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
@@ -86,30 +99,20 @@ def native_fmu(
         return file.read_bytes()
 
 
-def _trajectory(path: sc.Reference | None, starts: Starts, offers_file: bool) -> sc.TrajectoryOptions:
-    profile = starts.get("profile")
-    named = None if profile in (None, FROM_FILE) else str(profile)
-    numbers = {name: float(value) for name, value in starts.items() if name != "profile"}
-    return sc.TrajectoryOptions(path, named, numbers, LOAD_TRAJECTORY.name, offers_file)
-
-
-def _plant(starts: Starts) -> sc.PlantOptions:
-    return sc.PlantOptions(
-        errors={"mass_error": "load_mass"},
-        offsets={"start.swing": ("swing_in", "swing_out")},
-        ranges={"start.swing": (-1.5, 1.5)},
-        start=starts,
-        identifier=CRANE_PLANT.name,
-        reasons={"tension": "the rope goes slack: its"},
-    )
-
-
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
     """Return the feedback of the crane for the export of its inverse model."""
+    units = {each.name: each.unit for each in crane.model().observables}
+    motion = [sc.Quantity(name, units[name], name) for name in ("phi", "s", "l")]
+    rates = [sc.Quantity(f"{each.name}_dot", f"{each.unit}/s", f"rate of {each.name}") for each in motion]
+    load = [sc.Quantity(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
+    path, measured, p, h = (ca.SX.sym(*each) for each in (("path", 15), ("measured", 12), ("p", 6), ("h",)))
+    turn = fastest_pendulum(path, measured[2], p) * h
+    distance = ca.norm_2(measured[6:9] - path[:3])
+    sensible = ca.logic_and(measured[2] > 0, measured[8] < 0)  # length of the rope, and height of the load
     return sc.SampledFeedback(
-        measured=_measured(crane),
+        measured=(*((each, None) for each in (*motion, *rates)), *((each, DIMENSION) for each in load)),
         laws=feedback_functions(crane.model(LAW_MODEL)),
-        judge=_judge(),
+        judge=ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, turn)]),
         not_measured="the measured rope length is %g m and the measured height of the load %g m: the feedback needs the"
         " length above 0 m, the height below 0 m and all measured values connected; feedback = 0 does without",
         shown=(FEEDBACK_INPUTS.index("measured.l"), FEEDBACK_INPUTS.index("measured.position[3]")),
@@ -117,23 +120,3 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         too_long="with this load, trolley and rope it",
         distance=_DISTANCE,
     )
-
-
-def _measured(crane: sc.Scene) -> tuple[tuple[sc.Quantity, int | None], ...]:
-    """Return the measured quantities with the sizes of vectors, in the order of the law's arguments."""
-    units = {each.name: each.unit for each in crane.model().observables}
-    motion = [(name, units[name]) for name in ("phi", "s", "l")]
-    rates = [(f"{name}_dot", f"{unit}/s", f"rate of {name}") for name, unit in motion]
-    load = [(name, unit, f"{name} of the load") for name, unit in (("position", "m"), ("velocity", "m/s"))]
-    scalars = [(name, unit, name) for name, unit in motion] + rates
-    return *((sc.Quantity(*each), None) for each in scalars), *((sc.Quantity(*each), DIMENSION) for each in load)
-
-
-def _judge() -> ca.Function:
-    """Return (path before, measured, p, h) -> (whether the values are possible, distance from the path, turn)."""
-    path, measured, p, h = (ca.SX.sym(*each) for each in (("path", 15), ("measured", 12), ("p", 6), ("h",)))
-    length, height = measured[2], measured[8]
-    turn = fastest_pendulum(path, length, p) * h
-    distance = ca.norm_2(measured[6:9] - path[:3])
-    sensible = ca.logic_and(length > 0, height < 0)
-    return ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, turn)])

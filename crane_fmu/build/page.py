@@ -66,19 +66,14 @@ def _verdict(variables: list[Any]) -> str:
 def _table(variables: list[Any], causality: str) -> str:
     """Return the variables of one causality as a table in Markdown."""
     third = {"input": "start", "output": "range", "parameter": "default, range, change"}[causality]
-    rows = [
-        f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {_text(each)} |"
-        for each in variables
-        if each.causality == causality
-    ]
+    rows = []
+    for each in variables:
+        if each.causality == causality:
+            items = each.declaredType.items if each.type == "Enumeration" else []
+            numbers = [", ".join(f"{item.value} {item.name}" for item in items)] if items else []
+            text = ": ".join([each.description.replace("|", r"\|"), *numbers])  # a bar would end the cell
+            rows.append(f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {text} |")
     return "\n".join([f"| name | unit | {third} | |", "|---|---|---|---|", *rows])
-
-
-def _text(variable: Any) -> str:
-    """Return the description, for a choice with the numbers of its items."""
-    items = variable.declaredType.items if variable.type == "Enumeration" else []
-    described = variable.description.replace("|", r"\|")  # a bar would end the cell
-    return ": ".join([described, *([", ".join(f"{e.value} {e.name}" for e in items)] if items else [])])
 
 
 def _extent(variable: Any) -> str:

@@ -1,18 +1,30 @@
-"""The crane over a step, nonlinear and linearized, with less work in short steps.
+"""The crane in its feedback: its motion from that of the load; a step, nonlinear and linearized; Riccati steps.
+
+A load that is off its path when the feedback starts returns along an offset: delta and its derivatives have the
+measured values at first, and (d/dt + a)^4 delta = 0 then. With y_k = (d/dt + a)^k delta: y_k' = y_(k+1) - a y_k.
 
 A step is short if the fastest pendulum turns little in it: one Runge-Kutta step in place of two, and fewer terms of a
 series, are enough. Functions branch, so that only one variant is computed.
+
+Riccati steps compute the cost-to-go of a linear model over sampled steps, one by one or 2^k at a time. The model says
+how deviations z and the chosen inputs w+ act over a step; see `crane_fmu.build.feedback_law`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.flatness import DRIVES, LOAD, POINTS, STATES
+from crane_fmu.catalogue import DIMENSION, ORDERS
+
+STATES, DRIVES, POINTS, LOAD = 10, 3, 5, slice(2, 5)
+"""Numbers of states, inputs and coordinates (trolley and load as points), and the load's coordinates."""
+
+RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
+"""Return of a load that starts off its path: largest acceleration in g, largest a h, and offsets treated as zero."""
 
 SHORT_TURN = 0.1
 """Largest turn of the fastest pendulum in a short step, in rad."""
@@ -20,6 +32,125 @@ SHORT_TURN = 0.1
 _TERMS = {False: 4, True: 1}
 """Terms of the series of the matrix exponential, by whether the step is short: error 1e-3, in the gains only, where a
 pendulum turns 0.1 rad in a short step or 1 rad in another one."""
+
+_SQUARE, _TALL, _SMALL = (STATES, STATES), (STATES, DRIVES), (DRIVES, DRIVES)
+
+Matrix = TypeVar("Matrix", ca.SX, ca.MX)
+
+
+# The load -------------------------------------------------------------------------------------------------------------
+
+
+def flat_motion() -> ca.Function:
+    """Return (jet of the load, p) -> (state, inputs, accelerations) of the crane."""
+    jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
+    flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
+    bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
+
+    def dot(of: ca.SX) -> ca.SX:
+        return ca.jtimes(of, flat, shifted)
+
+    r, fall = jet[:, 0], gravity + jet[2, 2]
+    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley is on the line of the rope force
+    velocity = dot(place)
+    acceleration = dot(velocity)
+    s, rope = ca.norm_2(place), ca.vertcat(r[:2] - place, r[2])
+    length = ca.norm_2(rope)
+    c, sn = place[0] / s, place[1] / s
+
+    def along(w: ca.SX) -> ca.SX:
+        return c * w[0] + sn * w[1]
+
+    def across(w: ca.SX) -> ca.SX:
+        return c * w[1] - sn * w[0]
+
+    tension = load * fall * length / -r[2]
+    pull = tension * rope / length
+    s_dot, turning, rolling = along(velocity), across(velocity) / s, dot(length)
+    turning_dot = (across(acceleration) - 2 * s_dot * turning) / s
+    inputs = ca.vertcat(
+        bridge * turning_dot + s * (trolley * across(acceleration) - across(pull)),
+        trolley * along(acceleration) - along(pull),
+        winch * dot(rolling) / radius - tension * radius,
+    )
+    state = ca.vertcat(place, r, velocity, jet[:, 1])
+    p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
+    results = state, inputs, ca.vertcat(acceleration, jet[:, 2])
+    return ca.Function("flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in results], {"cse": True})
+
+
+def fastest_pendulum(path: ca.SX, length: ca.SX, p: ca.SX) -> ca.SX:
+    """Return the angular frequency of the fastest pendulum, in rad/s: a load below a trolley that is free to roll."""
+    return ca.sqrt(ca.fmax(p[5] + path[8], 0) / length * (1 + p[2] / p[1]))
+
+
+def measured_state() -> ca.Function:
+    """Return (measured) -> state: positions of trolley and load, and their velocities."""
+    given = ca.SX.sym("measured", 12)
+    phi, s, _, phi_dot, s_dot, _ = ca.vertsplit(given[:6])
+    along, across = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    state = ca.vertcat(s * along, given[6:9], s_dot * along + s * phi_dot * across, given[9:])
+    return ca.Function("measured", [given], [state])
+
+
+def continued(jet: ca.SX, crackle: ca.SX, tau: Any) -> ca.SX:
+    """Continue a path by its Taylor polynomial with a fifth derivative."""
+    rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
+    moved = []
+    for k in range(len(ORDERS)):
+        value = rows[-1]
+        for j in reversed(range(k, len(ORDERS))):
+            value = rows[j] + tau / (j - k + 1) * value
+        moved.append(value)
+    return ca.vertcat(*moved)
+
+
+def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return y_0 ... y_3 and a of an offset with (d/dt + a)^4 delta = 0, y_k = (d/dt + a)^k delta.
+
+    The measured values determine position, velocity and, by the rope's direction, acceleration and jerk of the load.
+    """
+    phi, s, length, turning, s_dot, _ = ca.vertsplit(measured[:6])
+    r, v, gravity = measured[6:9], measured[9:], p[5]
+    fall, fall_dot = gravity + jet[8], jet[11]
+    out, round_ = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    lean, lean_dot = r[:2] - s * out, v[:2] - s_dot * out - s * turning * round_
+    acceleration = fall / r[2] * lean
+    jerk = (fall_dot * lean + fall * lean_dot - v[2] * acceleration) / r[2]
+    off = ca.horzcat(r, v, ca.vertcat(acceleration, jet[8]), ca.vertcat(jerk, jet[11])) - ca.reshape(jet[:12], 3, 4)
+    sizes = [ca.norm_2(off[:2, k]) for k in range(4)]
+    reach = RETURN_SHARE * gravity
+    snap = reach * gravity / length
+    across = [(snap / ca.fmax(math.comb(4, k) * size, 1e-12)) ** (1 / (4 - k)) for k, size in enumerate(sizes)]
+    down = [ca.sqrt(reach / ca.fmax(ca.fabs(off[2, 0]), 1e-12)), reach / ca.fmax(ca.fabs(off[2, 1]), 1e-12)]
+    a = ca.fmin(RETURN_TURN / h, ca.vertcat(*(ca.mmin(ca.vertcat(*each)) for each in (across, across, down))))
+    y = [sum(math.comb(k, j) * a ** (k - j) * off[:, j] for j in range(k + 1)) for k in range(4)]
+    return forgotten(ca.vertcat(*y)), a
+
+
+def forgotten(y: Matrix) -> Matrix:
+    """Return an offset, or zeros in place of round-off, whose squares would underflow."""
+    return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, type(y).zeros(y.numel()))
+
+
+def offset() -> ca.Function:
+    """Return (y, a, tau) -> (y_0 ... y_3, jet of the offset), tau seconds later."""
+    y, a, tau = ca.SX.sym("y", 4 * DIMENSION), ca.SX.sym("a", DIMENSION), ca.SX.sym("tau")
+    rows, fading = ca.vertsplit(y, DIMENSION), ca.exp(-a * tau)
+    later: list[ca.SX] = []
+    for k in range(4):
+        value = rows[3]
+        for j in reversed(range(k, 3)):  # Horner: powers are slow
+            value = rows[j] + tau / (j - k + 1) * value
+        later.append(fading * value)
+    powers = [ca.SX.ones(DIMENSION)]
+    for _ in ORDERS[1:]:
+        powers.append(powers[-1] * -a)
+    jet = [sum(math.comb(k, j) * powers[k - j] * later[j] for j in range(min(k, 3) + 1)) for k in range(len(ORDERS))]
+    return ca.Function("offset", [y, a, tau], [ca.vertcat(*later), ca.vertcat(*jet)], {"cse": True})
+
+
+# A step ---------------------------------------------------------------------------------------------------------------
 
 
 def advance(system: sc.MechanicalSystem) -> ca.Function:
@@ -123,3 +254,64 @@ def resting() -> ca.Function:
         found[k] = (row[-1] - known) / row[k]
     state = ca.vertcat(others[:free], ca.SX.zeros(POINTS - free), *found)
     return ca.Function("resting", [A, B, push], [ca.densify(state), others[free:]], {"cse": True})
+
+
+# Riccati steps --------------------------------------------------------------------------------------------------------
+
+
+def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Return three functions: the matrices that all Riccati steps of a model share, a step, and the gain of a step.
+
+    With w+ = v - F z, where F would be the gain without a cost-to-go, z = A e + B' w goes on as C z + G v, and a step
+    costs a form Q of z and a form R of v: (A, B, B', f, W) -> F, C, C^T, Q, G, R. A step is (cost M of z before v is
+    chosen, C, C^T, Q, G, R) -> (M a step earlier, K), v = -K C z, and its gain (M, G, R) -> K. Products of whole
+    matrices stay loops, which compilers vectorize.
+    """
+    A, new, old = ca.SX.sym("A", *_SQUARE), ca.SX.sym("B", *_TALL), ca.SX.sym("B'", *_TALL)
+    efforts, weights = ca.SX.sym("f", DRIVES), ca.SX.sym("W", DIMENSION)
+    squares = ca.SX(*_SQUARE)
+    squares[LOAD, LOAD] = ca.diag(weights**2)
+    crossed, acting = squares @ new, A @ new + old
+    effort = ca.diag(1 / efforts**2) + new.T @ crossed
+    alone = ca.SX(DRIVES, STATES)
+    alone[:, LOAD] = ca.ldl_solve(crossed[LOAD, :].T, *ca.ldl(effort))
+    goes_on = A - acting @ alone
+    results = [ca.densify(each) for each in (alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort)]
+    shared = ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True})
+    cost, *given = (ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate([A, *results[1:]]))
+    C, C_T, Q, G, R = given
+    choice = _choice()
+    left, K = choice(cost, cost @ G, G, R)
+    step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
+    return shared, step, ca.Function("gain", [cost, G, R], [choice(cost, cost @ G, G, R)[1]])
+
+
+def _choice() -> ca.Function:
+    """Return (cost M of z, M G, G, R) -> (the cost with the optimal v, K), v = -K z."""
+    cost, reach, acting = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
+    effort = ca.SX.sym("R", *_SMALL)
+    K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
+    left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
+    return ca.Function("choice", [cost, reach, acting, effort], [left, K], {"cse": True})
+
+
+def riccati_steps(doublings: int) -> ca.Function:
+    """Return (C, C^T, Q, G, R) -> M, the cost-to-go 2^doublings steps before an end without cost.
+
+    Any number of steps of one model, as in `riccati_functions`, is M -> Q + C^T M (1 + H M)^-1 C, at first with
+    H = G R^-1 G^T, and so are two such numbers one after the other: k doublings are 2^k steps.
+    """
+    C, H, Q, C_T = (ca.MX.sym(name, *_SQUARE) for name in ("C", "H", "Q", "C_T"))
+    G, R = ca.MX.sym("G", *_TALL), ca.MX.sym("R", *_SMALL)
+    reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(STATES) + H @ Q, ca.horzcat(C, H), "qr"), STATES)
+    doubled = [C @ reached, _symmetric(H + C @ spread @ C.T), _symmetric(Q + C.T @ Q @ reached)]
+    doubling = ca.Function("doubling", [C, H, Q], doubled)
+    steps = [C, G @ ca.solve(R, G.T, "qr"), Q]
+    for _ in range(doublings):
+        steps = doubling.call(steps)
+    return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [steps[-1]])
+
+
+def _symmetric(matrix: ca.MX) -> ca.MX:
+    """Return the symmetric part, which differs from a cost-to-go by round-off only."""
+    return (matrix + matrix.T) / 2

@@ -5,33 +5,27 @@ Cross-check files of its FMUs lie beside it: inputs, results and options of a ru
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import floor
 from pathlib import Path
-from typing import Any
 
 import fmpy
 import numpy as np
-import numpy.typing as npt
 
 import servocore as sc
-from crane_fmu.build.archive import Progress
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import native_fmu
 from crane_fmu.catalogue import (
     CRANE_PLANT,
-    DIMENSION,
     FEEDBACK_INPUTS,
     FROM_FILE,
     KINDS,
     LOAD_TRAJECTORY,
     ORDERS,
     PATH_INPUTS,
-    PROFILES,
     ROTARY_CRANE,
     Starts,
-    at_rest,
     components,
     crane_with,
 )
@@ -51,7 +45,7 @@ COMPONENTS: Mapping[str, str] = {
 STEP = 0.01
 """Communication step in s that suits each FMU, and the system of all."""
 
-_STOP, _SHORT_STOP = 20.0, 2.0  # s, of cross-check runs; a pushed plant goes far
+_STOP, _SHORT_STOP = 20.0, 2.0  # s, of cross-check runs; a plant without feedback goes far
 _START_ORDERS = 4  # position to jerk determine the motion of crane and load at the start
 _FORCES = ("M_b", "F", "M_w")
 
@@ -91,15 +85,15 @@ class SystemOptions:
     def __post_init__(self) -> None:
         """Refuse options that exclude each other."""
         if self.profile is not None:
-            if self.profile not in PROFILES:
-                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(PROFILES)}")
+            if self.profile not in sc.TIME_LAWS:
+                raise sc.InvalidSetting(f"there is no profile {self.profile!r}; there are {', '.join(sc.TIME_LAWS)}")
             if self.path is not None:
                 raise sc.InvalidSetting("a path has its own time law: give either a path or a profile")
 
 
 def build_ssp(
     directory: Path,
-    progress: Progress = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
     options: SystemOptions = SystemOptions(),
 ) -> tuple[Path, ...]:
     """Build the three FMUs, those with Python with their cross-check files, and pack them.
@@ -144,7 +138,7 @@ def build_ssp(
         if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():
-                _cross_check(draft / kind.file_name, path, starts[CRANE_PLANT.name], inverse)
+                _cross_check(draft / kind.file_name, path, inverse)
         fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
         elements = elements_of(fmus, starts)
         duration = _STOP if path is None else path.end_time
@@ -187,19 +181,18 @@ def start_values(options: SystemOptions, inverse: sc.ExactInversion) -> dict[str
         starts[LOAD_TRAJECTORY.name]["profile"] = options.profile
     if (path := options.path) is not None:
         jet = path.jet(path.start_time, len(ORDERS) - 1)
-        moves = jet[1:].any()
-        orders = len(ORDERS) if moves else 1  # a load at rest begins with brakes, as by default
+        numbers = jet.ravel().tolist() if jet[1:].any() else jet[0].tolist()  # at rest the rest is as by default
+        names = components(*(f"start.{order}" for order in ORDERS[:_START_ORDERS]))
         starts[LOAD_TRAJECTORY.name]["profile"] = FROM_FILE
-        starts[ROTARY_CRANE.name] |= zip(PATH_INPUTS[: orders * DIMENSION], jet.ravel().tolist(), strict=False)
-        names = components(*(f"start.{order}" for order in ORDERS[: min(orders, _START_ORDERS)]))
-        starts[CRANE_PLANT.name] |= zip(names, jet.ravel().tolist(), strict=False)
-        if moves:
+        starts[ROTARY_CRANE.name] |= zip(PATH_INPUTS, numbers, strict=False)
+        starts[CRANE_PLANT.name] |= zip(names, numbers, strict=False)
+        if jet[1:].any():  # else it begins with brakes, as by default
             starts[CRANE_PLANT.name] |= zip(_FORCES, inverse(path.start_time).tolist(), strict=True)
     return dict(starts)
 
 
-def _cross_check(fmu: Path, path: sc.Reference | None, starts: Starts, inverse: sc.ExactInversion) -> None:
-    """Run an FMU and write its inputs, its results and the options of the run beside it; starts are the plant's."""
+def _cross_check(fmu: Path, path: sc.Reference | None, inverse: sc.ExactInversion) -> None:
+    """Run an FMU along the path and write its inputs, its results and the options of the run beside it."""
     stop = _SHORT_STOP if fmu.stem == CRANE_PLANT.name else _STOP
     if path is not None and path.jet(path.end_time, 4)[1:].any():  # there is no path later
         stop = min(stop, STEP * floor(path.end_time / STEP))
@@ -207,21 +200,12 @@ def _cross_check(fmu: Path, path: sc.Reference | None, starts: Starts, inverse: 
     if fmu.stem == ROTARY_CRANE.name:
         given = input_rows(path or sc.scenes.rotary_crane().reference, STEP)
     elif fmu.stem == CRANE_PLANT.name:
-        given = _plant_inputs(stop, starts, inverse)
+        t = np.linspace(0.0, stop, round(stop / STEP) + 1)
+        columns = [(each, np.float64) for each in ("time", *_FORCES)]
+        given = np.rec.fromarrays([t, *inverse(t).T], dtype=columns)
     with nothing_left():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
     inputs, results = (
         None if rows is None else {name: rows[name] for name in rows.dtype.names or ()} for rows in (given, found)
     )
     put(fmu.parent, cross_check_texts(fmu.stem, inputs, results, (0.0, stop, STEP)))
-
-
-def _plant_inputs(stop: float, starts: Starts, inverse: sc.ExactInversion) -> npt.NDArray[Any]:
-    """Return inputs that push a plant from rest, or those of the motion in which it starts."""
-    t = np.linspace(0.0, stop, round(stop / STEP) + 1)
-    if _FORCES[0] in starts:
-        forces = list(inverse(t).T)
-    else:
-        push = np.sin(np.pi * t) ** 2
-        forces = [50.0 * push, -5.0 * push, np.full_like(t, at_rest(starts)["M_w"])]
-    return np.rec.fromarrays([t, *forces], dtype=[(each, np.float64) for each in ("time", *_FORCES)])

@@ -99,17 +99,13 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms, c
     options = SystemOptions(line, profile, subject.changes(crane), crane.drives, place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
         files = build_ssp(place.output or Path("system"), progress.describe, options)
-        moved = crane.with_parameters(**options.parameters).with_reference(line or _default_line(crane, law))
-        told = certified.line(moved)
+        usual = crane.reference
+        if law is not None:
+            start, end = usual.jet([usual.start_time, usual.end_time], 0)[:, 0]
+            usual = sc.rest_to_rest(start, end, usual.duration, profile=law)
+        told = certified.line(crane.with_parameters(**options.parameters).with_reference(line or usual))
     print(*files, sep="\n")
     print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
-
-
-def _default_line(crane: sc.Scene, law: sc.Profile | None) -> sc.Reference:
-    """Return the path of the crane, by another time law if there is one."""
-    path = crane.reference
-    start, end = path.jet([path.start_time, path.end_time], 0)[:, 0]
-    return path if law is None else sc.rest_to_rest(start, end, path.duration, profile=law)
 
 
 @dataclass(frozen=True)
@@ -170,8 +166,6 @@ def run_demo(place: Place, certified: Certified) -> None:
             shown.add_row(*row)
         console.print(f"[bold]{table.title}[/bold]", f"[dim]{table.by}[/dim]", shown, sep="\n")
         console.print(table.note, "", sep="\n" if table.note else "")
-    for note in done.notes:
-        console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
 
 

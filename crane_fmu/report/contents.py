@@ -14,9 +14,7 @@ _FMUS = f"FMUs with their defaults: {DEFAULT.replace('instant', 'communication s
 TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
 
 
-def sections(
-    study: Study, fmu: Mapping[str, Array], loop: Sequence[LoadRun], cycle: Cycle | None
-) -> dict[str, list[Part]]:
+def sections(study: Study, fmu: Mapping[str, Array], loop: Sequence[LoadRun], cycle: Cycle) -> dict[str, list[Part]]:
     """Return the whole page by headings.
 
     Parameters
@@ -27,8 +25,8 @@ def sections(
         The same by the FMU: its outputs, and ``time``.
     loop : sequence of LoadRun
         The same by trajectory, inverse model and plant as connected FMUs.
-    cycle : Cycle or None
-        The working cycle; None if the examples are not at hand.
+    cycle : Cycle
+        The working cycle.
     """
     return {
         "": list(summary(study)),
@@ -38,7 +36,7 @@ def sections(
         "The FMU": _fmu(study, fmu),
         "Forward simulation": _tracking(study),
         "The loop of FMUs": _loop(loop),
-        **({} if cycle is None else {"A working cycle": _cycle(cycle)}),
+        "A working cycle": _cycle(cycle),
         "The scheme of the paper": _paper(study),
     }
 

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.causes import cause_of, switchings
+from servocore.certificate.causes import jumps_of, motion_statements
+from servocore.certificate.equations import Box
 from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import (
-    LIMIT,
-    Claim,
-    Statement,
-    Verdict,
-    claims_of,
-    run_statements,
-    statements_of,
-)
-from servocore.errors import InvalidSetting, require_kind
+from servocore.certificate.statements import LIMIT, Claim, Statement, Verdict, claims_of, statements_of
+from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
 from servocore.model.limits import Bounds, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
@@ -37,7 +31,6 @@ from servocore.solution import Solution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SPLITS = 32  # boxes of parameters at most
 _SAMPLES = 401  # of a plot
 
 
@@ -64,7 +57,7 @@ class Certificate:
     error_bounds: Mapping[str, ErrorBound]
     intervals: Array
     jumps: tuple[float, ...] = ()
-    _proofs: tuple[Proof, ...] = field(default=(), repr=False)
+    _proof: Proof | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -107,10 +100,10 @@ class Certificate:
             not proved.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
-        names = list(reported_quantities(self._proofs[0].problem.system)) if self._proofs else []
-        found = [tube_of(proof, times, names) for proof in self._proofs]
-        low, high = (np.minimum.reduce([a for a, _ in found]), np.maximum.reduce([b for _, b in found]))
-        return {name: np.stack([low[k], high[k]], axis=1) for k, name in enumerate(names)}
+        if self._proof is None:
+            return {}
+        names = list(reported_quantities(self._proof.problem.system))
+        return dict(zip(names, np.stack(tube_of(self._proof, times, names), axis=-1), strict=True))
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Plot the enclosures of quantities over time: both bounds.
@@ -130,9 +123,9 @@ class Certificate:
         InvalidSetting
             If matplotlib is missing, or nothing is proved.
         """
-        if not self._proofs:
+        if self._proof is None:
             raise InvalidSetting("nothing is proved that could be plotted")
-        problem = self._proofs[0].problem
+        problem = self._proof.problem
         t = np.linspace(problem.reference.start_time, problem.reference.end_time, _SAMPLES)
         tube, known = self.tube(t), reported_quantities(problem.system)
         chosen = list(names) if names is not None else [each.name for each in problem.system.inputs]
@@ -161,7 +154,8 @@ def certify(
     limits : mapping of str to bounds, optional
         Limits besides those of the scene, see `Scene.with_limits`.
     parameters : mapping of str to (float, float), optional
-        Intervals of parameters: everything is then proved for all values in the box.
+        Intervals of parameters: everything is then proved for all values in the box, as a whole. Where that is
+        undecided, its parts may be proved.
     tolerance : float
         Of the inputs, as a share of their peaks: the width that enclosures are refined to, and how far the inputs of a
         solution may be from the proved ones.
@@ -176,9 +170,7 @@ def certify(
     Raises
     ------
     InvalidSetting
-        If a limit or a parameter is unknown, or an interval is none.
-    InvalidModel
-        If the solution does not know what was solved.
+        If a limit or a parameter is unknown, an interval is none, or the solution does not know what was solved.
 
     Examples
     --------
@@ -187,57 +179,67 @@ def certify(
     >>> certificate.verdict
     'proved'
     """
-    problem, solution = _problem_of(scene_or_solution, model)
-    path = problem.reference
+    solution = scene_or_solution if isinstance(scene_or_solution, Solution) else None
+    if isinstance(scene_or_solution, Solution):
+        problem = scene_or_solution.origin
+        require_kind(problem, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
+    else:
+        problem = Problem.of(scene_or_solution, model)
+    path, proof, bounds, jumps = problem.reference, None, dict[str, ErrorBound](), tuple[float, ...]()
+    extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
+    wanted = [k for k in (*problem.limits, *problem.run_limits, *extra) if not k.at_instants_only]
+    boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
         if solution is not None and solution.error.largest is not None:
             text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-        algebraic = [at_states(problem, solution)] if solution is not None else []
-        return _certificate(problem, [Statement("one motion", "undecided", text), *algebraic])
-    extra = tuple(limit_named(problem.system, name, bounds) for name, bounds in (limits or {}).items())
-    run_limits = (*problem.run_limits, *(limit for limit in extra if limit.over_run))
-    extra = tuple(limit for limit in extra if not limit.over_run)
-    wanted = tuple(limit for limit in (*problem.limits, *extra) if not limit.at_instants_only)
-    boxed, rates = _boxes(problem, parameters or {}), any(limit.rate for limit in wanted)
-    if path.max_order < problem.array.reference_order + rates:
+        statements = [Statement("one motion", "undecided", text)]
+        statements += [at_states(problem, solution)] if solution is not None else []
+    elif path.max_order < problem.array.reference_order + rates:
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
-        return _certificate(problem, [Statement("one motion", "refuted", text)])
-    proofs = _proved(problem, boxed, tolerance, rates)
-    jumps = {time for proof in proofs for time in proof.jumps}
-    jumps |= {time for proof in proofs for time, sentence in switchings(proof) if not sentence}
-    bounds, of_instants, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
-    if not any(proof.unproved for proof in proofs):
-        bounds, of_instants, claims = compared(proofs, solution, tolerance)
-    claims += [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
-    statements = _motion_statements(proofs) + of_instants + statements_of(proofs, claims, jumps)
-    statements += run_statements(proofs, run_limits)
-    return _certificate(problem, statements + _step_statement(problem.system), bounds, proofs, jumps)
-
-
-def _certificate(
-    problem: Problem,
-    statements: Sequence[Statement],
-    bounds: Mapping[str, ErrorBound] | None = None,
-    proofs: Sequence[Proof] = (),
-    jumps: Iterable[float] = (),
-) -> Certificate:
-    path = problem.reference
+        statements = [Statement("one motion", "refuted", text)]
+    else:
+        proof = Proof(problem, boxed, tolerance, rates)
+        jumps = jumps_of(proof)
+        claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
+        statements = motion_statements(proof)
+        if not proof.unproved:
+            bounds, of_instants, spikes = compared(proof, solution, tolerance)
+            statements, claims = statements + of_instants, spikes + claims
+        statements += statements_of(proof, claims, jumps) + _step_statement(problem.system)
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
-    inner = [(each.begin, each.end) for proof in proofs[:1] for each in proof.intervals if not each.outside]
-    return Certificate(
-        problem.name, timed, bounds or {}, np.reshape(inner, (-1, 2)), tuple(sorted(jumps)), tuple(proofs)
-    )
+    inner = [(each.begin, each.end) for each in (proof.intervals if proof else []) if not each.outside]
+    return Certificate(problem.name, timed, bounds, np.reshape(inner, (-1, 2)), jumps, proof)
 
 
-def _problem_of(subject: Scene | Solution, model: str | None) -> tuple[Problem, Solution | None]:
-    if isinstance(subject, Solution):
-        require_kind(subject.origin, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
-        return subject.origin, subject
-    return Problem.of(subject, model), None
+def require_certified(
+    subject: Scene | Solution, tolerance: float = 1e-8, *, model: str | None = None, warn: bool = True
+) -> Certificate:
+    """Return the certificate of a scene or a solution unless it is refuted; warn where it is undecided.
+
+    Raises
+    ------
+    LimitBroken
+        If a limit is refuted.
+    InvalidReference
+        If another statement is.
+
+    Warns
+    -----
+    ServocoreWarning
+        If the certificate is undecided and `warn` is set.
+    """
+    certificate = certify(subject, tolerance=tolerance, model=model)
+    text = f"{certificate.name}: the certificate is {certificate.summary}"
+    if certificate.verdict == "refuted":
+        broken = next(each for each in certificate.statements if each.verdict == "refuted")
+        raise (LimitBroken if broken.what.startswith(LIMIT) else InvalidReference)(text)
+    if warn and certificate.verdict == "undecided":
+        warnings.warn(text, ServocoreWarning, stacklevel=3)
+    return certificate
 
 
-def _boxes(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box:
     """Return the intervals of parameters by number."""
     names, boxed = problem.system.parameters.names, {}
     for name, interval in parameters.items():
@@ -248,46 +250,6 @@ def _boxes(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> d
             raise InvalidSetting(f"the interval of {name} must run from a lower to a higher value, not {interval}")
         boxed[names.index(name)] = (low, high)
     return boxed
-
-
-def _proved(problem: Problem, boxed: dict[int, tuple[float, float]], tolerance: float, rates: bool) -> list[Proof]:
-    """Prove the motion for all parameters of a box, in parts where it is not proved as a whole."""
-    todo, done = [boxed], list[Proof]()
-    while todo:
-        box = todo.pop(0)
-        p = problem.p.copy()
-        for k, (low, high) in box.items():
-            p[k] = (low + high) / 2.0
-        proof = Proof(replace(problem, p=p), box, tolerance, rates).run()
-        if box and proof.unproved and len(todo) + len(done) < _SPLITS:
-            k = max(box, key=lambda each: (box[each][1] - box[each][0]) / max(np.abs(box[each])))
-            low, high = box[k]
-            middle = (low + high) / 2.0
-            todo += [{**box, k: (low, middle)}, {**box, k: (middle, high)}]
-        else:
-            done.append(proof)
-    return done
-
-
-def _motion_statements(proofs: Sequence[Proof]) -> list[Statement]:
-    """State that there is one motion on one branch, regular at all times, and as smooth as motions are."""
-    motion, branch, smooth = found = [
-        Statement("one motion, regular at all times", "proved"),
-        Statement("one branch from the beginning to the end", "proved"),
-        Statement("path smooth enough for the motion", "proved"),
-    ]
-    for proof in reversed(proofs):
-        if proof.unproved:
-            verdict, time, text = cause_of(proof)
-            found[0] = replace(motion, verdict=verdict, sentence=text, time=time)
-        for a, joint in reversed(list(zip(proof.intervals, proof.joints, strict=False))):
-            if joint in {"apart", "not proved"}:
-                text = f"not decided at t = {a.end:.6g} s that the motion goes on as it was before"
-                found[1] = replace(branch, verdict="undecided", sentence=text, time=a.end)
-            elif joint == "motion jumps":
-                text = f"coordinates or velocities jump at t = {a.end:.6g} s: the path is too rough there"
-                found[2] = replace(smooth, verdict="refuted", sentence=text, time=a.end)
-    return found
 
 
 @made_once

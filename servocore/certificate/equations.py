@@ -1,107 +1,136 @@
-"""The equations of a flat problem, prepared for proofs: residual, Jacobian, its blocks, and answers at instants.
+"""The equations of a flat problem, prepared for proofs, and the interval Newton test of their solution.
 
 The unknowns are those of the derivative array. For rates of inputs the array is differentiated once more: the same
-structure with all offsets one higher.
+structure with all offsets one higher. The test goes block by block and shows that there is one solution near an
+approximation, at every instant of an interval.
+
+E(x, t, p) = 0 with the Jacobian J = dE/dx in block triangular form. About an approximation x_hat, a polynomial, and
+within x_hat + D, the test takes for each block b an approximate inverse Y and, with r the residual of x_hat,
+
+    Z = |Y r_b| + |Y| sum over earlier blocks e of |J_be| rho_e,    A >= |I - Y J_bb|,    A rho_b + Z <= rho_b <= D_b.
+
+x_b -> x_b - Y E_b(x) then maps x_hat_b + rho_b into itself and contracts: rho > 0 and A rho < rho make the spectral
+radius of A less than one (Collatz & Wielandt). So there is exactly one solution in x_hat + D, it lies in x_hat + rho,
+and J is regular there (Krawczyk, Computing 4 (1969) 187; Rump, Acta Numerica 19 (2010) 287, section 13). Unknowns that
+J does not depend on need no D: the solution is unique whatever they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model
-from servocore.certificate.walk import CONSTANT, Walk, lowered, walk_of
-from servocore.numerics.compiled_calls import Array, mapped, side_by_side
-from servocore.numerics.expressions import time_derivative
-from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
+from servocore.certificate.programs import Places
+from servocore.certificate.walk import CONSTANT, Walk, lowered
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
-from servocore.structure.inversion import Inversion, inversion
 
-Places = npt.NDArray[np.intp]
+Box: TypeAlias = Mapping[int, tuple[float, float]]
+"""Intervals of parameters, by their numbers."""
+
+_ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
+_ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
+_LEAST = 1e-17  # of an unknown's magnitude: radii are positive
+_ITERATIONS = 60
+_KNOWN = 0.1  # radius: a step is one at the least, and known but for rounding elsewhere
+_INVERTED = 4  # degree in time of approximate inverses
 
 
-@dataclass(frozen=True, eq=False)
 class Equations:
-    """A derivative array for proofs.
+    """A derivative array for proofs, with the block triangular form of its Jacobian.
 
     Operations that are constant between jumps, such as signs, are arguments of residual and Jacobian: where a value is
     not known, all of them are tried.
 
+    Parameters
+    ----------
+    resolved : ResolvedSystem
+        The system.
+    raised : bool
+        Whether the array is differentiated once more, for rates.
+
     Attributes
     ----------
     array : DerivativeArray
-        Differentiated once more for rates.
+        The array.
     symbols : casadi.SX
-        Unknowns, path with its derivatives, parameters, and states of the internal dynamics: arguments of the walks.
+        Unknowns, path with its derivatives, parameters, time, states of the internal dynamics: arguments of the walks.
     steps : Walk
         Of operations that are constant between jumps.
     residual, jacobian : Walk
         Of the equations, and of the entries of their Jacobian; arguments are the symbols and the steps.
-    pattern : casadi.Sparsity
-        Of the Jacobian.
-    curved : ndarray of bool
-        Unknowns that the Jacobian or the steps depend on.
-    motion, switching : list of int
-        Unknowns that are coordinates and velocities: they cannot jump; and those that the steps depend on.
+    motion, switching, inputs : list of int
+        Unknowns that are coordinates and velocities: they cannot jump; that the steps depend on; and that are inputs.
+    steady, curved : ndarray of bool
+        Unknowns that may not jump with the equations, of motion or switching; that the Jacobian or the steps depend on.
+    free : ndarray of bool
+        Unknowns that may differ at joints: rates may jump, and others are unique wherever they are.
+    rows, columns : ndarray of int
+        Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
+    ends : ndarray of int
+        Where blocks begin, and where the last one ends.
+    whole, beside : tuple of ndarray of int
+        The entries of the blocks, and of what lies beside them: rows with entries, where these begin, and columns.
+    inside, own, others : ndarray of int
+        Places, among those of the blocks, of the ones that the Jacobian has; theirs in the Jacobian; of those beside.
+    test : Walk
+        From the entries of Y, of J and of r to those of I - Y J, and of Y r.
     """
 
-    array: DerivativeArray
-    symbols: ca.SX
-    steps: Walk
-    residual: Walk
-    jacobian: Walk
-    pattern: ca.Sparsity
-    curved: npt.NDArray[np.bool_]
-    motion: list[int]
-    switching: list[int]
+    def __init__(self, resolved: ResolvedSystem, raised: bool) -> None:
+        array = self.array = differentiated_once_more(resolved.array) if raised else resolved.array
+        x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
+        residual, names, steps = _without_steps(array.residual)
+        self.symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), array.column(array.states))
+        # CasADi counts entries by columns: matrices are transposed.
+        every, J = ca.vertcat(self.symbols, names), ca.jacobian(residual, x).T
+        self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
+        self.jacobian = Walk(J.nz[:], every)
+        n = len(array.system.coordinates)
+        self.motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
+        self.switching = ca.jacobian_sparsity(steps, x).get_col()
+        first = len(array.names) - len(array.system.inputs)
+        self.inputs = [array.determined.index((j, 0)) for j in range(first, len(array.names))]
+        bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
+        either = ([*self.switching, *some] for some in (self.motion, bent))
+        self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
+        self.free = ~self.curved | [each not in resolved.array.unknowns for each in array.determined]
+        self._find_blocks(J.sparsity())
 
-    @property
-    def path_order(self) -> int:
-        """Highest derivative of the path that enters."""
-        return self.array.reference_order
+    def _find_blocks(self, pattern: ca.Sparsity) -> None:
+        size = pattern.size1()
+        _, rows, columns, bounds, *_ = pattern.T.btf()
+        self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
+        permuted, entry = pattern.sub(columns, rows)
+        places = np.array([permuted.get_col(), permuted.row(), entry])
+        whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
+        inside = np.array(whole.get_nz((size * places[0] + places[1]).tolist()))
+        inner, outer = places[:, inside >= 0], places[:, inside < 0]
+        self.whole = (*np.unique(whole.get_col(), return_index=True), np.array(whole.row()))
+        self.beside, self.others = (*np.unique(outer[0], return_index=True), outer[1]), outer[2]
+        self.inside, self.own = inside[inside >= 0], inner[2]
+        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(self.own)), ("r", size)))
+        given = ca.Sparsity.triplet(size, size, inner[1].tolist(), inner[0].tolist())
+        inverse, matrix = ca.SX(whole, Y).T, ca.SX(given, J).T
+        off = ca.project((ca.SX.eye(size) - ca.mtimes(inverse, matrix)).T, whole)
+        self.test = Walk(ca.vertcat(off.nz[:], ca.mtimes(inverse, r[rows])), ca.vertcat(Y, J, r))
 
-    @cached_property
-    def inputs(self) -> list[int]:
-        """Places of the inputs among the unknowns."""
-        first = len(self.array.names) - len(self.array.system.inputs)
-        return [self.array.determined.index((j, 0)) for j in range(first, len(self.array.names))]
-
-    def walk(self, quantities: Iterable[tuple[ca.SX, bool]]) -> Walk:
-        """Return expressions of q, v, lam, u, gamma and p, of some the rates, as a walk of the same arguments."""
-        system, y = self.array.system, self.array.y
-        n = len(system.coordinates)
-        old, new = ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])
-        expressions, rates = zip(*quantities, strict=True)
-        values = ca.substitute(list(expressions), [old], [new])
-        wanted = (time_derivative(e, y, system.gamma) if rate else e for e, rate in zip(values, rates, strict=True))
-        return walk_of(ca.vertcat(*wanted), self.symbols)
+    def around(self, unknown: int) -> list[int]:
+        """Return the equations of the block that determines an unknown."""
+        last = int(np.searchsorted(self.ends, np.flatnonzero(self.columns == unknown)[0], side="right"))
+        return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
-@made_once
-def equations_of(resolved: ResolvedSystem, raised: bool) -> Equations:
-    """Prepare the equations of a system; `raised` with the rates."""
-    array = differentiated_once_more(resolved.array) if raised else resolved.array
-    x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
-    residual, names, steps = _without_steps(array.residual)
-    symbols, J = ca.vertcat(x, gamma, array.system.p, array.column(array.states)), ca.jacobian(residual, x)
-    switching = ca.jacobian_sparsity(steps, x).get_col()
-    curved = np.zeros(x.numel(), dtype=bool)
-    curved[[*switching, *ca.jacobian_sparsity(J.nz[:], x).get_col()]] = True
-    n = len(array.system.coordinates)
-    motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
-    every = ca.vertcat(symbols, names)
-    return Equations(
-        array, symbols, walk_of(steps, symbols), walk_of(residual, every), walk_of(J.nz[:], every), J.sparsity(),
-        curved, motion, switching,
-    )  # fmt: skip
+equations_of = made_once(Equations)
+"""Return the equations of a system, prepared once."""
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -136,61 +165,114 @@ def _is_share(a: ca.SX, b: ca.SX, compared: Mapping[int, tuple[int, ...]]) -> bo
     return first == second[::-1] and ca.is_equal(b, s + z, 1)
 
 
-# Answers at instants --------------------------------------------------------------------------------------------------
+def given_models(problem: Problem, array: DerivativeArray, ring: Arithmetic, ends: Array, boxed: Box) -> Model:
+    """Return models of the path and its derivatives, the parameters and the time, as the walks take them.
 
-
-def answers(problem: Problem, array: DerivativeArray, t: Array, p: Array, guess: Array | None = None) -> Array:
-    """Return unknowns (size, N) at instants with parameters (n_p, N), in plain floating point; NaN for none.
-
-    They are centres of enclosures, from the guess of the model or by Newton's method from guesses (size, N).
+    Intervals have begins and ends, shape (2, N).
+    Parameters with an interval are variables of the arithmetic, in their order.
     """
-    jets = problem.reference.jet(t, array.reference_order)
-    if guess is None:
-        inverse = machine_code(array).best(len(t), called=False) or inversion(array)
-        found, _, residual = _at_points(inverse.function, jets, p)
-    else:
-        found, _, residual = _at_points(inversion(array).search, jets, p, guess)
-    return np.where(np.isfinite(residual.max(axis=0)), found, np.nan)
+    (begin, end), first, count = ends, ring.degrees[0] + 1, ends.shape[1]
+    coefficients, radii = problem.reference.enclosure(begin, end, array.reference_order, first - 1)
+    path = np.zeros((len(ring.nodes) + 1, radii[0].size, count))
+    path[:-1].reshape(first, -1, radii[0].size, count)[:, 0] = coefficients.reshape(count, -1, first).T
+    path[-1] = radii.reshape(count, -1).T
+    rest = ring.constant(np.tile([[each] for each in (*problem.p, 0.0)], count))
+    corners = [(-1, ends), *((k, np.array(interval)[:, None]) for k, interval in boxed.items())]
+    for axis, (k, (low, high)) in enumerate(corners):
+        rest[0, k] = (low + high) / 2.0
+        if ring.degrees[axis]:
+            rest[np.flatnonzero(ring.orders.sum(axis=0) * (ring.orders[axis] == 1) == 1), k] = (high - low) / 2.0
+        rest[-1, k] = 4e-16 * np.maximum(np.abs(low), np.abs(high))
+    return np.concatenate([path, rest], axis=1)
 
 
-def guessed(problem: Problem, array: DerivativeArray, t: Array, p: Array) -> Array:
-    """Return the guess of the model (size, N) at instants."""
-    (guess,) = _at_points(inversion(array).guess, problem.reference.jet(t, array.reference_order), p)
-    return guess
+# The interval Newton test ---------------------------------------------------------------------------------------------
 
 
-@made_once
-def machine_code(array: DerivativeArray) -> JustInTime[Inversion]:
-    """Return the inversion in machine code, once it is worth it: each proof counts as one call."""
-    return in_machine_code(inversion(array), ("function",), "the exact inversion", None)
+def radii(
+    equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array
+) -> tuple[Array, npt.NDArray[np.bool_], Array, Array]:
+    """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
+
+    Parameters
+    ----------
+    equations : Equations
+        What is solved.
+    ring : Arithmetic
+        Of the polynomials.
+    x : ndarray, shape (terms, unknowns, boxes)
+        Coefficients of x_hat.
+    given : Model
+        Of path and parameters.
+    D : ndarray, shape (unknowns, boxes)
+        Where solutions are looked for.
+    sizes : ndarray, shape (unknowns,)
+        Magnitudes of the unknowns.
+
+    Returns
+    -------
+    rho : ndarray, shape (unknowns, boxes)
+        The radii, whether within D or not, for any values that `equations.steps` take within D.
+    switches : ndarray of bool, shape (boxes,)
+        Whether one of these takes more than one value.
+    failed : ndarray of int, shape (boxes,)
+        The first unknown of the first block that was not proved; -1 if all were.
+    shift : ndarray, shape (terms, unknowns, boxes)
+        What a step of Newton's method, block by block, would take off x_hat.
+    """
+    anywhere = model_of(x, np.where(equations.curved[:, None], D, 0.0))
+    steps = equations.steps(ring, np.concatenate([anywhere, given], axis=1))
+    residual = equations.residual(ring, np.concatenate([model_of(x), given, steps], axis=1))
+    jacobian = equations.jacobian(ring, np.concatenate([anywhere, given, steps], axis=1))
+    Y = _inverses(equations, ring, jacobian[:, equations.own])
+    off = equations.test(ring, np.concatenate([Y, jacobian[:, equations.own], residual], axis=1))
+    found, entries = magnitude(off), Y.shape[1]
+    A, Z = found[:entries], np.maximum(found[entries:], _LEAST * sizes[equations.columns, None])
+    rho, holds = _fixed(equations, A, Z, magnitude(Y), magnitude(jacobian[:, equations.others]))
+    first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
+    proved, order = holds.all(axis=0), np.argsort(equations.columns)
+    switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, equations.columns[first])
+    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, entries:][:, order]
 
 
-def _at_points(function: ca.Function, jets: Array, p: Array, *columns: Array) -> list[Array]:
-    """Evaluate a function of (gamma, p, *columns) at N points, filled up to a power of two: few maps are compiled."""
-    count = len(jets)
-    full = 1 << (count - 1).bit_length()
-    padded = [np.concatenate([each, np.repeat(each[:, -1:], full - count, axis=1)], axis=1) for each in (p, *columns)]
-    jets = np.concatenate([jets, np.repeat(jets[-1:], full - count, axis=0)])
-    results = mapped(function, full)(side_by_side(jets), *padded)
-    results = results if isinstance(results, (list, tuple)) else [results]
-    return [each.reshape(-1, full, order="F")[:, :count].copy() for each in results]
+def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
+    """Return models without a radius of inverses of the blocks, interpolated at few nodes: any will do."""
+    coarse, (rows, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), J.shape
+    nodes = len(coarse.nodes)
+    values = np.zeros((nodes, len(blocks.whole[2]), boxes))
+    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ J[:-1].reshape(rows - 1, -1)).reshape(nodes, -1, boxes)
+    found, sizes = np.empty_like(values), np.diff(blocks.ends)
+    for size in np.unique(sizes).tolist():
+        where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
+        matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
+        matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
+        try:
+            inverses = 1.0 / matrices if size == 1 else np.linalg.inv(matrices)
+        except np.linalg.LinAlgError:
+            inverses = np.linalg.pinv(matrices)
+        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
+    Y = np.zeros((rows, *found.shape[1:]))
+    Y[:nodes] = coarse.tried(found)[:-1]
+    return Y
 
 
-def path_models(problem: Problem, ring: Arithmetic, begin: Array, end: Array, order: int) -> Model:
-    """Return models of the path and its derivatives on intervals, in the order of the equations' symbols."""
-    coefficients, radii = problem.reference.enclosure(begin, end, order, ring.degrees[0])
-    count = len(begin)
-    c = np.zeros((ring.degrees[0] + 1, len(ring.nodes) // (ring.degrees[0] + 1), radii[0].size, count))
-    c[:, 0] = np.moveaxis(coefficients.reshape(count, -1, ring.degrees[0] + 1), 0, 2).swapaxes(0, 1)
-    return c.reshape(len(ring.nodes), -1, count), radii.reshape(count, -1).T.copy()
+def _fixed(blocks: Equations, A: Array, Z: Array, Y: Array, J: Array) -> tuple[Array, Array]:
+    """Return rho (unknowns, boxes) with A rho + |Y| |J| rho + Z <= rho, by iteration, and where that holds."""
+    rho, holds = Z, np.zeros(Z.shape, dtype=bool)
+    for _ in range(_ITERATIONS):
+        earlier = _multiplied(blocks.beside, J, rho)
+        image = _multiplied(blocks.whole, A, rho) + _multiplied(blocks.whole, Y, earlier) + Z
+        holds = np.asarray((image * _ROUNDED <= rho) & np.isfinite(image))
+        settled = holds.all(axis=0) | ~np.isfinite(image).all(axis=0)
+        if settled.all():
+            break
+        rho = np.where(settled, rho, image * _ROOM)
+    return rho, holds
 
 
-def parameter_models(ring: Arithmetic, p: Array, boxed: dict[int, tuple[float, float]], count: int) -> Model:
-    """Return models of the parameters: numbers, and intervals in the order of the arithmetic's variables."""
-    c, r = ring.constant(np.tile(p[:, None], count))
-    shaped = c.reshape(*(d + 1 for d in ring.degrees), *c.shape[1:])
-    for axis, (k, (low, high)) in enumerate(boxed.items(), 1):
-        shaped[(*(0 for _ in ring.degrees), k)] = (low + high) / 2.0
-        shaped[(*(int(axis == each) for each in range(len(ring.degrees))), k)] = (high - low) / 2.0
-        r[k] = 4e-16 * max(abs(low), abs(high))
-    return c, r
+def _multiplied(pattern: tuple[Places, Places, Places], entries: Array, x: Array) -> Array:
+    """Return the product of sparse matrices with entries (N, boxes), row by row, and vectors (columns, boxes)."""
+    (rows, first, columns), product = pattern, np.zeros_like(x)
+    if len(entries):
+        product[rows] = np.add.reduceat(entries * x[columns], first, axis=0)
+    return product

@@ -6,20 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, norm
-from servocore.certificate.equations import answers, equations_of, guessed, parameter_models, path_models
-from servocore.certificate.krawczyk import joined, radii
-from servocore.certificate.programs import UP
+from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
+from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import Claim, Statement, Verdict
+from servocore.certificate.statements import Claim, Statement, Verdict, walk_of_limits
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
+from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _SPLINE, _BESIDE = 5, 1e-6  # degree; D, of a peak
@@ -53,26 +51,25 @@ class ErrorBound:
 
 
 def compared(
-    proofs: Sequence[Proof], solution: Solution | None, tolerance: float
+    proof: Proof, solution: Solution | None, tolerance: float
 ) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
     """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
 
     Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
     equations switch inputs have no value to compare with.
     """
-    proof = proofs[0]
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
-    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[_numbers(proof, t)]
+    ends = [each.end for each in proof.intervals[:-1]]
+    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[np.searchsorted(ends, t, side="right")]
     t = t[calm]
-    c, r = unknowns_at(proof, t, places)
-    middle, radius = c[0], (norm(c[1:]) + r) * UP
+    unknowns = unknowns_at(proof, t, places)
+    middle, radius = unknowns[0], magnitude(unknowns[1:])
     apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    all_calm = [each for some in proofs for each in some.intervals if not some.jumps_within(each)]
-    between = np.max([each.rho[places] for each in all_calm], axis=0)
+    between = np.max([each.x[-1, places] for each in proof.intervals if not proof.jumps_within(each)], axis=0)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
@@ -90,36 +87,29 @@ def compared(
     return bounds, found, claims
 
 
-def _numbers(proof: Proof, t: Array) -> npt.NDArray[np.intp]:
-    """Return the numbers of the intervals of times."""
-    ends = [each.end for each in proof.intervals[:-1]]
-    return np.searchsorted(ends, t, side="right")
-
-
 def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
     """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    ends, numbers = np.array([each.end for each in proof.intervals]), _numbers(proof, t)
-    a, b = np.array([each.begin for each in proof.intervals])[numbers], ends[numbers]
+    begins, ends = np.array([(each.begin, each.end) for each in proof.intervals]).T
+    numbers = np.searchsorted(ends[:-1], t, side="right")
+    a, b = begins[numbers], ends[numbers]
     position = (2.0 * t - a - b) / (b - a)
+    found = proof.enclosures[:, places][..., numbers]
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    models, count = proof.enclosures, len(places)
-    c, rho = np.moveaxis(models[0][:, places], 2, 0), models[1][places][:, numbers]
-    shaped = c.reshape(len(ends), basis.shape[1], -1)
-    x = (basis[:, None] @ shaped[numbers]).reshape(len(t), -1, count).transpose(1, 2, 0)
+    shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
     # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
     late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
-    share = (np.arange(basis.shape[1]) ** 2.0 + 12.0) @ np.abs(shaped)
-    noise = share.reshape(len(ends), -1, count).sum(axis=1)[numbers].T * late
-    return x, np.where(np.abs(position) > 1.0 + 1e-9, np.inf, rho + noise)
+    noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped), 1).sum(axis=0) * late
+    radius = np.where(np.abs(position) > 1.0 + 1e-9, np.inf, found[-1] + noise)
+    return model_of(np.einsum("nd,dpkn->pkn", basis, shaped), radius)
 
 
 def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
-    ring = arithmetic((0, *proof.ring.degrees[1:]))
-    walk = proof.equations.walk([(Named(name)(proof.problem.system), False) for name in names])
-    path = path_models(proof.problem, ring, t, t, proof.equations.path_order)
-    given = joined(path, parameter_models(ring, proof.problem.p, proof.boxed, len(t)))
-    low, high = ring.span(walk(ring, joined(unknowns_at(proof, t, range(len(proof.peaks))), given)))
+    ring, equations = arithmetic((0, *proof.ring.degrees[1:])), proof.equations
+    walk = walk_of_limits(equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
+    given = given_models(proof.problem, equations.array, ring, np.array([t, t]), proof.boxed)
+    unknowns = unknowns_at(proof, t, range(len(proof.peaks)))
+    low, high = ring.span(walk(ring, np.concatenate([unknowns, given], axis=1)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)
 
@@ -132,15 +122,15 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
     """
     what, t = "one regular solution of the algebraic equations at the computed states", solution.t
     equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
-    array, p = equations.array, np.tile(problem.p[:, None], len(t))
-    guess, degree = guessed(problem, array, t, p), min(_SPLINE, len(t) - 1)
+    array, guess, degree = equations.array, guessed_unknowns(problem, t), min(_SPLINE, len(t) - 1)
     for k, (j, order) in enumerate(array.unknowns):
         if j < len(problem.system.coordinates) and order <= degree:
             curve = make_interp_spline(t, solution[array.names[j].removeprefix("q.")], k=degree)
             guess[k] = curve.derivative(order)(t)
-    found = answers(problem, array, t, p, guess)
+    found = unknowns_from(problem, t, guess)
     x, states = found[array.places(array.determined)], found[array.places(array.states)]
-    given = joined(path_models(problem, ring, t, t, equations.path_order), ring.constant(p), ring.constant(states))
+    given = given_models(problem, array, ring, np.array([t, t]), {})
+    given = np.concatenate([given, ring.constant(states)], axis=1)
     sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
     D = np.tile(_BESIDE * sizes[:, None], len(t))
     rho, *_ = radii(equations, ring, np.nan_to_num(x)[None], given, D, sizes)

@@ -1,8 +1,8 @@
 /* Sums, differences and products of Chebyshev models, LANES boxes side by side.
 
-   A model is an array of rows, one per coefficient and one with the radius, of one number per box. The places of the
-   products of coefficients come as a table; pairs with a coefficient that is zero in all lanes, as of what does not
-   depend on a parameter, are left out. The bounds are those of programs.py. */
+   A model is an array of rows, one per coefficient and one with the radius, of one number per box. Pairs with a
+   coefficient that is zero in all lanes, as of what does not depend on a parameter, are left out. The bounds are those
+   of programs.py. */
 
 #include <stddef.h>
 
@@ -38,10 +38,11 @@ static int used(const double *row)
     return any;
 }
 
-static void multiply(whole terms, whole targets, whole full, const whole *table, const whole *kept, double rounding,
-                     const double *a, const double *b, double *restrict results, double *restrict to)
+static void multiply(const whole *tape, double rounding, const double *a, const double *b, double *restrict results,
+                     double *restrict to)
 {
     double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES];
+    const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 3;
     const double *r = a + terms * LANES, *s = b + terms * LANES;
     double share = 1.0 / targets;
     for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
@@ -59,14 +60,8 @@ static void multiply(whole terms, whole targets, whole full, const whole *table,
             }
         }
     }
-    EACH beyond[l] = 0.0;
-    for (whole k = 0; k < full; ++k) {
-        const double *from = results + k * LANES;
-        if (kept[k] < 0)
-            EACH beyond[l] += magnitude(from[l]);
-        else
-            EACH to[kept[k] * LANES + l] = from[l];
-    }
+    for (whole k = 0; k < terms * LANES; ++k) to[k] = results[k];
+    norm(full - terms, results + terms * LANES, beyond);
     norm(terms, a, size_a);
     norm(terms, b, size_b);
     EACH {
@@ -76,35 +71,36 @@ static void multiply(whole terms, whole targets, whole full, const whole *table,
     }
 }
 
-/* Steps have an operation, the slot of the result and those of the arguments. Inputs are read from places among the
-   models, an array (rows, places, boxes), to slots, and outputs are written back. */
-void sc_programs(whole terms, whole targets, whole full, const whole *table, const whole *kept, whole count,
-                 whole reads, whole writes, const whole *steps, const whole *read, const whole *inputs,
-                 const whole *written, const whole *outputs, whole places, whole boxes, double *models,
-                 double *scratch, double rounding)
+/* The first tape has the numbers of terms, of results of a pair of coefficients and of all results, and the places of
+   the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
+   operation, the slot of the result and those of the arguments, and for inputs and outputs slots and places among the
+   models, an array (rows, places, boxes). */
+void sc_programs(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes,
+                 double rounding)
 {
-    whole rows = terms + 1, size = rows * LANES;
-    double *results = scratch, *slots = scratch + full * LANES;
+    const whole *steps = tape + 3, *inputs = steps + 4 * tape[0], *outputs = inputs + 2 * tape[1];
+    whole terms = products[0], rows = terms + 1, size = rows * LANES;
+    double *results = scratch, *slots = scratch + products[2] * LANES;
     for (whole first = 0; first < boxes; first += LANES) {
         whole lanes = boxes - first < LANES ? boxes - first : LANES;
-        for (whole n = 0; n < reads; ++n)
+        for (whole n = 0; n < tape[1]; ++n)
             for (whole k = 0; k < rows; ++k) {
-                const double *from = models + (k * places + inputs[n]) * boxes + first;
-                double *to = slots + read[n] * size + k * LANES;
+                const double *from = models + (k * places + inputs[2 * n + 1]) * boxes + first;
+                double *to = slots + inputs[2 * n] * size + k * LANES;
                 EACH to[l] = l < lanes ? from[l] : 0.0;
             }
-        for (whole n = 0; n < count; ++n) {
+        for (whole n = 0; n < tape[0]; ++n) {
             const whole *step = steps + 4 * n;
             double *to = slots + step[1] * size, *a = slots + step[2] * size, *b = slots + step[3] * size;
             if (step[0] < 2)
                 add(terms, step[0] ? -1.0 : 1.0, a, b, to);
             else
-                multiply(terms, targets, full, table, kept, rounding, a, b, results, to);
+                multiply(products, rounding, a, b, results, to);
         }
-        for (whole n = 0; n < writes; ++n)
+        for (whole n = 0; n < tape[2]; ++n)
             for (whole k = 0; k < rows; ++k) {
-                const double *from = slots + written[n] * size + k * LANES;
-                double *to = models + (k * places + outputs[n]) * boxes + first;
+                const double *from = slots + outputs[2 * n] * size + k * LANES;
+                double *to = models + (k * places + outputs[2 * n + 1]) * boxes + first;
                 for (whole l = 0; l < lanes; ++l) to[l] = from[l];
             }
     }

@@ -1,21 +1,24 @@
 """Sums and products of Chebyshev models, thousands at once: in machine code where it is there, in NumPy elsewhere.
 
-T_i T_j = (T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients, in orders of their
-own: the bounds of their rounding errors hold for any.
+A model is an array of coefficients with the radius below them, shape (terms + 1, count, boxes). T_i T_j =
+(T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients, in orders of their own: the
+bounds of their rounding errors hold for any.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import JustInTime
@@ -38,6 +41,7 @@ _SOURCE = Path(__file__).with_name("programs.c")
 _LANES = 16  # boxes side by side in machine code
 
 Places: TypeAlias = npt.NDArray[np.intp]
+Step: TypeAlias = tuple[int, int, int, int]
 _Run: TypeAlias = Callable[..., None]
 
 
@@ -59,42 +63,37 @@ class Products:
     degrees: tuple[int, ...]
 
     @cached_property
+    def orders(self) -> Places:
+        """Order of each coefficient in each variable, shape (variables, terms)."""
+        return _orders(self.degrees)
+
+    @cached_property
     def places(self) -> Places:
-        """Places of the results of every pair of coefficients, shape (terms^2, 2^variables)."""
-        orders = np.indices([d + 1 for d in self.degrees]).reshape(len(self.degrees), -1)
-        places = np.zeros((orders.shape[1] ** 2, 1), dtype=np.intp)
-        for d, order in zip(self.degrees, orders, strict=True):
-            up, down = (order[:, None] + order).ravel(), np.abs(order[:, None] - order).ravel()
-            both = (up, down) if d else (up,)
-            places = np.concatenate([places * (2 * d + 1) + each[:, None] for each in both], axis=1)
-        return np.ascontiguousarray(places)
+        """Places of the results of every pair of coefficients, shape (terms, terms, 2^variables).
+
+        Those within the degrees come first, then those beyond.
+        """
+        up, down = (
+            self.orders[:, :, None] + self.orders[:, None],
+            np.abs(self.orders[:, :, None] - self.orders[:, None]),
+        )
+        both, shape = zip(up, down, strict=True), [2 * d + 1 for d in self.degrees]
+        places = np.stack([np.ravel_multi_index(choice, shape) for choice in product(*both)], axis=-1)
+        beyond = (_orders([2 * d for d in self.degrees]) > np.array(self.degrees)[:, None]).any(axis=0)
+        return np.asarray(np.argsort(np.argsort(beyond, kind="stable"))[places])
 
     @cached_property
-    def kept(self) -> Places:
-        """Number of each coefficient of a product among those within the degrees, -1 for those beyond."""
-        orders = np.indices([2 * d + 1 for d in self.degrees]).reshape(len(self.degrees), -1)
-        within = (orders <= np.array(self.degrees)[:, None]).all(axis=0)
-        return np.where(within, np.cumsum(within) - 1, -1)
+    def sums(self) -> list[csr_array]:
+        """For each coefficient of a, the matrix from its products with those of b to the results."""
+        (_, terms, targets), full = self.places.shape, prod(2 * d + 1 for d in self.degrees)
+        shares, pairs = np.full(terms * targets, 1.0 / targets), np.repeat(np.arange(terms), targets)
+        return [csr_array((shares, (places.ravel(), pairs)), (full, terms)) for places in self.places]
 
     @cached_property
-    def additions(self) -> list[list[tuple[Places, Places]]]:
-        """For each coefficient of a, terms of b and places of their products, which differ: `np.add.at` is slow."""
-        terms, found = prod(d + 1 for d in self.degrees), list[list[tuple[Places, Places]]]()
-        for places in self.places.reshape(terms, terms, -1):
-            found.append([])
-            for place in places.T:
-                left = np.arange(terms)
-                while left.size:
-                    different, first = np.unique(place[left], return_index=True)
-                    found[-1].append((left[first], different))
-                    left = np.delete(left, first)
-        return found
-
-    @cached_property
-    def addresses(self) -> tuple[int, ...]:
-        """Number of terms, of results of a pair and of coefficients of a product, and where the tables are."""
-        sizes = prod(d + 1 for d in self.degrees), self.places.shape[1], len(self.kept)
-        return *sizes, self.places.ctypes.data, self.kept.ctypes.data
+    def tape(self) -> tuple[Places, int]:
+        """For machine code: numbers of terms, of results of a pair and of all results, and the places; its address."""
+        tape = np.array([*self.places.shape[1:], prod(2 * d + 1 for d in self.degrees), *self.places.ravel()])
+        return tape, tape.ctypes.data
 
     @cached_property
     def rounding(self) -> float:
@@ -106,23 +105,24 @@ class Products:
         return (prod(2 * d + 2 for d in self.degrees) + 2) * UNIT / 2.0
 
     def multiplied(self, a: Array, b: Array) -> Array:
-        """Return products of models with the radius below the coefficients, shape (terms + 1, N, boxes).
+        """Return products of models.
 
         Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
-        full = np.zeros((len(self.kept), *a.shape[1:]))
-        for coefficient, parts in zip(a[:-1], self.additions, strict=True):
-            products = coefficient * b[:-1] / self.places.shape[1]
-            for terms, places in parts:
-                full[places] += products[terms]
-        beyond, size_a, size_b = self.kept < 0, norm(a[:-1]), norm(b[:-1])
+        terms = len(a) - 1
+        full = sum(matrix @ (c * b[:-1]).reshape(terms, -1) for matrix, c in zip(self.sums, a[:-1], strict=True))
+        full, size_a, size_b = full.reshape(-1, *a.shape[1:]), norm(a[:-1]), norm(b[:-1])
         crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
-        r = (norm(full[beyond]) + self.rounding * size_a * size_b + crossed) * UP
-        return np.concatenate([full[~beyond], (r + _TINY * (r > 0))[None]])
+        r = (norm(full[terms:]) + self.rounding * size_a * size_b + crossed) * UP
+        return np.concatenate([full[:terms], (r + _TINY * (r > 0))[None]])
 
 
-def summed(a: Array, b: Array, sign: float) -> Array:
-    """Return a + b or a - b, coefficients and below them the radius: a coefficient is rounded by a unit of itself."""
+def _orders(degrees: Sequence[int]) -> Places:
+    return np.indices([d + 1 for d in degrees]).reshape(len(degrees), -1)
+
+
+def summed(a: Array, b: Array, sign: float = 1.0) -> Array:
+    """Return a + b, or a - b for `sign` -1: a coefficient is rounded by a unit of itself."""
     found = a + sign * b
     found[-1] = (a[-1] + b[-1] + UNIT * norm(found[:-1])) * UP
     return found
@@ -134,79 +134,62 @@ class Program:
 
     Parameters
     ----------
-    steps : ndarray of int, shape (N, 4)
+    steps : sequence of (int, int, int, int)
         Operation, place of the result, places of the arguments.
-    wanted : set of int
+    wanted : collection of int
         Places of the results that are read afterwards.
     """
 
-    steps: Places
-    wanted: set[int]
-
-    @cached_property
-    def inputs(self) -> Places:
-        """Places of models that are known before."""
-        return np.setdiff1d(self.steps[:, 2:], self.steps[:, 1])
-
-    @cached_property
-    def outputs(self) -> Places:
-        """Places of the results that are read afterwards."""
-        return np.array(sorted(self.wanted.intersection(self.steps[:, 1].tolist())), dtype=np.intp)
+    steps: Sequence[Step]
+    wanted: Collection[int]
 
     @cached_property
     def levels(self) -> list[tuple[int, Places]]:
         """Operations of one kind with known arguments together, each with places (3, N)."""
         level: dict[int, int] = {}
         grouped: dict[tuple[int, int], list[list[int]]] = {}
-        for operation, *places in self.steps.tolist():
+        for operation, *places in self.steps:
             level[places[0]] = 1 + max(level.get(each, 0) for each in places[1:])
             grouped.setdefault((level[places[0]], operation), []).append(places)
         return [(operation, np.array(members, dtype=np.intp).T) for (_, operation), members in sorted(grouped.items())]
 
     @cached_property
-    def slots(self) -> tuple[list[Places], int]:
-        """Steps, inputs and outputs with places that are used again, and how many of them there are."""
-        last = {place: at for at, (_, *places) in enumerate(self.steps.tolist()) for place in places}
-        last |= dict.fromkeys(self.outputs.tolist(), len(self.steps))
-        slot = {place: k for k, place in enumerate(self.inputs.tolist())}
-        free, count, found = list[int](), len(slot), list[list[int]]()
-        for at, (operation, result, *arguments) in enumerate(self.steps.tolist()):
+    def tape(self) -> tuple[Places, int, int]:
+        """For machine code: steps, inputs and outputs with slots, used again; its address; the number of slots."""
+        made = {result for _, result, *_ in self.steps}
+        last = {place: at for at, (_, *places) in enumerate(self.steps) for place in places}
+        slot = {place: k for k, place in enumerate(sorted(last.keys() - made))}
+        outputs = sorted(made.intersection(self.wanted))
+        last |= dict.fromkeys(outputs, len(self.steps))
+        read, free, count, found = [(k, place) for place, k in slot.items()], list[int](), len(slot), list[Step]()
+        for at, (operation, result, a, b) in enumerate(self.steps):
             if not free:
                 free, count = [count], count + 1
             # A result has a slot of its own: its arguments are read while it is written.
             slot[result] = free.pop()
-            found.append([operation, slot[result], *(slot[each] for each in arguments)])
-            free += {slot[each] for each in (result, *arguments) if last[each] == at}
-        both = ([slot[each] for each in some.tolist()] for some in (self.inputs, self.outputs))
-        return [np.array(each, dtype=np.intp) for each in (found, *both)], count
-
-    @cached_property
-    def addresses(self) -> tuple[tuple[int, ...], int]:
-        """How many steps, inputs and outputs there are, and where they are; how many places they need."""
-        (steps, read, written), count = self.slots
-        arrays = (steps, read, self.inputs, written, self.outputs)
-        return (len(steps), len(read), len(written), *(each.ctypes.data for each in arrays)), count
+            found.append((operation, slot[result], slot[a], slot[b]))
+            free += {slot[each] for each in (result, a, b) if last[each] == at}
+        parts = found, read, [(slot[place], place) for place in outputs]
+        tape = np.concatenate([[len(each) for each in parts], *(np.ravel(each) for each in parts)]).astype(np.intp)
+        return tape, tape.ctypes.data, count
 
     def __call__(self, tables: Products, models: Array) -> None:
-        """Carry the steps out on models (terms + 1, places, boxes), radii below the coefficients; results in place."""
-        if not len(self.steps):
+        """Carry the steps out on models (terms + 1, places, boxes); results in place."""
+        if not self.steps:
             return
         run = machine_code().best(len(self.steps) * models.shape[2])
         if run is not None:
-            own, count = self.addresses
-            scratch = np.empty((count * len(models) + len(tables.kept)) * _LANES)
-            run(*tables.addresses, *own, *models.shape[1:], models.ctypes.data, scratch.ctypes.data, tables.rounding)
+            (products, address), (_, own, count) = tables.tape, self.tape
+            scratch = np.empty((count * len(models) + products[2]) * _LANES)
+            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:], tables.rounding)
             return
-        work = np.zeros((len(models), max(models.shape[1], self.steps.max(initial=0) + 1), models.shape[2]))
-        work[:, : models.shape[1]] = models
+        count, most = models.shape[1], max(result for _, result, *_ in self.steps)
+        work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
+        work[:, :count] = models
+        rules = [summed, lambda a, b: summed(a, b, -1.0), tables.multiplied]  # of PLUS, MINUS and TIMES
         for operation, (result, a, b) in self.levels:
-            left, right = work[:, a], work[:, b]
-            work[:, result] = (
-                tables.multiplied(left, right)
-                if operation == TIMES
-                else summed(left, right, 1.0 if operation == PLUS else -1.0)
-            )
-        models[:] = work[:, : models.shape[1]]
+            work[:, result] = rules[operation](work[:, a], work[:, b])
+        models[:] = work[:, :count]
 
 
 @made_once
@@ -220,16 +203,8 @@ def machine_code() -> JustInTime[_Run]:
 
     def load(library: Path) -> _Run:
         run = ctypes.CDLL(str(library)).sc_programs
-        some, many = ctypes.c_ssize_t, ctypes.c_void_p
-        run.restype, run.argtypes = None, [
-            some, some, some, many, many, some, some, some, many, many, many, many, many, some, some, many, many,
-            ctypes.c_double,
-        ]  # fmt: skip
+        run.restype = None
+        run.argtypes = [*[ctypes.c_void_p] * 4, *[ctypes.c_ssize_t] * 2, ctypes.c_double]
         return run
 
     return JustInTime(make, load)
-
-
-def program_of(steps: Iterable[tuple[int, int, int, int]], wanted: set[int]) -> Program:
-    """Return a program of steps: operation, place of the result, places of the arguments."""
-    return Program(np.array(list(steps), dtype=np.intp).reshape(-1, 4), wanted)

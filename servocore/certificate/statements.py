@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, norm
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
+from servocore.structure.derivative_array import in_variables
 
 Verdict = Literal["proved", "refuted", "undecided"]
 
@@ -30,7 +29,7 @@ LIMIT = "limit of "
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
-_HALVED_RUNS = 0, 4, 7  # how often intervals are halved for integrals, the next number where one is undecided
+_HALVED_RUNS = 4  # how often intervals are halved for integrals
 _POSITIVE = 1e-300  # a pivot that is not zero
 
 
@@ -88,25 +87,21 @@ class Claim:
 @made_once
 def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
     """Return what is claimed of every motion of a system: signs, constraints left out as redundant, and masses."""
-    signed = [each for each in reported_quantities(resolved.system).values() if each.positive]
     claims = [
         Claim(f"{each.name} positive", Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name)))
-        for each in signed
+        for each in reported_quantities(resolved.system).values()
+        if each.positive
     ]
     for k in range(resolved.left_out.numel()):
-        share = partial(_entry, resolved.left_out_shares, k)
-        off = Limit("", "", -LEFT_OUT_HOLDS, "", share, upper=LEFT_OUT_HOLDS)
+        share = resolved.left_out_shares[k]
+        off = Limit("", "", -LEFT_OUT_HOLDS, "", lambda _, share=share: share, upper=LEFT_OUT_HOLDS)
         claims.append(Claim("redundant constraints hold", off, f"constraint {k + 1} of them does not hold"))
     pivots, free = _pivots(resolved.system), not resolved.system.G.nnz()
     what = "mass matrix definite on all motions that the constraints allow"
-    for k in range(pivots.numel()):
-        pivot = Limit("", "", _POSITIVE, "", partial(_entry, pivots, k))
-        claims.append(Claim(what, pivot, "the mass matrix is negative", free))
+    for pivot in ca.vertsplit(pivots):
+        positive = Limit("", "", _POSITIVE, "", lambda _, pivot=pivot: pivot)
+        claims.append(Claim(what, positive, "the mass matrix is negative", free))
     return tuple(claims)
-
-
-def _entry(expressions: ca.SX, k: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - called with the system
-    return expressions[k]
 
 
 def _pivots(system: MechanicalSystem) -> ca.SX:
@@ -132,186 +127,136 @@ def _unbounded(limit: Limit) -> Limit:
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    return equations.walk([(limit.on(equations.array.system), limit.rate) for limit in limits])
+    system, y, values = equations.array.system, equations.array.y, list[ca.SX]()
+    for limit in limits:
+        value = in_variables(system, limit.on(system), y)
+        values.append(time_derivative(value, y, system.gamma) if limit.rate else value)
+    return Walk(ca.vertcat(*values), equations.symbols)
 
 
 @made_once
 def known(equations: Equations, limit: Limit) -> bool:
     """Whether the equations enclose all derivatives of the path that a limit compares."""
     system = equations.array.system
-    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.path_order
+    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.array.reference_order
 
 
-@dataclass(frozen=True, eq=False)
-class Boxes:
-    """Boxes of time and parameters with enclosures of the unknowns, the path and the parameters on them.
-
-    Attributes
-    ----------
-    ring : Arithmetic
-        Of the models.
-    c, r : ndarray, shape (terms, arguments, boxes) and (arguments, boxes)
-        The models.
-    low, high : ndarray, shape (boxes, variables)
-        Corners of the boxes.
-    """
-
-    ring: Arithmetic
-    c: Array
-    r: Array
-    low: Array
-    high: Array
-
-    def place(self, box: int, node: int) -> Array:
-        """Return time and parameters of a node of a box."""
-        low, high = self.low[box], self.high[box]
-        return np.asarray((low + high) / 2.0 + (high - low) / 2.0 * self.ring.nodes[node])
-
-    def of(self, chosen: npt.NDArray[np.bool_]) -> Boxes:
-        """Return some of the boxes."""
-        return Boxes(self.ring, self.c[..., chosen], self.r[:, chosen], self.low[chosen], self.high[chosen])
-
-    def halved(self, c: Array) -> Boxes:
-        """Return the halves of the boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
-        degrees, size = self.ring.degrees, np.maximum(norm(c), 1e-300)
-        orders = np.indices([d + 1 for d in degrees]).reshape(len(degrees), -1)
-        by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in orders], axis=0)
-        parts = list[tuple[Array, ...]]()
-        for k in range(len(degrees)):
-            own = self.of(by == k)
-            for late, model in enumerate(self.ring.halved((own.c, own.r), k)):
-                corners = own.low.copy(), own.high.copy()
-                corners[1 - late][:, k] = (own.low[:, k] + own.high[:, k]) / 2.0
-                parts.append((*model, *corners))
-        return Boxes(self.ring, *_together(parts))
+def boxes_of(proof: Proof) -> Model:
+    """Return enclosures on the intervals of a proof within the path: boxes of time and parameters."""
+    return proof.enclosures[..., [not each.outside for each in proof.intervals]]
 
 
-def boxes_of(proofs: Sequence[Proof]) -> Boxes:
-    """Return the intervals of proofs within the path as boxes."""
-    parts = list[tuple[Array, ...]]()
-    for proof in proofs:
-        inner = [k for k, each in enumerate(proof.intervals) if not each.outside]
-        sides = ([getattr(proof.intervals[k], name) for k in inner] for name in ("begin", "end"))
-        corners = (
-            np.column_stack([times, *(np.full(len(inner), box[end]) for box in proof.boxed.values())])
-            for end, times in enumerate(sides)
-        )
-        parts.append((proof.enclosures[0][..., inner], proof.enclosures[1][:, inner], *corners))
-    return Boxes(proofs[0].ring, *_together(parts))
+def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
+    """Return the halves of boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
+    size = np.maximum(norm(c), 1e-300)
+    by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in ring.orders], axis=0)
+    halves = (half for k in range(len(ring.degrees)) for half in ring.halved(boxes[..., by == k], k))
+    return np.concatenate(list(halves), axis=2)
 
 
-def _together(parts: Sequence[tuple[Array, ...]]) -> Iterator[Array]:
-    return (np.concatenate(some, axis) for some, axis in zip(zip(*parts, strict=True), (2, 1, 0, 0), strict=True))
+Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
+"""Whether a quantity keeps its bounds; where it fails or is not decided the arguments of the walk and the quantity, NaN
+if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
-@dataclass
-class Decision:
-    """Whether a quantity keeps its bounds.
-
-    Attributes
-    ----------
-    verdict : str
-        As that of a statement.
-    at : ndarray or None
-        Time and parameters where it fails, or where that is not decided.
-    value : float
-        The quantity there.
-    least, most : float
-        Bounds of the quantity where it is proved to keep its bounds.
-    """
-
-    verdict: Verdict = "proved"
-    at: Array | None = None
-    value: float = np.nan
-    least: float = np.inf
-    most: float = -np.inf
-
-
-def decided(boxes: Boxes, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
+def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
     """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
-    ring, found = boxes.ring, [Decision() for _ in lower]
-    lower, upper, open_ = lower[:, None], upper[:, None], np.ones(len(lower), dtype=bool)
+    found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
+    least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
+    lower, upper = lower[:, None], upper[:, None]
     for halvings in range(_HALVINGS):
-        c, r = walk(ring, (boxes.c, boxes.r))
-        low, high = ring.span((c, r))
+        models = walk(ring, boxes)
+        low, high = ring.span(models)
         kept = (low >= lower) & (high <= upper)
-        least, most = low.min(axis=1, initial=np.inf, where=kept), high.max(axis=1, initial=-np.inf, where=kept)
-        for k, each in enumerate(found):
-            each.least, each.most = min(each.least, float(least[k])), max(each.most, float(most[k]))
+        least = np.minimum(least, low.min(axis=1, initial=np.inf, where=kept))
+        most = np.maximum(most, high.max(axis=1, initial=-np.inf, where=kept))
         some = np.asarray(~kept[open_].all(axis=0))
         if not some.any():
             break
-        boxes, c, r, kept = boxes.of(some), c[..., some], r[:, some], kept[:, some]
-        values, noise = ring.values(c), r + (len(c) + 8) * UNIT * norm(c)
+        boxes, models, kept = boxes[..., some], models[..., some], kept[:, some]
+        c, r, values = models[:-1], models[-1], ring.values(models)
+        noise = r + (len(c) + 8) * UNIT * norm(c)
         beyond = np.maximum(lower - values, values - upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
         # Where the radius is more than what the polynomial varies by, halves tell nothing new.
-        wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes.r).all(axis=0) | (halvings >= _HALVED_FIRST))
+        wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes[-1]).all(axis=0) | (halvings >= _HALVED_FIRST))
         lost = certain | ~kept & (wide | (halvings == _HALVINGS - 1) | (kept.shape[1] > _MOST))
         for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
             open_[k] = not certain[k].any()
             worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
             node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
-            found[k].verdict, found[k].at = "undecided" if open_[k] else "refuted", boxes.place(box, node)
-            found[k].value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
+            value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
+            found[k] = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box], value
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
-        boxes = boxes.of(again).halved(c[:, open_][..., again])
-    return found
+        boxes = _halved(ring, boxes[..., again], c[:, open_][..., again])
+    extents = zip(least.tolist(), most.tolist(), strict=True)
+    return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
 
 
-def statements_of(proofs: Sequence[Proof], claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
+def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
     """Decide claims between the instants too: each statement is proved if all its claims are."""
-    equations = proofs[0].equations
-    names = ["t", *(proofs[0].problem.system.parameters.names[k] for k in proofs[0].boxed)]
-    limits = {each: _unbounded(each.limit) for each in claims if known(equations, _unbounded(each.limit))}
-    walk = walk_of_limits(equations, tuple(limits.values()))  # it is kept, whatever the bounds are
+    equations = proof.equations
+    # Walks are kept, whatever the bounds are.
+    limits = {each: _unbounded(each.limit) for each in claims if not each.limit.over_run}
+    limits = {each: limit for each, limit in limits.items() if known(equations, limit)}
+    walk = walk_of_limits(equations, tuple(limits.values()))
     bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
-    decisions = dict(zip(limits, decided(boxes_of(proofs), walk, *bounds), strict=True))
+    decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))
     found = dict[str, Statement]()
     for each in claims:
-        decision, time = decisions.get(each, Decision("undecided")), None
-        if each not in decisions:
-            sentence = "it depends on higher derivatives of the path than the inputs do"
-        elif each.limit.rate and jumps and decision.verdict == "proved":
-            decision, time = Decision("undecided"), min(jumps)
-            sentence = f"inputs jump at t = {time:.6g} s, where rates have no bound"
-        elif decision.at is None:
-            extent = map(each.limit.with_unit, (decision.least, decision.most))
-            sentence = "it stays from {} to {}".format(*extent) if not each.told else ""
-        else:
-            sentence, time = _failure(each, decision, names), float(decision.at[0])
-        verdict = "undecided" if decision.verdict == "refuted" and not each.refutable else decision.verdict
-        before = found.get(each.what)
-        if before is None or before.verdict == "proved" or (before.verdict, verdict) == ("undecided", "refuted"):
-            found[each.what] = Statement(each.what, verdict, sentence, time)
+        statement = Statement(each.what, "undecided", "it depends on higher derivatives of the path than the inputs do")
+        if each.limit.over_run:
+            statement = _of_run(proof, each)
+        elif each in decisions:
+            statement = _of_all_times(proof, each, decisions[each], jumps)
+        before = found.setdefault(each.what, statement)
+        if before.verdict == "proved" or (before.verdict, statement.verdict) == ("undecided", "refuted"):
+            found[each.what] = statement
     return list(found.values())
 
 
-def run_statements(proofs: Sequence[Proof], limits: Sequence[Limit]) -> list[Statement]:
-    """Decide limits of what the run adds up, from enclosures of the integrals over all intervals."""
-    proof, path, statements = proofs[0], proofs[0].problem.reference, list[Statement]()
-    for limit in limits:
-        assert limit.over_run is not None
-        low, high, kept, refuted = -np.inf, np.inf, False, False
-        # Halves of parameters have no common time: boxes with parameters stay whole.
-        for halvings in _HALVED_RUNS if not proof.boxed and not proof.unproved else (0,):
-            sums = [_integral(each, walk_of_limits(each.equations, (limit,)), halvings) for each in proofs]
-            bounds = [[float(limit.over_run.of_sum(each, path.duration)) for each in ends] for ends in sums]
-            low, high = min(least for least, _ in bounds), max(most for _, most in bounds)
-            refuted = any(least > limit.upper or most < limit.bound for least, most in bounds)
-            kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
-            if refuted or kept:
-                break
-        verdict: Verdict = "refuted" if refuted else "proved" if kept else "undecided"
-        between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
-        text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
-        statements.append(Statement(f"{LIMIT}{limit.quantity}", verdict, text))
-    return statements
+def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collection[float]) -> Statement:
+    (verdict, at, value, extent), limit = decision, claim.limit
+    if verdict == "proved" and limit.rate and jumps:
+        text = f"inputs jump at t = {min(jumps):.6g} s, where rates have no bound"
+        return Statement(claim.what, "undecided", text, min(jumps))
+    if verdict == "proved":
+        text = "" if claim.told else "it stays from {} to {}".format(*map(limit.with_unit, extent))
+        return Statement(claim.what, verdict, text)
+    names = proof.problem.system.parameters.names
+    given, time = at[-1 - len(names) : -1], float(at[-1])  # the last arguments
+    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)])
+    if not np.isfinite(value):
+        text = f"the motion is not proved at {place}"
+    elif claim.told:
+        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
+    else:
+        bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
+        text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
+        text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
+        text += f", {limit.reason}" if limit.reason else ""
+    return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
 
 
-def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
+def _of_run(proof: Proof, claim: Claim) -> Statement:
+    """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
+    limit = claim.limit
+    assert limit.over_run is not None
+    ends = np.array(_integral(proof, limit))
+    low, high = limit.over_run.of_sum(ends, proof.problem.reference.duration).tolist()
+    verdict: Verdict = "undecided"
+    if low > limit.upper or high < limit.bound:
+        verdict = "refuted"
+    elif limit.bound <= low and high <= limit.upper and known(proof.equations, limit):
+        verdict = "proved"
+    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+    return Statement(claim.what, verdict, text)
+
+
+def _integral(proof: Proof, limit: Limit) -> tuple[float, float]:
     """Return bounds of the integral of a quantity over the run, for all parameters of the box.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
@@ -319,33 +264,16 @@ def _integral(proof: Proof, walk: Walk, halvings: int) -> tuple[float, float]:
     """
     if proof.unproved:
         return -np.inf, np.inf
-    boxes = boxes_of([proof])
-    for _ in range(halvings):
-        boxes = boxes.halved(boxes.c)
-    orders = np.indices([d + 1 for d in boxes.ring.degrees]).reshape(len(boxes.ring.degrees), -1)
-    k, alone = orders[0], (orders[1:] == 0).all(axis=0)
-    means = np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
-    (c, r), widths = walk(boxes.ring, (boxes.c, boxes.r)), boxes.high[:, 0] - boxes.low[:, 0]
-    c = c[:, 0]
-    middle = (means * alone) @ c
-    radius = r[0] + np.abs(c[~alone]).sum(axis=0) + (len(c) + 8) * UNIT * norm(c)
-    total, slack = float(middle @ widths), 4.0 * len(widths) * UNIT * float(np.abs(middle) @ widths)
-    off = float(radius @ widths) * (1.0 + 1e-9) + slack
+    ring, boxes = proof.ring, boxes_of(proof)
+    # Halves of parameters have no common time: boxes with parameters stay whole.
+    for _ in range(0 if proof.boxed else _HALVED_RUNS):
+        boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
+    k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
+    means = alone * np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
+    (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
+    middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
+    widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
+    slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
+    total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
     return total - off, total + off
-
-
-def _failure(claim: Claim, decision: Decision, names: Sequence[str]) -> str:
-    assert decision.at is not None
-    limit, value, undecided = claim.limit, decision.value, decision.verdict == "undecided"
-    time, *given = (f"{name} = {each:.6g}" for name, each in zip(names, decision.at, strict=True))
-    place = ", ".join([f"{time} s", *given])
-    if not np.isfinite(value):
-        return f"the motion is not proved at {place}"
-    if claim.told:
-        return f"{'not decided whether ' * undecided}{claim.told} at {place}"
-    bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
-    why = f", {limit.reason}" if limit.reason else ""
-    return (
-        f"{'not decided: it is about' if undecided else 'it is'} {limit.with_unit(value)} at {place},"
-        f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}{why}"
-    )

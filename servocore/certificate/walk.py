@@ -8,156 +8,118 @@ where that may come to zero.
 from __future__ import annotations
 
 import operator
+from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import reduce
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from servocore.certificate.chebyshev import Arithmetic, Model, bounded, norm
-from servocore.certificate.programs import MINUS, PLUS, TIMES, UP, Places, Program, program_of
+from servocore.certificate.programs import MINUS, PLUS, TIMES, UP, Places, Program, Step
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
-Rule: TypeAlias = Callable[..., tuple[Model, ...]]
-_Function: TypeAlias = tuple[Rule, list[Places], list[Places]]
+Rule: TypeAlias = Callable[..., Model]
+_Function: TypeAlias = tuple[Rule, list[Places], Places]
 
 _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
-@dataclass(frozen=True, eq=False)
 class Walk:
     """An expression's operations in programs, and between them what is interpolated.
 
-    Attributes
+    The depth of a place is the number of interpolations before it: at each depth there is a program, then the functions
+    of what is then known.
+
+    Parameters
     ----------
-    parts : tuple of (Program, list of (rule, places of arguments, places of results))
-        In an order in which arguments are known.
-    numbers : ndarray of int
-        Numbers of the arguments that are used: they have the first places.
-    constants : ndarray
-        Values of the numbers, which have the next ones.
-    outputs : ndarray of int
-        Place of every entry of the result.
-    places : int
-        How many are read or written by more than one part.
+    expression : casadi.SX
+        A column.
+    symbols : casadi.SX
+        A column: the arguments.
     """
 
-    parts: tuple[tuple[Program, list[_Function]], ...]
-    numbers: Places
-    constants: Array
-    outputs: Places
-    places: int
+    def __init__(self, expression: ca.SX, symbols: ca.SX) -> None:
+        self._depth: list[int] = []
+        self._arguments = defaultdict[int, int](self._place)
+        self._constants = defaultdict[float, int](self._place)
+        self._steps: list[Step] = []
+        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
+        function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
+        outputs, place_of = [self._constants[0.0]] * expression.numel(), dict[int, int]()
+        for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
+            if number == ca.OP_OUTPUT:
+                outputs[out[1]] = place_of[used[0]]
+            elif number == ca.OP_CONST:
+                place_of[out[0]] = self._constants[constant]
+            elif number == ca.OP_INPUT:
+                place_of[out[0]] = self._arguments[used[1]]
+            else:
+                place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
+        self._outputs = np.array(outputs, dtype=np.intp)
+        self._parts = self._grouped()
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
-        """Return models of the results from models of all arguments (terms, arguments, boxes)."""
-        models: Array = np.empty((len(arguments[0]) + 1, self.places, arguments[0].shape[2]))
-        count, constants = len(self.numbers), slice(len(self.numbers), len(self.numbers) + len(self.constants))
-        models[:-1, :count], models[-1, :count] = (part[..., self.numbers, :] for part in arguments)
-        models[1:, constants], models[0, constants] = 0.0, self.constants[:, None]
-        for program, functions in self.parts:
+        """Return models of the results from models of all arguments (terms + 1, arguments, boxes)."""
+        models: Array = np.empty((len(arguments), self._places, arguments.shape[2]))
+        models[:, self._number[list(self._arguments.values())]] = arguments[:, list(self._arguments)]
+        constants = ring.constant(np.array(list(self._constants))[:, None])
+        models[:, self._number[list(self._constants.values())]] = constants
+        for program, functions in self._parts:
             program(ring, models)
             for rule, taken, results in functions:
-                found = rule(ring, *((models[:-1, each], models[-1, each]) for each in taken))
-                for place, (c, r) in zip(results, found, strict=True):
-                    models[:-1, place], models[-1, place] = c, r
-        wanted = models[:, self.outputs]
-        return wanted[:-1], bounded(wanted[-1])
+                models[:, results] = rule(ring, *(models[:, each] for each in taken))
+        return bounded(models[:, self._number[self._outputs]])
 
+    def _place(self, depth: int = 0) -> int:
+        self._depth.append(depth)
+        return len(self._depth) - 1
 
-@dataclass(eq=False)
-class _Graph:
-    """The operations of an expression, with the depth of each place: how many interpolations come before it."""
+    def _step(self, operation: int, a: int, b: int) -> int:
+        self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
+        return self._steps[-1][1]
 
-    depth: list[int]
-    constants: dict[float, int]
-    inputs: list[tuple[int, int]]
-    steps: list[list[tuple[int, int, int, int]]]
-    functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]]
-
-    def place(self, depth: int = 0) -> int:
-        self.depth.append(depth)
-        return len(self.depth) - 1
-
-    def constant(self, value: float) -> int:
-        if value not in self.constants:
-            self.constants[value] = self.place()
-        return self.constants[value]
-
-    def step(self, operation: int, a: int, b: int) -> int:
-        depth = max(self.depth[a], self.depth[b])
-        while len(self.steps) <= depth:
-            self.steps.append([])
-        result = self.place(depth)
-        self.steps[depth].append((operation, result, a, b))
-        return result
-
-    def function(self, number: int, arguments: tuple[int, ...]) -> int:
+    def _function(self, number: int, arguments: tuple[int, ...]) -> int:
         rule, component = _RULES[number]
-        depth = 1 + max(self.depth[each] for each in arguments)
-        some = self.functions.setdefault((depth, rule), {})
+        depth = 1 + max(self._depth[each] for each in arguments)
+        some = self._functions.setdefault((depth, rule), {})
         if arguments not in some:
-            some[arguments] = [self.place(depth) for _ in range(1 + (rule is _turned))]
+            some[arguments] = [self._place(depth) for _ in range(1 + (rule is _turned))]
         return some[arguments][component]
 
-    def operation(self, number: int, arguments: list[int]) -> int:
+    def _operation(self, number: int, arguments: list[int]) -> int:
         a, b = arguments[0], arguments[-1]
         if number == ca.OP_DIV:
-            return self.step(TIMES, a, self.function(ca.OP_INV, (b,)))
+            return self._step(TIMES, a, self._function(ca.OP_INV, (b,)))
         if number == ca.OP_NEG:
-            return self.step(MINUS, self.constant(0.0), a)
+            return self._step(MINUS, self._constants[0.0], a)
         if number in _STEPS:
-            return self.step(_STEPS[number], a, b)
-        return self.function(number, tuple(arguments))
+            return self._step(_STEPS[number], a, b)
+        return self._function(number, tuple(arguments))
 
-    def walk(self, outputs: list[int]) -> Walk:
-        """Return the walk to some places: at each depth a program, then the functions of what is then known."""
-        depths = max([len(self.steps), *(depth for depth, _ in self.functions)])
-        steps = self.steps + [[]] * (depths - len(self.steps))
-        wanted = {place for some in self.functions.values() for each in some for place in each}.union(outputs)
-        for depth, own in enumerate(steps):
-            wanted.update(place for _, _, *taken in own for place in taken if self.depth[place] < depth)
-        # Places that only one program knows come last.
-        inner, given = {step[1] for own in steps for step in own} - wanted, [place for place, _ in self.inputs]
-        given += self.constants.values()
-        rest = sorted(set(range(len(self.depth))).difference(given), key=lambda place: (place in inner, place))
-        order = [*given, *rest]
-        number = np.argsort(order)
-        functions = list[tuple[int, _Function]]()
-        for (depth, rule), some in self.functions.items():
-            taken, results = (
-                [number[list(each)] for each in zip(*both, strict=True)] for both in (some, some.values())
-            )
-            functions.append((depth, (rule, taken, results)))
-        parts, read = [], set(number[list(wanted)].tolist())
-        for depth, own in enumerate(steps):
-            numbered = [(operation, *number[list(places)].tolist()) for operation, *places in own]
-            parts.append((program_of(numbered, read), [each for at, each in functions if at == depth + 1]))
-        numbers = np.array([argument for _, argument in self.inputs], dtype=np.intp)
-        values, count = np.array(list(self.constants)), len(order) - len(inner)
-        return Walk(tuple(parts), numbers, values, number[outputs], count)
+    def _grouped(self) -> list[tuple[Program, list[_Function]]]:
+        """Return programs and functions, each with places of arguments and results, and number the places for them.
 
-
-def walk_of(expression: ca.SX, symbols: ca.SX) -> Walk:
-    """Group the operations of a column of expressions of a column of symbols."""
-    function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-    graph, place_of = _Graph([], {}, [], [], {}), dict[int, int]()  # CasADi uses places of its work vector again
-    outputs = [graph.constant(0.0)] * expression.numel()
-    for number, out, used, constant in operations_of(function):
-        if number == ca.OP_OUTPUT:
-            outputs[out[1]] = place_of[used[0]]
-        elif number == ca.OP_CONST:
-            place_of[out[0]] = graph.constant(constant)
-        elif number == ca.OP_INPUT:
-            place_of[out[0]] = graph.place()
-            graph.inputs.append((place_of[out[0]], used[1]))
-        else:
-            place_of[out[0]] = graph.operation(number, [place_of[each] for each in used])
-    return graph.walk(outputs)
+        Those that only one program knows come last: models have no room for them.
+        """
+        depth, wanted = self._depth, set(self._outputs.tolist())
+        wanted.update(place for some in self._functions.values() for taken in some for place in taken)
+        for _, result, *taken in self._steps:
+            wanted.update(place for place in taken if depth[place] < depth[result])
+        inner = {result for _, result, *_ in self._steps} - wanted
+        number = self._number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
+        self._places, read = len(number) - len(inner), set(number[list(wanted)].tolist())
+        steps, functions = ([list[Any]() for _ in range(max(depth) + 1)] for _ in range(2))
+        for operation, *places in self._steps:
+            steps[depth[places[0]]].append((operation, *number[places].tolist()))
+        for (level, rule), some in self._functions.items():
+            taken, results = number[np.array(list(some)).T], number[np.array(list(some.values())).T.ravel()]
+            functions[level - 1].append((rule, list(taken), results))
+        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)]
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
@@ -207,42 +169,43 @@ _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _turned(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
-    return ring.sine_and_cosine(a)
-
-
-def _single(operation: Callable[..., Model]) -> Rule:
-    return lambda *arguments: (operation(*arguments),)
+def _turned(ring: Arithmetic, a: Model) -> Model:
+    return np.concatenate(ring.sine_and_cosine(a), axis=1)
 
 
 def _stepped(step: Callable[[Array], Array]) -> Rule:
     """Return the rule of a function that rises by jumps: any value between the least and the largest."""
 
-    def rule(ring: Arithmetic, a: Model) -> tuple[Model, ...]:
+    def rule(ring: Arithmetic, a: Model) -> Model:
         low, high = (step(each) for each in ring.span(a))
-        return ((ring.constant((low + high) / 2.0)[0], (high - low) / 2.0),)
+        found = ring.constant((low + high) / 2.0)
+        found[-1] = (high - low) / 2.0
+        return found
 
     return rule
 
 
-def _if(_: Arithmetic, condition: Model, a: Model) -> tuple[Model, ...]:
+def _if(_: Arithmetic, condition: Model, a: Model) -> Model:
     """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
-    (c, r), whole = condition, np.round(condition[0][0])
-    known = np.abs(c[0] - whole) + norm(c[1:]) + r < _ROUNDED
+    whole = np.round(condition[0])
+    known = np.abs(condition[0] - whole) + norm(condition[1:]) < _ROUNDED
     share = np.where(known, whole != 0.0, 0.5)
-    return ((share * a[0], np.where(known, 0.0, norm(a[0]) / 2.0 * UP) + np.where(share, a[1], 0.0)),)
+    found = np.where(share, a, 0.0)
+    found[:-1] *= share
+    found[-1] += np.where(known, 0.0, norm(a[:-1]) / 2.0 * UP)
+    return found
 
 
-def _no_bound(ring: Arithmetic, *taken: Model) -> tuple[Model, ...]:
-    c, r = ring.constant(np.zeros_like(taken[0][1]))
-    return ((c, np.full_like(r, np.inf)),)
+def _no_bound(_: Arithmetic, a: Model, *__: Model) -> Model:
+    found = np.zeros_like(a)
+    found[-1] = np.inf
+    return found
 
 
 _RULES: dict[int, tuple[Rule, int]] = {
-    **dict.fromkeys(KINKS, (_no_bound, 0)),
-    ca.OP_INV: (_single(Arithmetic.inverse), 0), ca.OP_SQRT: (_single(Arithmetic.root), 0),
-    ca.OP_SIN: (_turned, 0), ca.OP_COS: (_turned, 1), ca.OP_EXP: (_single(Arithmetic.exponential), 0),
-    ca.OP_LOG: (_single(Arithmetic.logarithm), 0), ca.OP_TANH: (_single(Arithmetic.hyperbolic_tangent), 0),
-    ca.OP_ATAN2: (_single(Arithmetic.angle), 0), ca.OP_SIGN: (_stepped(np.sign), 0),
-    ca.OP_FLOOR: (_stepped(np.floor), 0), ca.OP_IF_ELSE_ZERO: (_if, 0),
+    **dict.fromkeys(KINKS, (_no_bound, 0)), ca.OP_INV: (Arithmetic.inverse, 0), ca.OP_SQRT: (Arithmetic.root, 0),
+    ca.OP_SIN: (_turned, 0), ca.OP_COS: (_turned, 1), ca.OP_EXP: (Arithmetic.exponential, 0),
+    ca.OP_LOG: (Arithmetic.logarithm, 0), ca.OP_TANH: (Arithmetic.hyperbolic_tangent, 0),
+    ca.OP_ATAN2: (Arithmetic.angle, 0), ca.OP_SIGN: (_stepped(np.sign), 0), ca.OP_FLOOR: (_stepped(np.floor), 0),
+    ca.OP_IF_ELSE_ZERO: (_if, 0),
 }  # fmt: skip

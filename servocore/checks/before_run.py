@@ -1,13 +1,14 @@
-"""Before a run: whether the path keeps the limits of its scene, and warnings that the run cannot succeed as it is."""
+"""Before a run: the class of a problem by its internal dynamics, limits of its path, and warnings that it may fail."""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from servocore.checks.findings import ROUNDS, SECTIONS
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.findings import least_between
 from servocore.errors import InvalidReference, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -16,8 +17,84 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
+from servocore.stepping.exact_evaluation import PathFunction
 from servocore.stepping.observation import compile_margins, limits_order
-from servocore.stepping.path_function import PathFunction
+
+FLAT = "flat"
+MINIMUM_PHASE = "minimum phase"
+WEAKLY_MINIMUM_PHASE = "weakly minimum phase"
+NON_MINIMUM_PHASE = "non-minimum phase"
+SINGULAR = "singular here"
+
+ADVICE = {
+    FLAT: "Reduced: the inputs follow from the reference and its derivatives at every instant, to round-off",
+    MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics forward in time",
+    WEAKLY_MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics, which are not damped",
+    NON_MINIMUM_PHASE: "StableInversion: forward in time the unstable internal dynamics let errors grow exponentially",
+    SINGULAR: "another path, other parameters or another model",
+}
+"""The recommended method, by the kind of internal dynamics."""
+
+
+@dataclass(frozen=True)
+class InternalDynamics:
+    """The internal dynamics of a problem, linearized at rest.
+
+    Attributes
+    ----------
+    kind : str
+        As `StructureReport.classification`.
+    eigenvalues : tuple of complex
+        In 1/s, the fastest growing first.
+    """
+
+    kind: str
+    eigenvalues: tuple[complex, ...]
+
+    @property
+    def growth(self) -> float:
+        """Fastest rate of growth in 1/s."""
+        return max((value.real for value in self.eigenvalues), default=0.0)
+
+    @property
+    def grows(self) -> bool:
+        """Whether errors grow forward in time."""
+        return self.kind == NON_MINIMUM_PHASE
+
+    @property
+    def advice(self) -> str:
+        """The kind, and the recommended method."""
+        return f"{self.kind}: {ADVICE[self.kind]}"
+
+
+def internal_dynamics(problem: Problem) -> InternalDynamics:
+    """Linearize the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
+    if problem.flat:
+        return InternalDynamics(FLAT, ())
+    return _linearized(problem.resolved, tuple(problem.p.tolist()))
+
+
+@made_once
+def _linearized(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
+    # Imported where there are any: a flat problem has no internal dynamics.
+    from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearization  # noqa: PLC0415
+
+    linear = linearization(resolved.array)
+    eigenvalues = internal_equilibrium(linear, np.array(p), np.array(resolved.system.home)).eigenvalues
+    return InternalDynamics(_classified(eigenvalues, DAMPED), eigenvalues)
+
+
+def _classified(eigenvalues: tuple[complex, ...], damped: float) -> str:
+    if not eigenvalues:
+        return FLAT
+    if not np.isfinite(eigenvalues).all():
+        return SINGULAR
+    growth = max(value.real - damped * abs(value) for value in eigenvalues)
+    decay = max(value.real + damped * abs(value) for value in eigenvalues)
+    if growth > 0.0:
+        return NON_MINIMUM_PHASE
+    return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
+
 
 _CALLER = 6  # the line that called `solve`
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
@@ -52,7 +129,7 @@ def _warn(text: str) -> None:
 def _warn_of_growth(problem: Problem) -> None:
     """Warn before unstable internal dynamics are integrated forward in time."""
     dynamics, reference = internal_dynamics(problem), problem.reference
-    if dynamics.kind == NON_MINIMUM_PHASE:
+    if dynamics.grows:
         _warn(
             f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
             f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
@@ -84,10 +161,8 @@ def _warn_of_index(problem: Problem, formulation: Formulation, method: Method | 
 # Limits of the path --------------------------------------------------------------------------------------------------
 
 
-def require_feasible(problem: Problem, t: Array | None = None, native: bool | None = False) -> None:
+def require_feasible(problem: Problem, t: Array | None = None) -> None:
     """Raise `InvalidReference` if the path breaks a limit, or at the instants `t` one that counts there only.
-
-    `native` says whether machine code may evaluate the limits; see `Vectorized`.
 
     Such limits are functions of the path alone: they are evaluated on a grid that follows the stretches of the path,
     and between its instants where a margin is so low that it may fall to zero there.
@@ -95,26 +170,23 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
     at_instants = tuple(each for each in of_path if each.at_instants_only)
     if at_instants and t is not None:
-        _require_kept(at_instants, _margins(problem, at_instants, t, native), t)
+        _require_kept(at_instants, _margins(problem, at_instants, t), t)
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
     every = survey(problem.reference)
-    for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
-        margins = _margins(problem, limits, grid, native)
-        bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-        if (margins.min(axis=1) > bends).all():
-            return
+    margins = _margins(problem, limits, np.append(every[:-1:_FEWER], every[-1]))
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+    if (margins.min(axis=1) > bends).all():
+        return
+    margins = _margins(problem, limits, every)
     _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
-        k = int(margins[row].argmin())
-        first, last = every[max(k - 1, 0)], every[min(k + 1, len(every) - 1)]
-        for _ in range(ROUNDS):
-            at = np.linspace(first, last, SECTIONS)
-            inside = _margins(problem, limits[row : row + 1], at, False)
-            _require_kept(limits[row : row + 1], inside, at)
-            k = int(inside[0].argmin())
-            first, last = at[max(k - 1, 0)], at[min(k + 1, SECTIONS - 1)]
+        one = limits[row : row + 1]
+        margin = partial(_margins, problem, one)
+        at = np.array([least_between(margin, every, int(margins[row].argmin()))])
+        _require_kept(one, margin(at), at)
 
 
 def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:
@@ -129,12 +201,12 @@ def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:
             )
 
 
-def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool | None) -> Array:
+def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array) -> Array:
     """Return how far each limit is at the instants, shape (limits, N)."""
-    return _compiled_margins(problem.resolved, limits, native)(problem, t)[0]
+    return _compiled_margins(problem.resolved, limits)(problem, t)[0]
 
 
 @made_once
-def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], native: bool | None) -> PathFunction:
+def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...]) -> PathFunction:
     order = limits_order(resolved.system, limits)
-    return PathFunction(compile_margins(resolved.system, limits, order), native, resolved.system.name)
+    return PathFunction(compile_margins(resolved.system, limits, order), False, resolved.system.name)

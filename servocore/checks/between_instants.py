@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -20,61 +21,18 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
+from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
-_DOUBTED = 0.05  # of the range of a derivative: an interval over which it changes by more than its rates say
 _MOST = 64  # intervals that are halved at once
-_ELSEWHERE = 0.25, 0.75  # of an interval: where a motion is looked for if it has none in its middle
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
 _NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
-_NOTHING = 1e-6  # of the typical magnitude of a quantity: a peak that may be round-off
 
 
 Beside = Callable[[Array, Array, Array], Array]
 """(times (N,), unknowns there (size, N), other times (N,)) -> the unknowns at these."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
-
-    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
-    """
-
-    values: Places
-    rates: Places
-    wraps: npt.NDArray[np.bool_]
-    coordinates: Places
-    still: Array
-
-    @classmethod
-    def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
-        """Return the rows of derivatives (coordinate, order) of an array."""
-        place, system = {unknown: k for k, unknown in enumerate(array.unknowns)}, array.system.coordinates
-        at = [(place[j, k], place.get((j, k + 1), -1), place[j, 0]) for j, k in watched]
-        values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
-        wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
-        still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
-        return cls(values, rates, wraps, coordinates, still)
-
-    def ranges(self, states: Array) -> Array:
-        """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
-        if not states.size:
-            return np.full(len(self.values), np.inf)
-        moves = np.ptp(states[self.coordinates], axis=1) > self.still
-        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf)
-
-    def missed(self, left: Moments, right: Moments) -> Array:
-        """Return by how much more values change than their rates say, shape (rows, N)."""
-        mean = (left.states[self.rates] + right.states[self.rates]) / 2.0
-        mean[self.rates < 0] = 0.0
-        way = right.states[self.values] - left.states[self.values] - (right.t - left.t) * mean
-        if self.wraps.any():
-            way[self.wraps] = wrapped_angle(way[self.wraps])
-        missed: Array = np.abs(way)
-        return missed
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,70 +51,52 @@ class Moments:
         return Moments(np.concatenate([self.t, other.t]), np.hstack([self.states, other.states]))
 
 
-@dataclass(frozen=True, eq=False)
-class Looked:
-    """The result of a look: moments between the instants, and the intervals left.
-
-    Attributes
-    ----------
-    between : Moments
-        What was found by halving.
-    left, right : Moments
-        Ends of intervals that are too short to be halved, and over which values change all the same.
-    gaps : list of (Moments, Moments)
-        Ends of intervals in which no motion was found.
-    """
-
-    between: Moments
-    left: Moments
-    right: Moments
-    gaps: list[tuple[Moments, Moments]]
+Ends = tuple[Moments, Moments]
+"""Ends of intervals."""
 
 
-def look(beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()) -> Looked:
+def look(
+    beside: Beside, at: Moments, rows: Rows, share: float, passages: Sequence[Passage] = ()
+) -> tuple[Moments, Ends, list[Ends]]:
     """Halve the intervals over which values change by `share` of their ranges more than their rates say.
 
     Those that hold one of the singularities `passages` are left out.
+
+    Returns
+    -------
+    between : Moments
+        What was found by halving.
+    left : Ends
+        Of intervals that are too short to be halved, and over which values change all the same.
+    gaps : list of Ends
+        Of intervals in which no motion was found.
     """
     at = at if np.isfinite(at.states).all() else at.of(_known(at))
-    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[tuple[Moments, Moments]](), rows.ranges(at.states)
-    regular = np.ones(max(len(at.t) - 1, 0), dtype=bool)
+    inserted, gaps, ranges = at.of(np.zeros(0, dtype=np.intp)), list[Ends](), rows.ranges(at.states)
+    left, right = at.of(slice(-1)), at.of(slice(1, None))
     for each in passages:
-        regular &= (at.t[1:] <= each.before) | (at.t[:-1] >= each.after)
-    left, right = at.of(slice(-1)).of(regular), at.of(slice(1, None)).of(regular)
+        regular = (right.t <= each.before) | (left.t >= each.after)
+        left, right = left.of(regular), right.of(regular)
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
-        worst = (rows.missed(left, right) / least).max(axis=0, initial=0.0)
+        worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
         kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break
-        middle = _between(beside, left, right)
+        t = left.t + LESS_THAN_HALF * (right.t - left.t)
+        middle = Moments(t, beside(left.t, left.states, t))
         found = _known(middle)
         gaps += [(left.of(k), right.of(k)) for k in np.flatnonzero(~found)[:, None]]
         left, middle, right = left.of(found), middle.of(found), right.of(found)
         inserted = inserted.and_then(middle)
         left, right = left.and_then(middle), middle.and_then(right)
-    return Looked(inserted, left, right, gaps)
+    return inserted, (left, right), gaps
 
 
 def _known(at: Moments) -> npt.NDArray[np.bool_]:
     known: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(at.states), axis=0)
     return known
-
-
-def _between(beside: Beside, left: Moments, right: Moments) -> Moments:
-    """Return a moment of every interval, about in its middle where a motion is known there."""
-    t = left.t + LESS_THAN_HALF * (right.t - left.t)
-    states = beside(left.t, left.states, t)
-    for share in _ELSEWHERE:
-        unknown = np.flatnonzero(~_known(Moments(t, states)))
-        if not len(unknown):
-            break
-        nearer = left if share < LESS_THAN_HALF else right
-        t[unknown] = (left.t + share * (right.t - left.t))[unknown]
-        states[:, unknown] = beside(nearer.t[unknown], nearer.states[:, unknown], t[unknown])
-    return Moments(t, states)
 
 
 @made_once
@@ -183,25 +123,24 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
         return
     inside = along_path(motion.problem, program.observe, between.t, between.states)[0]
     system, hidden = motion.problem.system, list[tuple[float, Quantity, str]]()
-    times, watched = between.t, {*system.inputs, *system.observables}
+    watched = {*system.inputs, *system.observables}
     for k, quantity in enumerate(program.channels):
         if quantity not in watched or quantity.unit == "rad":
             continue
-        row, peak = np.nan_to_num(inside[k], nan=np.inf), float(np.abs(values[k]).max())
-        at = [
-            f"at t = {t:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
-            for t, value in zip(times, row, strict=True)
-        ]
-        worst, lowest, size = int(np.abs(row).argmax()), int(row.argmin()), max(peak, _NOTHING * quantity.magnitude)
-        if quantity.positive and not row[lowest] > 0.0:
-            yield Finding(f"between two instants, {at[lowest]}, {quantity.wrong_sign}", error=IntegrationFailed)
-        if passing[worst] and abs(row[worst]) > _TIMES * size:
-            most = f"no more than {peak:.4g} {quantity.unit} at all instants"
-            what = f"{quantity.name} has a pole between two instants: {at[worst]}, and {most}"
-            yield Finding(what, error=IntegrationFailed)
-        if abs(row[worst]) > _TIMES * size:
-            said = f"{at[worst]}, at the instants at most {peak:.4g} {quantity.unit}"
-            hidden.append((abs(row[worst]) / size, quantity, said))
+        name, unit, peak = quantity.name, quantity.unit, float(np.abs(values[k]).max())
+        row, size = np.nan_to_num(inside[k], nan=np.inf), max(peak, ROUND_OFF * quantity.magnitude)
+        worst, lowest = (
+            (each, f"at t = {between.t[each]:.9g} s {name} is {row[each]:.4g} {unit}")
+            for each in (int(np.abs(row).argmax()), int(row.argmin()))
+        )
+        if quantity.positive and not row[lowest[0]] > 0.0:
+            yield Finding(f"between two instants, {lowest[1]}, {quantity.wrong_sign}", error=IntegrationFailed)
+        if abs(row[worst[0]]) > _TIMES * size:
+            if passing[worst[0]]:
+                what = f"{name} has a pole between two instants: {worst[1]}, and no more than {peak:.4g} {unit} at all"
+                yield Finding(f"{what} instants", error=IntegrationFailed)
+            said = f"{worst[1]}, at the instants at most {peak:.4g} {unit}"
+            hidden.append((abs(row[worst[0]]) / size, quantity, said))
     if hidden:
         _, worst_quantity, said = max(hidden, key=lambda each: each[0])
         others = ", ".join(quantity.name for _, quantity, _ in hidden if quantity is not worst_quantity)
@@ -213,7 +152,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
-    between = look(motion.beside, some, _highest(motion.problem.array), _DOUBTED, motion.passages).between
+    between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
     if len(between.t):  # less regular, values are all round-off
         branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
         sizes = np.abs(branch.determinants(motion.t, motion.states))
@@ -252,37 +191,73 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
         if motion.problem.follow_branch:  # through places where angles are not defined
             values[k] = np.unwrap(values[k])
             continue
-        steps = np.diff(np.unwrap(values[k]))
-        unclear = ~(np.abs(steps) < _QUARTER_TURN) | motion.far
+        unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN) | motion.far
         if channel.name in names:
             rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
             unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
         elif not unclear.any() and (np.abs(np.diff(values[k])) < np.pi).all():
             continue
-        for i in np.flatnonzero(unclear):
-            steps[i] = _turn(motion, program, k, [int(i), int(i) + 1], values[k])
-        followed = values[k, 0] + np.concatenate([[0.0], np.cumsum(steps)])
-        values[k] += 2 * np.pi * np.round((followed - values[k]) / (2 * np.pi))
+        values[k] = _followed(motion, program, k, values[k], unclear)
 
 
-def _turn(motion: Motion, program: Program, channel: int, ends: Sequence[int], angle: Array) -> float:
-    """Return by how much an angle turns between two instants, from exact inversions in between."""
-    sides = [(float(motion.t[k]), motion.states[:, k], float(angle[k])) for k in ends]
-    done, left, waiting, first = 0.0, sides[0], [sides[1]], True
-    while waiting:
-        turn = float(wrapped_angle(np.array(waiting[-1][2] - left[2])))
-        if abs(turn) < _QUARTER_TURN and not first:
-            done, left = done + turn, waiting.pop()
-            continue
-        first, middle = False, (left[0] + waiting[-1][0]) / 2.0
-        time = np.array([middle])
-        states = motion.beside(np.array([left[0]]), left[1][:, None], time)
-        if len(waiting) > BISECTIONS or not np.isfinite(states).all():
+def _followed(motion: Motion, program: Program, channel: int, angle: Array, unclear: npt.NDArray[np.bool_]) -> Array:
+    """Return a continuous angle (N,) at the instants of a motion, from exact inversions within unclear intervals."""
+    at = Moments(motion.t, np.vstack([motion.states, angle]))
+    for _ in range(BISECTIONS):
+        places = np.flatnonzero(unclear)
+        if not len(places):
+            return np.asarray(np.unwrap(at.states[-1])[np.searchsorted(at.t, motion.t)])
+        left = at.of(places)
+        t = (left.t + at.t[places + 1]) / 2.0
+        states = motion.beside(left.t, left.states[:-1], t)
+        if not np.isfinite(states).all():
+            break
+        found = along_path(motion.problem, program.observe, t, states)[0][channel]
+        at = at.and_then(Moments(t, np.vstack([states, found])))
+        at = at.of(np.argsort(at.t))
+        new = np.isin(at.t, t)
+        unclear = (new[1:] | new[:-1]) & ~(np.abs(wrapped_angle(np.diff(at.states[-1]))) < _QUARTER_TURN)
+    k = int(unclear.argmax())
+    begin = int(np.searchsorted(motion.t, at.t[k], side="right")) - 1
+    raise IntegrationFailed(
+        f"{program.name}: {program.channels[channel].name} cannot be followed from t = {motion.t[begin]:.6g} s to"
+        f" {motion.t[begin + 1]:.6g} s, near t = {(at.t[k] + at.t[k + 1]) / 2.0:.9g} s it turns by more than a quarter"
+        f" turn within {at.t[k + 1] - at.t[k]:.2g} s"
+    )
+
+
+@made_once
+def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
+    """Return the angles among the coordinates, reported as they are, of which an equation is no linear function.
+
+    An angle that enters linearly, of a wheel say, may turn as far as it likes.
+    """
+    system = resolved.system
+    forces = ca.gradient(ca.SX(system.potential), system.q), system.force
+    terms = ca.vertcat(*map(ca.vec, (system.constraints, system.output, system.mass, system.input_matrix, *forces)))
+    observed = {quantity.name: expression for quantity, expression in system.observables.items()}
+    return tuple(
+        quantity.name
+        for quantity, q in zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True)
+        if quantity.unit == "rad" and ca.is_equal(observed.get(quantity.name, q), q)
+        if ca.depends_on(ca.jacobian(terms, q), q)
+    )
+
+
+def require_less_than_half_a_turn(problem: Problem, program: Program, t: Array, values: Array) -> None:
+    """Raise `IntegrationFailed` if an angle that some equation knows up to full turns only turns too far in a step.
+
+    A step of half a turn cannot be distinguished from one the other way round.
+    """
+    names = [channel.name for channel in program.channels]
+    for name in _periodic_coordinates(problem.resolved):
+        turns = np.abs(np.diff(values[:, names.index(name)]))
+        if not (turns < np.pi).all():
+            k = int((~(turns < np.pi)).argmax())
+            cure = "a smaller step is needed"
+            if not program.smaller_steps_help:
+                cure = "another form is needed, such as Reduced()"
             raise IntegrationFailed(
-                f"{program.name}: {program.channels[channel].name} cannot be followed from t = {sides[0][0]:.6g} s to"
-                f" {sides[1][0]:.6g} s, near t = {middle:.9g} s it turns by more than a quarter turn within"
-                f" {waiting[-1][0] - left[0]:.2g} s"
+                f"{program.name}: {name} turns by {turns[k]:.4g} rad in the step from t = {t[k]:.6g} s to"
+                f" {t[k + 1]:.6g} s, a step resolves turns of less than pi only; {cure}"
             )
-        found = along_path(motion.problem, program.observe, time, states)[0][channel, 0]
-        waiting.append((middle, states[:, 0], float(found)))
-    return done

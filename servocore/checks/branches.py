@@ -10,6 +10,7 @@ nothing.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,7 +22,7 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.conditioning import condition_number
+from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
@@ -40,20 +41,22 @@ CONTINUOUS = (
 FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
-_APART = 0.1  # of the movement: predictions that miss each other by less belong to one motion
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
 _JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
-_MOST_TRIALS = 3000  # steps between two instants: they shrink without end near a singularity
 _MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
 
+DISAGREEMENT = 0.05
+"""Of a movement, or of the range of a derivative: neighbours whose rates explain it but for less belong together."""
+
 _LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
 
 Places = npt.NDArray[np.intp]
 MANY = 1000
-"""Intervals that are compared; of more some are left out, though of no instant the determinants."""
+"""Intervals that are compared, of more some are left out, though of no instant the determinants; and steps from one
+instant to the next, which shrink without end near a singularity."""
 
 LESS_THAN_HALF = 0.4531
 """Of an interval: in the middle of symmetric paths singular instants are to be expected."""
@@ -112,53 +115,88 @@ def ahead(array: DerivativeArray, states: Array, h: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Rows:
+    """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
+
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
+    """
+
+    values: Places
+    rates: Places
+    wraps: npt.NDArray[np.bool_]
+    coordinates: Places
+    still: Array
+
+    @classmethod
+    def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
+        """Return the rows of derivatives (coordinate, order) of an array."""
+        place, system = {unknown: k for k, unknown in enumerate(array.unknowns)}, array.system.coordinates
+        at = [(place[j, k], place.get((j, k + 1), -1), place[j, 0]) for j, k in watched]
+        values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
+        wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
+        still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
+        return cls(values, rates, wraps, coordinates, still)
+
+    def ranges(self, states: Array) -> Array:
+        """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
+        if not states.size:
+            return np.full(len(self.values), np.inf)
+        moves = np.ptp(states[self.coordinates], axis=1) > self.still
+        return np.where(moves, np.ptp(states[self.values], axis=1), np.inf)
+
+    def missed(self, first: Array, last: Array, h: Array) -> Array:
+        """Return how much more values change from `first` to `last` (size, N), `h` later, than their mean rates say."""
+        way = last[self.values] - first[self.values]
+        way -= h / 2.0 * np.where(self.rates[:, None] < 0, 0.0, first[self.rates] + last[self.rates])
+        if self.wraps.any():
+            way[self.wraps] = wrapped_angle(way[self.wraps])
+        missed: Array = np.abs(way)
+        return missed
+
+
+@made_once
+def coordinate_rows(array: DerivativeArray) -> Rows:
+    """Return the coordinates of an array."""
+    return Rows.of(array, [(j, 0) for j in range(len(array.system.coordinates))])
+
+
+@made_once
+def _velocity_rows(array: DerivativeArray) -> tuple[Places, Rows]:
+    """Return the coordinates whose accelerations are known, and their velocities."""
+    known = [j for j in range(len(array.system.coordinates)) if (j, 2) in array.unknowns]
+    return np.array(known, dtype=np.intp), Rows.of(array, [(j, 1) for j in known])
+
+
+@dataclass(frozen=True, eq=False)
 class Branch:
     """Continuation of one branch of a problem along its path; `scale` (n,) are the ranges of the coordinates."""
 
     problem: Problem
     scale: Array
-    q: Places
-    rates: Places
-    accelerations: Places
-    wraps: npt.NDArray[np.bool_]
 
     @classmethod
     def of(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        q, rates, accelerations, wraps, still = places_of(problem.array)
-        known = states[q]
-        if not np.isfinite(known).all():
-            known = known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, np.maximum(np.ptp(known, axis=1), still) if known.size else still, q, rates,
-                   accelerations, wraps)  # fmt: skip
+        known, still = states[coordinate_rows(problem.array).values], np.array(problem.system.coordinates.nominal)
+        known = known if np.isfinite(known).all() else known[:, np.isfinite(known).all(axis=0)]
+        return cls(problem, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
+
+    @property
+    def rows(self) -> Rows:
+        """The coordinates."""
+        return coordinate_rows(self.problem.array)
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
-        q0, q1, v0, v1 = first[self.q], last[self.q], first[self.rates], last[self.rates]
-        way, lengths = q1 - q0, np.abs(h) * (np.abs(v0) + np.abs(v1))
-        if self.wraps.any():
-            lengths[~self.wraps] += np.abs(way[~self.wraps])
-        else:
-            lengths += np.abs(way)
-        misses, known = (way - h * v0, way - h * v1), self.accelerations >= 0
-        for miss, side, sign in zip(misses, (first, last), (-0.5, 0.5), strict=True):
-            miss[known] += sign * h * h * side[self.accelerations[known]]
-            # Else of order h^2, which where a coordinate turns back is all that it moves: by the mean of the rates.
-            miss[~known] += sign * h * (v1 - v0)[~known]
-            if self.wraps.any():
-                miss[self.wraps] = wrapped_angle(miss[self.wraps])
-        # Not <=, so that NaN counts as apart.
-        worst = np.maximum(*np.abs(misses))
-        are_apart: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * lengths, slight * self.scale[:, None])).all(0)
+        rows = self.rows
+        lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
+        lengths += np.where(rows.wraps[:, None], 0.0, np.abs(last[rows.values] - first[rows.values]))
+        allowed = np.maximum(DISAGREEMENT * lengths, slight * self.scale[:, None])
+        missed, (known, velocities) = rows.missed(first, last, h), _velocity_rows(self.problem.array)
+        # A velocity that changes over in the middle of an interval leaves the mean rate.
+        missed[known] += np.abs(h) / 2.0 * velocities.missed(first, last, h)
+        are_apart: npt.NDArray[np.bool_] = ~(missed <= allowed).all(axis=0)  # so that NaN counts
         return are_apart
-
-    def jolts(self, states: Array, h: Array) -> npt.NDArray[np.bool_]:
-        """Whether velocities of neighbours (size, N), `h` apart, change by more than their accelerations say."""
-        known = self.accelerations >= 0
-        v, a = states[self.rates[known]], states[self.accelerations[known]]
-        change: Array = np.abs(np.diff(v, axis=1) - h / 2.0 * (a[:, 1:] + a[:, :-1]))
-        jolted: npt.NDArray[np.bool_] = (change > _JOLT * np.ptp(v, axis=1, keepdims=True)).any(axis=0)
-        return jolted
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
@@ -172,7 +210,7 @@ class Branch:
         """
         own = None if across else self.determinants(np.array([begin]), state[:, None])
         waiting, trials = [end], 0
-        while waiting and trials < _MOST_TRIALS:
+        while waiting and trials < MANY:
             trials += 1
             reached = self._continued(state, begin, waiting[-1], own)
             if reached is not None:
@@ -214,20 +252,8 @@ class Branch:
 
     def same(self, one: Array, other: Array) -> bool:
         """Whether two answers at one instant are the same."""
-        off = one[self.q] - other[self.q]
-        off[self.wraps] = wrapped_angle(off[self.wraps])
-        return bool((np.abs(off) <= _SLIGHT * self.scale).all())
-
-
-@made_once
-def places_of(array: DerivativeArray) -> tuple[Places, Places, Places, npt.NDArray[np.bool_], Array]:
-    """Return places of coordinates, velocities and accelerations (-1 if unknown), what wraps, and negligible ranges."""
-    quantities, place = array.system.coordinates.quantities, {each: k for k, each in enumerate(array.unknowns)}
-    of_orders = (
-        np.array([place.get((k, order), -1) for k in range(len(quantities))], dtype=np.intp) for order in range(3)
-    )
-    still = _SLIGHT * np.array(array.system.coordinates.nominal)
-    return *of_orders, np.array([each.wraps for each in quantities], dtype=bool), still  # type: ignore[return-value]  # three
+        off = self.rows.missed(one[:, None], other[:, None], np.zeros(1))
+        return bool((off[:, 0] <= _SLIGHT * self.scale).all())
 
 
 def on_one_branch(
@@ -237,32 +263,24 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    solved = np.flatnonzero(np.isfinite(states).all(axis=0))
-    if not len(solved):
-        name = problem.system.name
-        raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
-    branch, kept = Branch.of(problem, states), states.copy() if len(solved) < len(t) else states
-    for k in range(int(solved[0]), 0, -1):
-        kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
-        if time != t[k - 1]:
-            name = problem.system.name
-            raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
-    far = _far(branch, t, kept)
-    suspects = np.flatnonzero(far)
-    known = branch.determinants(t, kept) if known is None or kept is not states else known
+    branch = Branch.of(problem, states)
+    kept = _with_a_beginning(branch, t, states)
+    incomplete, far = kept is not states, _far(branch, t, kept)
+    known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
-    waiting, replaced, tried = sorted({*suspects.tolist(), *changes}, reverse=True), False, 0
+    waiting, replaced = sorted({*np.flatnonzero(far).tolist(), *changes}, reverse=True), False
+    if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
+        return states, CLOSED_FORM, (), far
     while waiting:
-        k, tried = waiting.pop(), tried + 1
+        k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])
-        closed = tried == _MOST_FOLLOWED + 1 and not replaced and is_closed_form(problem, t, states)
-        reached, time = (kept[:, k], begin) if closed else branch.follow(kept[:, k], begin, end)
-        if time != end and not closed:
+        reached, time = branch.follow(kept[:, k], begin, end)
+        if time != end:
             singular = time
             reached, time = branch.follow(kept[:, k], begin, end, across=True)
+            if time != end and not replaced and is_closed_form(problem, t, states):
+                return states, CLOSED_FORM, (), far
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, singular))
-        if closed or (time != end and not replaced and is_closed_form(problem, t, states)):
-            return states, CLOSED_FORM, (), far
         if time != end:
             branch.follow_to(kept[:, k], begin, end)  # raises
         if branch.same(reached, kept[:, k + 1]):
@@ -271,8 +289,20 @@ def on_one_branch(
         kept[:, k + 1], replaced = reached, True
         if k + 2 < len(t) and (not waiting or waiting[-1] != k + 1):
             waiting.append(k + 1)
-    replaced = replaced or len(solved) < len(t)
-    return kept, FOLLOWED if replaced else CONTINUOUS, tuple(passages), far
+    return kept, FOLLOWED if replaced or incomplete else CONTINUOUS, tuple(passages), far
+
+
+def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
+    """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
+    solved, name = np.flatnonzero(np.isfinite(states).all(axis=0)), branch.problem.system.name
+    if not len(solved):
+        raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
+    kept = states.copy() if len(solved) < len(t) else states
+    for k in range(int(solved[0]), 0, -1):
+        kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
+        if time != t[k - 1]:
+            raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
+    return kept
 
 
 def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
@@ -280,7 +310,10 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     every = -(-(len(t) - 1) // MANY)
     looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
     some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
-    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps) | branch.jolts(some, steps)
+    _, velocities = _velocity_rows(branch.problem.array)
+    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps)
+    jolts = velocities.missed(some[:, :-1], some[:, 1:], steps)
+    far |= (jolts > _JOLT * velocities.ranges(some)[:, None]).any(axis=0)
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
@@ -294,7 +327,7 @@ def _passage(
         for k in np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
     ]
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
-    least = [_least_singular_value(problem, t, states[branch.q]) for t, states in moments]
+    least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
     at_once = least[1] < _LESS * max(least[0], least[2])
     passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
@@ -359,8 +392,8 @@ def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
     guess that changes over to another branch.
     """
     branch = Branch.of(problem, states)
-    off = np.abs(guessed_unknowns(problem, t)[branch.q] - states[branch.q])
-    if not (off <= ROUND_OFF * np.maximum(np.abs(states[branch.q]), branch.scale[:, None])).all():
+    off = np.abs(guessed_unknowns(problem, t)[branch.rows.values] - states[branch.rows.values])
+    if not (off <= ROUND_OFF * np.maximum(np.abs(states[branch.rows.values]), branch.scale[:, None])).all():
         return False
     found = branch.determinants(t, states)
     return bool((found * np.sign(found[:, :1]) > 0.0).all())

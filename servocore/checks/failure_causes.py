@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from servocore.checks.along_motion import jumps, slack_rope
 from servocore.checks.branches import constraint_rows
-from servocore.checks.findings import ROUND_OFF
-from servocore.checks.impulses import jumps
+from servocore.checks.findings import BISECTIONS, ROUND_OFF
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.conditioning import condition_number
+from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
-from servocore.stepping.exact_evaluation import exact_unknowns
+from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
@@ -36,14 +36,10 @@ _INSTANTS = 41  # of the path that are examined
 _STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
-_HALVINGS = 16
-_CONFIRMED = 3  # misses from all around; later ones are taken from those before
 
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
-    from servocore.checks.slack_ropes import slack_rope  # noqa: PLC0415 - most runs do not fail
-
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
@@ -146,8 +142,6 @@ def out_of_reach(problem: Problem) -> str:
     x, missed = _guess(problem, float(times[0])), list[tuple[float, int, Array]]()
     for k, time in enumerate(times):
         x, miss = reach.nearest(float(time), [x, _guess(problem, float(time))])
-        if reach.missed(miss) and len(missed) < _CONFIRMED:  # others start from there
-            x, miss = reach.nearest(float(time), [x, *_around(problem, x)])
         if reach.missed(miss):
             missed.append((float(np.abs(miss / reach.size).max()), k, miss))
     while missed:
@@ -190,7 +184,7 @@ def _around(problem: Problem, x: Array) -> list[Array]:
 
 
 def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
-    for _ in range(_HALVINGS):
+    for _ in range(BISECTIONS // 2):
         middle = (good + bad) / 2
         _, miss = reach.nearest(middle, [_guess(problem, good), *_around(problem, _guess(problem, good))])
         good, bad = (good, middle) if reach.missed(miss) else (middle, bad)
@@ -219,18 +213,15 @@ def singular(problem: Problem) -> str:
     reference, array = problem.reference, problem.array
     if reference.max_order < array.reference_order:
         return ""
-    inverse, J = inversion(problem.array), call_of(system_jacobian(problem.array))
-    invert, search, guess = Call(inverse.function), Call(inverse.search), Call(inverse.guess)
     times = np.linspace(reference.start_time, reference.end_time, _INSTANTS if problem.flat else 1)
-    last: Array | None = None
-    for time in times:
-        jet = side_by_side(reference.jet(np.array([time]), array.reference_order))
-        values, _, residual = invert(jet, problem.p)
-        if not np.isfinite(residual).all() and last is not None:
-            values, _, residual = search(jet, problem.p, last)
-        if not np.isfinite(residual).all():
-            start = last if last is not None else guess(jet, problem.p)[0]
-            solved = _solved(problem, jet, start)
+    J, guess, last = call_of(system_jacobian(array)), call_of(inversion(array).guess), None
+    states, _ = exact_unknowns(problem, times)
+    for k, time in enumerate(times):
+        values, jet = states[:, k], side_by_side(reference.jet(np.array([time]), array.reference_order))
+        if not np.isfinite(values).all() and last is not None:
+            values = unknowns_from(problem, times[k : k + 1], last[:, None])[:, 0]
+        if not np.isfinite(values).all():
+            solved = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
             if solved is None:
                 return ""
             values = solved

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from servocore.errors import ServocoreError, ServocoreWarning
+from servocore.numerics.compiled_calls import Array
 
 ROUND_OFF = 1e-9
 """Of a quantity: what is computed by some hundred operations from double precision is no better known."""
@@ -16,6 +19,14 @@ BISECTIONS = 40
 
 SECTIONS, ROUNDS = 21, 6
 """Evaluations within an interval, and how often it shrinks to a tenth, to find where a smooth quantity is least."""
+
+
+def least_between(evaluate: Callable[[Array], Array], t: Array, k: int) -> float:
+    """Return the time at which a smooth function of times is least, between the instants beside the k-th of `t`."""
+    for _ in range(ROUNDS):
+        t = np.linspace(t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)], SECTIONS)
+        k = int(np.nan_to_num(evaluate(t), nan=np.inf).argmin())
+    return float(t[k])
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -18,20 +17,20 @@ from servocore.checks.branches import (
     Passage,
     Places,
     ahead,
+    coordinate_rows,
     is_closed_form,
     on_one_branch,
-    places_of,
 )
 from servocore.checks.findings import Finding
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import subdivided, survey
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
 
 _FEWEST = 100  # intervals of a motion: longer ones hide what happens in between
-_SURVEYED = 400  # intervals of a path, to know its motion everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ class Motion:
     @property
     def q(self) -> Array:
         """Coordinates, shape (n, N)."""
-        return np.asarray(self.states[places_of(self.problem.array)[0]])
+        return np.asarray(self.states[coordinate_rows(self.problem.array).values])
 
     def at(self, t: Array) -> Array:
         """Return the unknowns (size, M) at instants in any order, on the branch; NaN where there is no answer.
@@ -129,10 +128,7 @@ def motion_of(
     IntegrationFailed
         If no instant is solved, or the branch cannot be followed.
     """
-    if t is None:
-        ends = problem.reference.stretches
-        each = max(1, -(-_SURVEYED // (len(ends) - 1)))
-        t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
+    t = survey(problem.reference) if t is None else t
     by_expression = False
     if states is None:
         states, by_expression = exact_unknowns(problem, t)
@@ -163,7 +159,7 @@ def enough(t: Array) -> tuple[Array, int]:
         return t, 1
     while math.gcd(parts, 2 * 3 * 5) > 1:
         parts += 1
-    return np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t), parts
+    return subdivided(t, parts), parts
 
 
 def unknowns_near(problem: Problem, solution: Solution) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.checks.findings import ROUND_OFF, ROUNDS, SECTIONS
+from servocore.checks.findings import ROUND_OFF, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
@@ -67,13 +67,8 @@ def first_broken(
     worst = int(spell[np.nan_to_num(margins[spell], nan=-np.inf).argmin()])
     when, value = float(t[worst]), float(values[worst])
     if evaluate is not None and np.isfinite(value):
-        begin, end = t[max(worst - 1, 0)], t[min(worst + 1, len(t) - 1)]
-        for _ in range(ROUNDS):
-            at = np.linspace(begin, end, SECTIONS)
-            tried = evaluate(at)
-            lowest = int(np.nan_to_num(margin_within(limit, tried, size), nan=np.inf).argmin())
-            begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, SECTIONS - 1)]
-            when, value = float(at[lowest]), float(tried[lowest])
+        when = least_between(lambda at: margin_within(limit, evaluate(at), size), t, worst)
+        value = float(evaluate(np.array([when]))[0])
         good = float(t[k - 1]) if k else first
         while good < (middle := (good + first) / 2.0) < first and first - good > ROUND_OFF * float(np.ptp(t)):
             kept = margin_within(limit, evaluate(np.array([middle])), size)[0] >= 0.0
@@ -354,12 +349,8 @@ def run_values(motion: Motion, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
     limits = motion.problem.run_limits
     values = limited_values(replace(motion, problem=replace(motion.problem, limits=limits)), t)
-    found = []
-    for limit, each in zip(limits, values, strict=True):
-        assert limit.over_run is not None
-        total = np.trapezoid(limit.over_run.integrand(each), t)
-        found.append(limit.over_run.of_sum(total, float(t[-1] - t[0])))
-    return np.array(found)
+    pairs = zip(limits, values, strict=True)
+    return np.array([limit.over_run.course(t, each)[-1] for limit, each in pairs if limit.over_run])
 
 
 def require_run_limits(problem: Problem, solution: Solution) -> None:

@@ -16,12 +16,20 @@ from servocore.cli.kinds import COUNT, FILE, FILE_READ, FOLDER, Kind
 from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
 from servocore.errors import InvalidSetting, install, require_package
 from servocore.export.about import About
-from servocore.export.building import METHOD, inverse_model
+from servocore.export.building import inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
-from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_trajectory, require_built, require_version
+from servocore.export.fmu import (
+    VERSIONS,
+    export_fmu,
+    export_plant,
+    export_ssp,
+    export_trajectory,
+    require_built,
+    require_version,
+)
+from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import HostRules
-from servocore.export.scene_system import export_ssp
 from servocore.export.targets import zig
 from servocore.export.trajectory_model import TrajectoryOptions
 from servocore.export.wasm import export_wasm, loader_beside, require_module

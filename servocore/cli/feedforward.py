@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from servocore.checks.wrong_inputs import LARGEST_UNWARNED
+from servocore.checks.better_solutions import LARGEST_UNWARNED
 from servocore.cli.console import PatientProgress, ResultOfNoUse, deliver
 from servocore.cli.options import Certified, Computation, GivenLimits, GivenPath, Subject, Table
 from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces

@@ -6,21 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from servocore.cli.chosen_scene import chosen_scene
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.kinds import FILE, FILE_READ, NUMBER, SEED, TIME, quantity, text
-from servocore.cli.options import GivenLimits, Subject, output
+from servocore.cli.options import GivenLimits, GivenPath, Subject, output
 from servocore.effects.position_loops import PositionLoops
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.identification.excitation import excitation
 from servocore.identification.identify import UNCERTAINTY, identify
 from servocore.identification.page import identified_page
-from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
-from servocore.references.base import Reference
-from servocore.references.csv_file import from_csv, path_to_csv
+from servocore.references.csv_file import path_to_csv
 
 EXAMPLES = (
     "rotary_crane log.csv --estimate load_mass,trolley_mass,*_friction --effects friction --output crane.toml",
@@ -105,8 +102,8 @@ def identify_scene(subject: Subject, logs: Logs, estimated: Estimated) -> None:
     """
     if not logs.logs:
         raise InvalidSetting("identify needs a log: write it as in servocore identify rotary_crane log.csv")
-    scene = _with_parameters(subject, estimated.added())
-    jobs = [_path(scene, each) for each in logs.job]
+    scene = _with_effects(subject, estimated.added())
+    jobs = [GivenPath(reference=each).along(scene).reference for each in logs.job]
     with PatientProgress("identifying"):
         found = identify(
             scene, list(logs.logs), estimated.names(), believed=estimated.believed(), jobs=jobs,
@@ -129,7 +126,7 @@ def excite_scene(subject: Subject, limits: GivenLimits, estimated: Estimated, ex
     The path starts and ends at rest; the limits are certified between instants, as of plans. The table compares
     predicted standard errors with those of the scene's own path.
     """
-    scene = _with_parameters(subject, estimated.added())
+    scene = _with_effects(subject, estimated.added())
     with PatientProgress("searching"):
         path, report = excitation(
             scene, estimated.names(), limits.bounds(), duration=excited.duration, believed=estimated.believed(),
@@ -145,15 +142,8 @@ def _split(names: str) -> list[str]:
     return [name.strip() for name in names.split(",") if name.strip()]
 
 
-def _with_parameters(subject: Subject, effects: Sequence[str]) -> Scene:
+def _with_effects(subject: Subject, effects: Sequence[str]) -> Scene:
     """Return the scene of a command with effects, and with the parameters of both."""
-    scene = chosen_scene(subject.scene)
+    scene = subject.driven()
     scene = scene.with_effects(*effects) if effects else scene
-    values = {} if subject.parameters is None else read_parameters(subject.parameters, scene)
-    return scene.with_parameters(**values)
-
-
-def _path(scene: Scene, file: Path) -> Reference:
-    outputs = scene.model().outputs
-    path = from_csv(file, columns=[each.name for each in outputs], units=[each.unit for each in outputs])
-    return scene.with_reference(path).reference
+    return scene.with_parameters(**subject.changes(scene))

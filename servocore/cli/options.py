@@ -33,10 +33,8 @@ from servocore.export.targets import HOST, TARGETS
 from servocore.files import PICTURES, figure_file
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.drive_files import read_drives
-from servocore.model.limit_files import read_limits
 from servocore.model.limits import Bounds
-from servocore.model.parameter_files import read_parameters, read_table
+from servocore.model.parameter_files import read_drives, read_limits, read_parameters, read_table
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -366,8 +364,7 @@ class Certified:
         """Return the verdict in one line, none with --no-certify; `strict` raises an error where it is refuted."""
         if self.no_certify:
             return []
-        from servocore.certificate.certify import certify  # noqa: PLC0415 - most commands certify nothing
-        from servocore.certificate.required import require_certified  # noqa: PLC0415
+        from servocore.certificate.certify import certify, require_certified  # noqa: PLC0415 - few commands certify
 
         if strict:
             certificate = require_certified(subject, tolerance, model=model, warn=False)

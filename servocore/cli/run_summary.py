@@ -100,7 +100,7 @@ def details(solution: Solution, seconds: Sequence[float]) -> list[str]:
     versions = [f"{name} {metadata.version(name)}" for name in ("servocore", "casadi", "numpy")]
     return [
         f"  run: {counts.steps} steps, {counts.newton_iterations} Newton iterations, {counts.factorizations}"
-        f" factorizations, {counts.rejected} steps rejected; worst residual {counts.worst_residual:.1e}",
+        f" factorizations; worst residual {counts.worst_residual:.1e}",
         f"  residuals: servo constraints {counts.servo_violation:.1e}, geometric constraints"
         f" {counts.constraint_violation:.1e}",
         *([f"  branch: {counts.branch}"] if counts.branch else []),

@@ -6,7 +6,6 @@ load to the parameters.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.kinds import FILE, NUMBER, quantity, text
 from servocore.cli.options import GivenPath, Rows, Subject, Table
 from servocore.effects.position_loops import PositionLoops
+from servocore.effects.report import aligned
 from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
@@ -93,7 +93,8 @@ def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
     own = scene.model().parameters.names
     scene = scene.with_parameters(**{name: value for name, value in given.items() if name in own})
     moved = path.along(scene)
-    allowed = question.allowed(moved.model().outputs[0].unit)
+    # A scene without effects is refused for that, whatever the unit of its outputs.
+    allowed = question.allowed(moved.model().outputs[0].unit) if declared else 1.0
     with PatientProgress("estimating"):
         found = effects(
             moved,
@@ -119,13 +120,9 @@ def show_drives(subject: Subject, path: GivenPath, rows: Rows) -> None:
     rows.require(scene.reference.duration)
     with PatientProgress("solving"):
         solution = solve(scene, step=rows.step, model=subject.model)
-    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("drive", "quantity", "value", "at", "limit", "margin"):
-        table.add_column(heading, justify="left" if heading in ("drive", "quantity") else "right")
-    for name, drive in scene.drives.items():
-        for k, row in enumerate(duty(solution, name, drive)):
-            table.add_row("" if k else name, *row)
-    table_console().print(table)
+    head = ("drive", "quantity", "value", "at", "limit", "margin")
+    rows_ = [(name, *row) for name, drive in scene.drives.items() for row in duty(solution, name, drive)]
+    table_console().print(aligned([head, *rows_]), markup=False, highlight=False, soft_wrap=True)
 
 
 def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str, str, str, str]]:
@@ -140,31 +137,19 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
     drive : Drive
         Its drive.
     """
-    t, rated = solution.t, drive.rated
-    corners = drive.corners or ((0.0, math.nan), (math.nan, math.nan))
-    limits = {"motor_torque": math.nan, "motor_speed": corners[-1][0], "power": rated.get("rated_power", math.nan)}
-    for what, limit in {**limits, "current": math.nan}.items():
-        if f"{name}.{what}" in solution:
-            values, unit = np.abs(solution[f"{name}.{what}"]), solution.unit(f"{name}.{what}")
-            yield _row(f"{what.replace('_', ' ')}, peak", float(values.max()), float(t[values.argmax()]), limit, unit)
-    effective = float(solution[f"{name}.rms_torque"][-1])
-    yield _row("motor torque, rms", effective, math.nan, rated.get("rated_torque", math.nan), "N.m")
-    if drive.corners:
-        reserve = solution[f"{name}.torque_reserve"]
-        k, most = int(reserve.argmin()), max(torque for _, torque in corners)
-        share = f"{100.0 * reserve[k] / most:.0f} %"
-        yield "torque reserve, least", _shown(float(reserve[k]), "N.m"), f"{t[k]:.4g} s", _shown(0.0, "N.m"), share
-    yield _row("energy", float(solution[f"{name}.energy"][-1]), math.nan, math.nan, "J")
-
-
-def _row(quantity: str, value: float, time: float, limit: float, unit: str) -> tuple[str, str, str, str, str]:
-    at = "" if math.isnan(time) else f"{time:.4g} s"
-    margin = "" if math.isnan(limit) else f"{100.0 * (1.0 - value / limit):.0f} %"
-    return quantity, _shown(value, unit), at, "" if math.isnan(limit) else _shown(limit, unit), margin
-
-
-def _shown(value: float, unit: str) -> str:
-    return f"{value:.4g} {unit}"
+    speed, most = (max(column) for column in zip(*drive.corners, strict=True)) if drive.corners else (None, 1.0)
+    limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None}
+    for kind, limit in {**limits, "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}.items():
+        if (full := f"{name}.{kind}") not in solution:
+            continue
+        values, unit, text, k = solution[full], solution.unit(full), kind.replace("_", " "), -1
+        if kind == "torque_reserve":
+            k, text = int(values.argmin()), f"{text}, least"
+        elif kind in limits:
+            k, text, values = int(np.abs(values).argmax()), f"{text}, peak", np.abs(values)
+        left = values[k] / most if kind == "torque_reserve" else 1.0 - values[k] / float(limit or np.inf)
+        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * left:.0f} %")
+        yield text, f"{values[k]:.4g} {unit}", "" if k < 0 else f"{solution.t[k]:.4g} s", *bound
 
 
 @dataclass(frozen=True)
@@ -197,13 +182,12 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
 
 def _table(result: Sensitivities) -> rich.table.Table:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("quantity")
-    for name in result.parameters:
-        table.add_column(f"by {name}", justify="right")
+    table.add_column("parameter")
     for each in result.quantities:
-        changes = [
-            result[each.name, name] * size / 100.0 for name, size in zip(result.parameters, result.sizes, strict=True)
-        ]
-        shown = [f"{change[np.abs(change).argmax()]:.3g} {each.unit}" for change in changes]
-        table.add_row(each.name, *shown)
+        table.add_column(each.name, justify="right")
+    for name, size in zip(result.parameters, result.sizes, strict=True):
+        changes = [result[each.name, name] * size / 100.0 for each in result.quantities]
+        largest = [change[np.abs(change).argmax()] for change in changes]
+        shown = [f"{value:.3g} {of.unit}" for value, of in zip(largest, result.quantities, strict=True)]
+        table.add_row(name, *shown)
     return table

@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.effects.model_inversion import Inverted
-from servocore.effects.position_loops import Gains, measured_in
+from servocore.effects.position_loops import held, measured_in
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, Call, chained, mapped
 from servocore.numerics.memoization import made_once
-from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.forward_dynamics import forward_rate
+from servocore.problem import ResolvedSystem
+from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
 
 COARSEST = 0.02
 """Largest step of a run, in s."""
@@ -72,19 +72,13 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
 
     def driven(now: ca.MX, signal: ca.MX) -> ca.MX:
         at, moving = read(now)
-        lag = signal[m : 2 * m] + zero - at
-        lag = ca.vertcat(*(
-            ca.atan2(ca.sin(lag[k]), ca.cos(lag[k])) if quantity.wraps else lag[k]
-            for k, quantity in enumerate(quantities)
-        ))  # fmt: skip
-        u = signal[:m] + gains[:m] * lag + gains[m:] * (signal[2 * m :] - moving)
-        return rate(now, u, ca.DM.zeros(m), p)[0]
+        return rate(now, held(quantities, signal, at - zero, moving, gains), ca.DM.zeros(m), p)[0]
 
-    first = driven(x, signals[:, 0])
-    second = driven(x + h / 2 * first, signals[:, 1])
-    third = driven(x + h / 2 * second, signals[:, 1])
-    last = driven(x + h * third, signals[:, 2])
-    after = x + h / 6 * (first + 2 * second + 2 * third + last)
+    def given(time: ca.MX | float) -> ca.MX:  # the parabola through begin, middle and end
+        s = 2 * time / h
+        return signals @ ca.vertcat((s - 1) * (s - 2) / 2, s * (2 - s), s * (s - 1) / 2)
+
+    after = runge_kutta(lambda now, time: driven(now, given(time)), x, h)
     swing = [expression for quantity, expression in system.observables.items() if quantity.name in hanging]
     signal = ca.MX.sym("now", 3 * m)
     seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
@@ -98,15 +92,6 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
         ),
         seen=seen,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Driven:
-    """The drive of a plant: inputs, shape (N, m), at the instants of a motion, and loops that hold its positions."""
-
-    motion: Inverted
-    inputs: Array
-    gains: Gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,27 +129,27 @@ class Run:
 
 
 def run_loop(
-    problem: Problem,
-    driven: Driven,
-    inversion: Inverted,
-    measured: tuple[str, ...],
+    plant: Inverted,
+    model: Inverted,
+    gains: Array,
+    change: Array | float = 0.0,
     hanging: tuple[str, ...] = (),
     *,
     tail: float = 0.0,
     coarsest: float = COARSEST,
 ) -> Run:
-    """Run a plant under inputs, with loops that hold its drives on given positions.
+    """Run a plant under the inputs of a model, with loops that hold its drives on the positions of the model.
 
     Parameters
     ----------
-    problem : Problem
-        The plant, with the path.
-    driven : Driven
-        Inputs and loops.
-    inversion : Inverted
-        Where this plant would start and end under its own inputs: it starts there, and at its end it hangs at rest.
-    measured : tuple of str
-        Quantities that the drives measure in this plant.
+    plant : Inverted
+        Its motion under its own inputs: it starts where that starts, and where that ends it hangs at rest.
+    model : Inverted
+        Motion of a model along the same path.
+    gains : ndarray, shape (2, m)
+        See `gains_of`.
+    change : ndarray, shape (N, m), or float
+        Of the inputs of the model, at its instants.
     hanging : tuple of str
         See `compile_loop`.
     tail : float
@@ -177,11 +162,11 @@ def run_loop(
     InvalidModel
         If the plant is too stiff to be run, or its equations depend on time.
     """
-    loop, gains, motion = compile_loop(problem.resolved, measured, hanging), driven.gains, driven.motion
-    start, both = inversion.start, np.concatenate([gains.position, gains.rate])
-    zero = loop.read(start)[0]
-    signals = np.column_stack([driven.inputs, motion.positions, motion.rates])
-    jacobian = loop.linear(start, signals[0], problem.p, both, zero)[0]
+    problem, p, signals = plant.problem, plant.problem.p, model.signals
+    loop = compile_loop(problem.resolved, plant.measured, hanging)
+    zero = loop.read(plant.start)[0]
+    signals[:, : len(zero)] += change
+    jacobian = loop.linear(plant.start, signals[0], p, gains.ravel(), zero)[0]
     fastest = float(np.abs(np.linalg.eigvals(jacobian)).max()) if np.isfinite(jacobian).all() else np.inf
     step = min(coarsest, _STABLE / max(fastest, 1e-12))
     if not step > _SMALLEST:
@@ -191,32 +176,28 @@ def run_loop(
     duration = problem.reference.duration
     moving, after = (int(np.ceil(time / step)) for time in (duration, tail))
     h = duration / moving
-    at = motion.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
-    states = _integrated(loop, start, _sampled(motion.t, signals, at), (problem.p, both, zero), h)
-    seen = _seen(loop, states, problem.p)
-    at_end = _seen(loop, np.concatenate([inversion.end, np.zeros(len(inversion.end))])[None], problem.p)[0]
+    at = model.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
+    states = _integrated(loop, plant.start, _sampled(model.t, signals, at), (p, gains.ravel(), zero), h)
+    seen = _seen(loop, states, p)
+    at_end = _seen(loop, np.concatenate([plant.end, np.zeros(len(plant.end))])[None], p)[0]
     count = len(problem.system.outputs)
     path = problem.reference.jet(at[::2], 0)[:, 0]
     return Run(moving, seen[:, :count] - path, seen[:, count:] - at_end[count:])
 
 
-def linear_answers(
-    problem: Problem, motion: Inverted, gains: Gains, measured: tuple[str, ...], hanging: tuple[str, ...], change: Array
-) -> Array:
+def linear_answers(plant: Inverted, gains: Array, change: Array, hanging: tuple[str, ...]) -> Array:
     """Return how far changes of its inputs move a plant's output, if it were linear about rest at both ends of a path.
 
     Parameters
     ----------
-    problem : Problem
-        The plant.
-    motion : Inverted
-        The plant's own, from its start to its end.
-    gains : Gains
+    plant : Inverted
+        Its own motion, from its start to its end.
+    gains : ndarray, shape (2, m)
         Of the loops that hold its drives.
-    measured, hanging : tuple of str
-        See `compile_loop`.
     change : ndarray, shape (N, m)
         Disturbance of the inputs, at the instants of the motion.
+    hanging : tuple of str
+        See `compile_loop`.
 
     Returns
     -------
@@ -225,15 +206,15 @@ def linear_answers(
     """
     import scipy.signal  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    loop, n = compile_loop(problem.resolved, measured, hanging), len(motion.end)
-    both, errors = np.concatenate([gains.position, gains.rate]), []
-    for q, u in ((motion.start[:n], motion.inputs[0]), (motion.end, motion.inputs[-1])):
+    loop, n, errors = compile_loop(plant.problem.resolved, plant.measured, hanging), len(plant.end), []
+    for q, u in ((plant.start[:n], plant.inputs[0]), (plant.end, plant.inputs[-1])):
         state = np.concatenate([q, np.zeros(n)])
         place, rate = loop.read(state)
-        A, B, C = loop.linear(state, np.concatenate([u, 0 * place, rate]), problem.p, both, place)
+        signal = np.concatenate([u, 0 * place, rate])
+        A, B, C = loop.linear(state, signal, plant.problem.p, gains.ravel(), place)
         if not all(np.isfinite(matrix).all() for matrix in (A, B, C)):
             return np.full(2, np.inf)
-        _, response, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, motion.t - motion.t[0])
+        _, response, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, plant.t - plant.t[0])
         errors.append(np.linalg.norm(response.reshape(len(change), -1), axis=1).max())
     return np.array(errors)
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.effects.position_loops import measured_in
+from servocore.effects.position_loops import PositionLoops, gains_of, measured_in
 from servocore.errors import InconsistentStart
 from servocore.model.quantity import Quantity
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
@@ -30,6 +29,10 @@ class Inverted:
 
     Attributes
     ----------
+    problem : Problem
+        The model, with the path.
+    measured : tuple of str
+        Quantities that the drives measure.
     t : ndarray, shape (N,)
         From the start of the path to its end.
     inputs, positions, rates : ndarray, shape (N, m)
@@ -40,13 +43,24 @@ class Inverted:
         Processor time an instant, where it took least.
     """
 
+    problem: Problem
+    measured: tuple[str, ...]
     t: Array
     inputs: Array
     positions: Array
     rates: Array
     start: Array
     end: Array
-    microseconds: float
+    microseconds: float = np.nan
+
+    @property
+    def signals(self) -> Array:
+        """Inputs, positions and rates side by side, shape (N, 3 m)."""
+        return np.column_stack([self.inputs, self.positions, self.rates])
+
+    def gains(self, loops: PositionLoops | None) -> Array:
+        """Return the gains of position loops at the end, see `gains_of`."""
+        return gains_of(self.problem.system, self.measured, self.end, self.problem.p, loops)
 
 
 def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverted:
@@ -66,7 +80,7 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
     IntegrationFailed
         If an instant is not solved, or a length is negative.
     """
-    evaluation, wraps = _drive_signals(problem.resolved, measured)
+    evaluation, wraps, positive = _drive_signals(problem.resolved, measured)
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, count)
     padded = np.concatenate([t, np.full(-count % _CHUNK, t[-1])])
     parts, seconds = [], np.inf
@@ -78,29 +92,26 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
     require_solved(problem.system.name, t, rows)
     m, n = len(problem.system.inputs), len(problem.system.coordinates)
     inputs, y, rates, q, v, signs = np.split(rows, np.cumsum([m, m, m, n, n]), axis=1)
-    require_signs(problem.system.name, t, [quantity for quantity, _ in _positive(problem.system)], signs)
+    require_signs(problem.system.name, t, positive, signs)
     y[:, wraps] = np.unwrap(y[:, wraps], axis=0)
-    return Inverted(t, inputs, y - y[0], rates, np.concatenate([q[0], v[0]]), q[-1], 1e6 * seconds / _CHUNK)
-
-
-def _positive(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
-    """Return the quantities that must be positive, of those that depend on the configuration alone."""
-    known = [*zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True), *system.observables.items()]
-    others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
-    return [(each, expression) for each, expression in known if each.positive and not ca.depends_on(expression, others)]
+    start = np.concatenate([q[0], v[0]])
+    return Inverted(problem, measured, t, inputs, y - y[0], rates, start, q[-1], 1e6 * seconds / _CHUNK)
 
 
 @made_once
-def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple[ExactEvaluation, list[bool]]:
-    """Compile inputs, positions and rates of the drives, q, v and signs; and say which positions wrap."""
+def _drive_signals(
+    resolved: ResolvedSystem, measured: tuple[str, ...]
+) -> tuple[ExactEvaluation, list[bool], list[Quantity]]:
+    """Compile inputs, positions and rates of the drives, q, v and what must be positive; which positions wrap."""
     system = resolved.system
     quantities, y = measured_in(system, measured)
-    positive = (each for _, each in _positive(system))
-    wanted = [system.u, y, ca.jtimes(y, system.q, system.v), system.q, system.v, *positive]
-    return exact_evaluation(resolved, reading(resolved, wanted)), [quantity.wraps for quantity in quantities]
+    known = *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True), *resolved.must_be_positive
+    positive = {quantity: expression for quantity, expression in known if quantity.positive}
+    wanted = [system.u, y, ca.jtimes(y, system.q, system.v), system.q, system.v, *positive.values()]
+    evaluation = exact_evaluation(resolved, reading(resolved, wanted))
+    return evaluation, [quantity.wraps for quantity in quantities], list(positive)
 
 
-_ITERATIONS = 50
 _SOLVED = 1e-9  # of the largest force or length
 
 
@@ -118,49 +129,45 @@ def at_rest(problem: Problem, measured: tuple[str, ...]) -> Inverted:
     ends = np.array([reference.start_time, reference.end_time])
     m, n = len(system.inputs), len(system.coordinates)
     equilibria = np.array([_equilibrium(problem, time) for time in ends])
-    _, y = measured_in(system, measured)
-    positions = np.hstack(
-        [np.asarray(ca.Function("y", [system.q], [y])(equilibrium[:n])) for equilibrium in equilibria]
-    ).T
-    still = np.zeros((2, m))
+    read = ca.Function("y", [system.q], [measured_in(system, measured)[1]])
+    positions = np.hstack([np.asarray(read(equilibrium[:n])) for equilibrium in equilibria]).T
     start = np.concatenate([equilibria[0, :n], np.zeros(n)])
-    return Inverted(ends, equilibria[:, -m:], positions - positions[0], still, start, equilibria[1, :n], np.nan)
+    still = np.zeros((2, m))
+    return Inverted(
+        problem, measured, ends, equilibria[:, -m:], positions - positions[0], still, start, equilibria[1, :n]
+    )
 
 
 def _equilibrium(problem: Problem, time: float) -> Array:
     """Return (q, lam, u) at rest with the output where the path is at a time."""
+    import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
+
     guess, balance = _statics(problem.resolved)
-    place = problem.reference.jet(time, 0)[0]
-    unknowns = guess(place, problem.p)[0]
-    for _ in range(_ITERATIONS):
-        residual, jacobian = balance(unknowns, place, problem.p)
-        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
-            break
-        change = np.linalg.lstsq(jacobian, -residual, rcond=1e-12)[0]
-        unknowns = unknowns + change
-        if np.abs(change).max() < 1e-13 * np.abs(unknowns).max():
-            break
-    residual, _ = balance(unknowns, place, problem.p)
-    if not np.abs(residual).max() <= _SOLVED * np.abs(unknowns).max():
+    place, n = problem.reference.jet(time, 0)[0], len(problem.system.coordinates)
+    unknowns = np.zeros(n + problem.system.lam.numel() + len(problem.system.inputs))
+    unknowns[:n] = guess(place, problem.p)[0]
+    # With no force in the rope the Jacobian would be singular: those are taken that hold the guess.
+    residual, jacobian = balance(unknowns, place, problem.p)
+    unknowns[n:] = np.linalg.lstsq(jacobian[:n, n:], -residual[:n])[0]
+    rows, slopes = (lambda x, k=k: balance(x, place, problem.p)[k] for k in range(2))
+    found = scipy.optimize.root(rows, unknowns, jac=slopes, method="lm", tol=1e-15).x
+    if not np.abs(balance(found, place, problem.p)[0]).max() <= _SOLVED * np.abs(found).max():
         raise InconsistentStart(
             f"{problem.system.name}: no equilibrium was found with the output where the path is at t = {time:.6g} s"
         )
-    return unknowns
+    return np.asarray(found, dtype=np.float64)
 
 
 @made_once
 def _statics(resolved: ResolvedSystem) -> tuple[Call, Call]:
-    """Compile (place, p) -> guess of (q, lam, u), and (unknowns, place, p) -> residual of the statics, Jacobian."""
+    """Compile (place, p) -> guess of q, and ((q, lam, u), place, p) -> residual of the statics, Jacobian."""
     system = resolved.system
     place, unknowns = system.gamma[:, 0], ca.vertcat(system.q, system.lam, system.u)
     forces = ca.substitute(system.bias, system.v, ca.SX.zeros(len(system.coordinates))) + system.constraint_forces
     rows = ca.vertcat(forces, system.constraints, system.output - place)
-    at_rest_ = ca.substitute(system.guess, ca.vec(system.gamma[:, 1:]), ca.SX.zeros(system.gamma[:, 1:].numel()))
-    balance = ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))
-    # With no force in the rope the Jacobian would be singular: least squares give those that hold the guess.
-    matrix, load = (ca.substitute(expression, system.q, at_rest_) for expression in (
-        ca.horzcat(system.G.T, system.input_matrix.T), -(forces - system.constraint_forces)))  # fmt: skip
-    normal = ca.mtimes(matrix.T, matrix) + 1e-9 * ca.SX.eye(matrix.size2())
-    held = ca.solve(normal, ca.mtimes(matrix.T, load))
-    first = ca.Function("sc_rest_guess", [place, system.p], [ca.densify(ca.vertcat(at_rest_, held))])
-    return Call(first), Call(ca.Function("sc_rest", [unknowns, place, system.p], list(balance)))
+    guess = ca.substitute(system.guess, ca.vec(system.gamma[:, 1:]), ca.SX.zeros(system.gamma[:, 1:].numel()))
+    balance = [ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))]
+    return (
+        Call(ca.Function("sc_rest_guess", [place, system.p], [ca.densify(guess)])),
+        Call(ca.Function("sc_rest", [unknowns, place, system.p], balance)),
+    )

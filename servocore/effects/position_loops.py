@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel, InvalidSetting, require_real
+from servocore.errors import InvalidModel, require_positive
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.stepping.observation import observed
 
 
 @dataclass(frozen=True)
@@ -34,31 +34,12 @@ class PositionLoops:
 
     def __post_init__(self) -> None:
         for what, value in (("bandwidth", self.bandwidth), ("damping", self.damping)):
-            require_real(value, f"the {what} of position loops", "a number", InvalidSetting)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidSetting(f"the {what} of position loops must be positive and finite, not {value:g}")
-
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """Gains of the loops of all drives, shapes (m,): per unit of the position and of its rate."""
-
-    position: Array
-    rate: Array
-
-    @classmethod
-    def none(cls, inputs: int) -> Gains:
-        """Return those of inputs that drive the plant alone."""
-        return cls(np.zeros(inputs), np.zeros(inputs))
+            require_positive(value, f"the {what} of position loops", "a number")
 
 
 def reported(system: MechanicalSystem) -> dict[str, tuple[Quantity, ca.SX]]:
     """Return observables, outputs and coordinates by name, with their expressions."""
-    known = [
-        *system.observables.items(),
-        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
-        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
-    ]
+    known = ((each, expression) for each, expression in observed(system) if each not in system.inputs)
     return {each.name: (each, expression) for each, expression in known}
 
 
@@ -92,8 +73,10 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
     return tuple(each for each, _ in expressions), column
 
 
-def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, loops: PositionLoops) -> Gains:
-    """Return the gains of drives at a configuration.
+def gains_of(
+    system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, loops: PositionLoops | None
+) -> Array:
+    """Return the gains of drives at a configuration, shape (2, m): per unit of each position, and of its rate.
 
     Parameters
     ----------
@@ -103,17 +86,44 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
         Measured quantities, one an input.
     q, p : ndarray
         Configuration and parameter values.
-    loops : PositionLoops
-        Bandwidth and damping.
+    loops : PositionLoops or None
+        Bandwidth and damping; zeros for None.
     """
     _, y = measured_in(system, names)
+    if loops is None:
+        return np.zeros((2, len(system.inputs)))
     wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
     matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(expression) for expression in wanted])
     M, G, B, J = (np.asarray(matrix) for matrix in matrices(q, p))
     bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
     mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
     accelerations = np.diag(J @ mobility)  # acceleration of each position by its own input
-    if not (np.abs(accelerations) > 0.0).all():
-        name = names[int((~(np.abs(accelerations) > 0.0)).argmax())]
-        raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
-    return Gains(loops.bandwidth**2 / accelerations, 2 * loops.damping * loops.bandwidth / accelerations)
+    for name, each in zip(names, accelerations, strict=True):
+        if not abs(each) > 0.0:
+            raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
+    return np.stack([loops.bandwidth**2 / accelerations, 2 * loops.damping * loops.bandwidth / accelerations])
+
+
+def held(quantities: tuple[Quantity, ...], signal: ca.MX, position: ca.MX, rate: ca.MX, gains: ca.MX) -> ca.MX:
+    """Return the inputs of drives whose loops hold them on a signal of inputs, positions and rates.
+
+    Parameters
+    ----------
+    quantities : tuple of Quantity
+        Measured ones.
+    signal : casadi.MX, shape (3 m,)
+        Feedforward, and what is wanted of positions and rates.
+    position, rate : casadi.MX, shape (m,)
+        As they are measured.
+    gains : casadi.MX, shape (2 m,)
+        Of positions, then of rates.
+    """
+    m = len(quantities)
+    lag = wrapped(quantities, signal[m : 2 * m] - position)
+    return signal[:m] + gains[:m] * lag + gains[m:] * (signal[2 * m :] - rate)
+
+
+def wrapped(quantities: tuple[Quantity, ...], differences: ca.MX) -> ca.MX:
+    """Return differences with those of angles between half a turn to both sides."""
+    each = zip(quantities, ca.vertsplit(differences), strict=True)
+    return ca.vertcat(*(ca.atan2(ca.sin(d), ca.cos(d)) if quantity.wraps else d for quantity, d in each))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,15 +85,17 @@ class EffectsReport:
         How far the load may be off its path, in the unit of the path.
     loops : str
         Inputs and loops of the plant, in words.
-    unit : str
-        Of errors and swings.
     """
 
     scene: Scene
     rows: tuple[EffectRow, ...]
     tolerance: float
     loops: str
-    unit: str = "m"
+
+    @property
+    def unit(self) -> str:
+        """Unit of errors and swings."""
+        return self.scene.model().outputs[0].unit
 
     def __getitem__(self, name: str) -> EffectRow:
         for row in self.rows:
@@ -141,8 +144,8 @@ class EffectsReport:
         how = " and ".join(changes) if changes else "the scene as it is"
         addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
-            f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"
-            f" out moves it by {_length(total, self.unit)} at most, errors added up.{self._smoother_path}"
+            f"{self.loops}, the load keeps {self._length(self.tolerance)} with {how}{addition}: all that is left"
+            f" out moves it by {self._length(total)} at most, errors added up.{self._smoother_path}"
             + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
 
@@ -166,19 +169,29 @@ class EffectsReport:
         list of tuple of str
             One tuple a row.
         """
-        return [self._cells(row) for row in self.rows]
+        return [
+            (
+                f"{row.name} (left out)" if row.left_out else row.name,
+                *(_shown(number, "{}") for number in (row.index, row.internal_states, row.derivatives)),
+                _shown(row.input_change and 100 * row.input_change, "{:.2g} %"),
+                REFUSED if row.how == REFUSED else f"{self._length(row.error)}, {row.how}",
+                "-" if row.swing is None else self._length(row.swing),
+                _shown(row.unknowns, "{}"),
+                _shown(row.microseconds, "{:.2g}"),
+                "-" if row.how == REFUSED else "yes" if row.needed else "no",
+            )
+            for row in self.rows
+        ]
 
-    def _cells(self, row: EffectRow) -> tuple[str, ...]:
-        counts = (row.index, row.internal_states, row.derivatives)
-        name = f"{row.name} (left out)" if row.left_out else row.name
-        if row.how == REFUSED:
-            return (name, *map(_count, counts), "-", REFUSED, "-", _count(row.unknowns), "-", "-")
-        change = "-" if row.input_change is None else f"{100 * row.input_change:.2g} %"
-        time = "-" if row.microseconds is None else f"{row.microseconds:.2g}"
-        swing = "-" if row.swing is None else _length(row.swing, self.unit)
-        error = f"{_length(row.error, self.unit)}, {row.how}"
-        needed = "yes" if row.needed else "no"
-        return (name, *map(_count, counts), change, error, swing, _count(row.unknowns), time, needed)
+    def _length(self, value: float) -> str:
+        """Return an error for people: lengths in mm up to ten metres."""
+        if not math.isfinite(value):
+            return "not survived"
+        if self.unit != "m":
+            return f"{value:.2g} {self.unit}"
+        if value >= 10:
+            return f"{value:.2g} m"
+        return f"{1e3 * value:.2g} mm" if value < 0.0995 else f"{1e3 * value:.0f} mm"
 
     @property
     def remarks(self) -> list[str]:
@@ -192,41 +205,26 @@ class EffectsReport:
                 self.verdict]  # fmt: skip
 
     def __str__(self) -> str:
-        table = [HEADINGS, *self.cells()]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in table
-        ]
-        return "\n".join([self.scene.name, *lines, *self.remarks])
+        return "\n".join([self.scene.name, aligned([HEADINGS, *self.cells()]), *self.remarks])
 
-    def markdown(self, title: str = "") -> str:
-        """Return the table and the remarks as a piece of Markdown.
-
-        Parameters
-        ----------
-        title : str, optional
-            A heading above the table; none when not given.
+    def markdown(self) -> str:
+        """Return the table and the remarks below the name of the scene as a piece of Markdown.
 
         Returns
         -------
         str
             Markdown.
         """
-        table = [HEADINGS, ("---",) * len(HEADINGS), *self.cells()]
-        lines = ["| " + " | ".join(row) + " |" for row in table]
-        return "\n".join(
-            [f"## {title or self.scene.name}", "", *lines, "", *(f"* {remark}" for remark in self.remarks), ""]
-        )
+        lines = ["| " + " | ".join(row) + " |" for row in (HEADINGS, ("---",) * len(HEADINGS), *self.cells())]
+        remarks = (f"* {remark}" for remark in self.remarks)
+        return "\n".join([f"## {self.scene.name}", "", *lines, "", *remarks, ""])
 
 
-def _count(number: int | None) -> str:
-    return "-" if number is None else str(number)
+def _shown(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
 
 
-def _length(value: float, unit: str) -> str:
-    """Return an error for people: lengths in mm up to ten metres."""
-    if not math.isfinite(value):
-        return "not survived"
-    if unit != "m":
-        return f"{value:.2g} {unit}"
-    return f"{1e3 * value:.2g} mm" if value < 0.0995 else (f"{1e3 * value:.0f} mm" if value < 10 else f"{value:.2g} m")
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of texts as lines with columns of even width."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)

@@ -16,15 +16,15 @@ where the path starts and ends: where they differ by more than a tenth the plant
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from servocore.checks.before_run import require_feasible
-from servocore.effects.closed_loop import COARSEST, Driven, linear_answers, run_loop
-from servocore.effects.model_inversion import Inverted, at_rest, inverted
-from servocore.effects.position_loops import Gains, PositionLoops, gains_of
+from servocore.effects.closed_loop import COARSEST, linear_answers, run_loop
+from servocore.effects.model_inversion import at_rest, inverted
+from servocore.effects.position_loops import PositionLoops
 from servocore.effects.report import REFUSED, SIMULATED, EffectRow, EffectsReport
 from servocore.errors import (
     InvalidModel,
@@ -33,9 +33,8 @@ from servocore.errors import (
     ServocoreError,
     described,
     require_kind,
-    require_real,
+    require_positive,
 )
-from servocore.model.effects import Effects
 from servocore.model.scene import ModelFactory, Scene, require_scene
 from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
@@ -99,42 +98,21 @@ def effects(
     require_scene(scene, "effects")
     if loops is not None:
         require_kind(loops, PositionLoops, "loops", "PositionLoops(...) or None", InvalidSetting)
-    require_real(tolerance, "the tolerance", "a length", InvalidSetting)
-    if not (math.isfinite(tolerance) and tolerance > 0.0):
-        raise InvalidSetting(f"the tolerance must be positive and finite, not {tolerance:g}")
+    require_positive(tolerance, "the tolerance", "a length")
     study = _Study(scene, loops, float(tolerance), dict(parameters or {}), measured or scene.effects.measured, simulate)
     study.require_parameters(plant or {})
     require_feasible(Problem.of(scene))
-    rows = [study.row(case) for case in study.cases(plant or {})]
-    unit = scene.model().outputs[0].unit
-    return EffectsReport(scene, _judged(rows, tolerance), float(tolerance), _in_words(loops), unit)
-
-
-def _in_words(loops: PositionLoops | None) -> str:
-    if loops is None:
-        return "With the inputs alone"
-    return f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}"
-
-
-def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
-    """Return the rows worst first, with the effects needed: the errors of all others add up to less."""
-    judged, total = [], 0.0
-    for line in sorted(rows, key=lambda row: row.error):
-        refused = line.how == REFUSED
-        total += 0.0 if refused else line.error
-        judged.append(replace(line, needed=total > tolerance and not refused))
-    return tuple(reversed(judged))
-
-
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """An effect: the model with it, the model without it, and the measured quantities of the first."""
-
-    name: str
-    large: Scene
-    small: Scene
-    measured: tuple[str, ...]
-    left_out: bool = False
+    judged, total = list[EffectRow](), 0.0
+    for row in sorted((study.row(*case) for case in study.cases(plant or {})), key=lambda row: row.error):
+        refused = row.how == REFUSED
+        total += 0.0 if refused else row.error
+        judged.insert(0, replace(row, needed=total > tolerance and not refused))
+    of_plant = (
+        "With the inputs alone"
+        if loops is None
+        else (f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}")
+    )
+    return EffectsReport(scene, tuple(judged), float(tolerance), of_plant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,134 +153,84 @@ class _Study:
             raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
         system, model = factory(), self.scene.model()
         require_kind(system, MechanicalSystem, f"the result of the plant {name}", "a MechanicalSystem", InvalidModel)
-        for what, present, expected in (
-            ("inputs", system.inputs, model.inputs),
-            ("outputs", system.outputs, model.outputs),
-        ):
-            names, known = ([quantity.name for quantity in quantities] for quantities in (present, expected))
-            if len(names) != len(known):
-                raise InvalidModel(
-                    f"the plant {name} has the {what} {', '.join(names)}, {self.scene.name} has {', '.join(known)}"
-                )
+        for what in ("inputs", "outputs"):
+            names, known = (", ".join(each.name for each in getattr(of, what)) for of in (system, model))
+            if len(getattr(system, what)) != len(getattr(model, what)):
+                raise InvalidModel(f"the plant {name} has the {what} {names}, {self.scene.name} has {known}")
         return system
 
-    def cases(self, plant: Mapping[str, ModelFactory]) -> list[_Case]:
-        """Return all effects, declared ones first."""
-        declared, collected = self.scene.effects, []
-        base = self._extended(declared) if declared.declared else self.scene
+    def cases(self, plant: Mapping[str, ModelFactory]) -> Iterator[tuple[str, Scene, Scene, bool]]:
+        """Yield name, model with it, model without it, and whether it is left out, of every effect."""
+        scene, declared = self.scene, self.scene.effects
+        base = self._set(scene.with_effects()) if declared.declared else scene
         for effect in declared.declared:
             if not effect.listed or effect.name in declared.added | declared.left_out:
                 continue
             if effect.left_out:
-                collected.append(
-                    _Case(effect.name, base, self._extended(declared.with_((), [effect.name])), declared.measured, True)
-                )
+                yield effect.name, base, self._set(scene.with_effects(without=[effect.name])), True
             else:
-                extended = declared.with_([effect.name])
-                collected.append(_Case(effect.name, self._extended(extended), base, extended.measured))
+                yield effect.name, self._set(scene.with_effects(effect.name)), base, False
         for name, factory in plant.items():
-            collected.append(_Case(name, self._scene(factory), base, self.measured))
-        return collected
+            yield name, self._set(replace(scene, models={"plant": factory})), base, False
 
-    def _extended(self, effects_: Effects) -> Scene:
-        return self._scene(effects_.factory, effects_)
+    def _set(self, scene: Scene) -> Scene:
+        known, values = scene.model().parameters.names, {**self.scene.parameters, **self.parameters}
+        return replace(scene, parameters={name: value for name, value in values.items() if name in known})
 
-    def _scene(self, factory: ModelFactory, effects_: Effects | None = None) -> Scene:
-        changed = replace(self.scene, models={"plant": factory}, effects=effects_ or self.scene.effects)
-        known = changed.model().parameters.names
-        values = {**self.scene.parameters, **self.parameters}
-        return replace(changed, parameters={name: value for name, value in values.items() if name in known})
-
-    def row(self, case: _Case) -> EffectRow:
-        """Return the row of an effect."""
+    def row(self, name: str, large: Scene, small: Scene, left_out: bool) -> EffectRow:
+        """Return the row of an effect; of one that cannot be judged with the reason."""
+        row = EffectRow(name, left_out=left_out)
         try:
-            return self._row(case)
+            array = Problem.of(large).resolved.outcome
+            if not isinstance(array, InvalidModel):
+                row = replace(
+                    row,
+                    index=array.signature.index,
+                    internal_states=array.signature.degrees_of_freedom,
+                    derivatives=array.reference_order,
+                    unknowns=len(array.unknowns),
+                )
+            order = max(row.derivatives or 0, Problem.of(small).array.reference_order)
+            reference = smooth_enough(large.reference, order)
+            moved = (scene.with_reference(reference) for scene in (large, small))
+            law = f"law {reference.profile.name}" if isinstance(reference, RestToRest) else "the scene's own law"
+            return self._compared(replace(row, law=law), *moved)
         except ServocoreError as error:
-            return EffectRow(case.name, left_out=case.left_out, how=REFUSED, reason=str(error))
+            return EffectRow(name, left_out=left_out, how=REFUSED, reason=str(error))
 
-    def _row(self, case: _Case) -> EffectRow:
-        array = Problem.of(case.large).resolved.outcome
-        if isinstance(array, InvalidModel):
-            row = EffectRow(case.name, left_out=case.left_out)
-        else:
-            row = EffectRow(
-                name=case.name,
-                left_out=case.left_out,
-                index=array.signature.index,
-                internal_states=array.signature.degrees_of_freedom,
-                derivatives=array.reference_order,
-                unknowns=len(array.unknowns),
-            )
-        order = max(row.derivatives or 0, Problem.of(case.small).array.reference_order)
-        reference = smooth_enough(case.large.reference, order)
-        large, small = (scene.with_reference(reference) for scene in (case.large, case.small))
-        return self._compared(replace(row, law=_law(reference)), case, large, small)
-
-    def _compared(self, row: EffectRow, case: _Case, large: Scene, small: Scene) -> EffectRow:
+    def _compared(self, row: EffectRow, large: Scene, small: Scene) -> EffectRow:
         """Return a row with its error: estimated, and simulated where an estimate is weak or impossible."""
         instants = max(math.ceil(large.reference.duration / COARSEST), _FEWEST) + 1
         plant, model = Problem.of(large), Problem.of(small)
-        flat, reason = row.internal_states == 0, _NOT_FLAT
+        measured, hanging = large.effects.measured or self.measured, self.scene.effects.hanging
         without = inverted(model, self.measured, instants)
-        with_effect = inverted(plant, case.measured, instants) if flat else at_rest(plant, case.measured)
-        gains = self._gains(large, with_effect) if case.left_out else self._gains(small, without)
-        tail = _TAIL if _rests(large.reference) else 0.0
-        if flat:
-            row, reason = self._estimated(row, (model, without), (plant, with_effect), case.measured, gains, tail)
+        with_effect = inverted(plant, measured, instants) if row.internal_states == 0 else at_rest(plant, measured)
+        gains = (with_effect if row.left_out else without).gains(self.loops)
+        end = large.reference.end_time
+        tail = 0.0 if large.reference.jet([end, end + 1.0], 2)[:, 1:].any() else _TAIL  # where the path stays
+        reason = _NOT_FLAT
+        if row.internal_states == 0:
+            # delta of the head of this file.
+            inputs, positions, rates = np.split(with_effect.signals - without.signals, 3, axis=1)
+            lacking = inputs + gains[0] * positions + gains[1] * rates
+            estimate = run_loop(without, without, gains, -lacking, hanging, tail=tail)
+            peaks = np.abs(without.inputs).max(axis=0)
+            row = replace(
+                row,
+                microseconds=with_effect.microseconds,
+                input_change=float((np.abs(inputs).max(axis=0) / np.where(peaks > 0.0, peaks, 1.0)).max()),
+                error=estimate.error,
+                swing=estimate.swing,
+                estimate=estimate.error,
+            )
+            reason = self._weak(row)
+            if not reason:
+                of_model, of_plant = (linear_answers(e, gains, lacking, hanging) for e in (without, with_effect))
+                reason = "" if (np.abs(of_plant - of_model) <= _OTHERWISE * of_model).all() else _ANSWERS
         if not reason:
             return row
-        driven, hanging = Driven(without, without.inputs, gains), self.scene.effects.hanging
-        run = run_loop(plant, driven, with_effect, case.measured, hanging, tail=tail)
+        run = run_loop(with_effect, without, gains, 0.0, hanging, tail=tail)
         return replace(row, error=run.error, swing=run.swing, how=SIMULATED, reason="" if self.simulate else reason)
-
-    def _estimated(
-        self,
-        row: EffectRow,
-        small: tuple[Problem, Inverted],
-        large: tuple[Problem, Inverted],
-        measured: tuple[str, ...],
-        gains: Gains,
-        tail: float,
-    ) -> tuple[EffectRow, str]:
-        """Return a row with the estimate of its error, and why it is to be simulated; empty where the estimate holds.
-
-        Parameters
-        ----------
-        row : EffectRow
-            Of the effect.
-        small, large : tuple of (Problem, Inverted)
-            The models without and with the effect, and their motions along the path.
-        measured : tuple of str
-            Measured quantities of the large one.
-        gains : Gains
-            Of the drives.
-        tail : float
-            Time in s after the end of the path in which the load may swing.
-        """
-        (model, without), (_, with_effect) = small, large
-        # delta of the head of this file.
-        lacking = with_effect.inputs - without.inputs
-        lacking = lacking + gains.position * (with_effect.positions - without.positions)
-        lacking = lacking + gains.rate * (with_effect.rates - without.rates)
-        hanging, driven = self.scene.effects.hanging, Driven(without, without.inputs - lacking, gains)
-        estimate = run_loop(model, driven, without, self.measured, hanging, tail=tail)
-        change = _relative_change(with_effect, without)
-        row = replace(row, microseconds=with_effect.microseconds, input_change=change)
-        row = replace(row, error=estimate.error, swing=estimate.swing, estimate=estimate.error)
-        reason = self._weak(row)
-        if not reason:
-            of_model, of_plant = (
-                linear_answers(problem, motion, gains, names, hanging, lacking)
-                for (problem, motion), names in ((small, self.measured), (large, measured))
-            )
-            reason = "" if (np.abs(of_plant - of_model) <= _OTHERWISE * of_model).all() else _ANSWERS
-        return row, reason
-
-    def _gains(self, scene: Scene, motion: Inverted) -> Gains:
-        system, problem = scene.model(), Problem.of(scene)
-        if self.loops is None:
-            return Gains.none(len(system.inputs))
-        return gains_of(system, self.measured, motion.end, problem.p, self.loops)
 
     def _weak(self, row: EffectRow) -> str:
         """Return why a row is to be simulated; empty where its estimate is good enough."""
@@ -332,19 +260,3 @@ def smooth_enough(reference: Reference, order: int) -> Reference:
             " a higher rest_order"
         )
     return replace(reference, profile=polynomial(2 * order + 1), smoothness=order)
-
-
-def _law(reference: Reference) -> str:
-    return f"law {reference.profile.name}" if isinstance(reference, RestToRest) else "the scene's own law"
-
-
-def _rests(reference: Reference) -> bool:
-    """Whether a path stays where it ends."""
-    after = reference.jet([reference.end_time, reference.end_time + 1.0], 2)
-    return not after[:, 1:].any()
-
-
-def _relative_change(one: Inverted, other: Inverted) -> float:
-    """Return the largest difference of any input, as a fraction of that input's largest value in the second."""
-    peaks = np.abs(other.inputs).max(axis=0)
-    return float((np.abs(one.inputs - other.inputs).max(axis=0) / np.where(peaks > 0.0, peaks, 1.0)).max())

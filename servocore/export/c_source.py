@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import struct
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
-from servocore.export.building import inverse_model
-from servocore.export.c_functions import c_source, scratch_of
+from servocore.export.building import InverseModel, inverse_model
+from servocore.export.c_functions import c_source, operations, scratch_of
 from servocore.export.identifiers import identifier_of
-from servocore.export.inverse_model import InverseModel
-from servocore.export.operations import operations
 from servocore.export.sources import SHARED, rendered, tables
+from servocore.export.targets import host, libraries
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
-from servocore.numerics.machine_code import c_compiler, compile_in
 from servocore.numerics.newton import MAX_ITERATIONS
 
 _NAMES = ("main.c", "CMakeLists.txt", "README.md")  # besides those named after the scene
@@ -68,17 +65,17 @@ def require_folder(scene: Scene, place: Path) -> None:
 
 def c_files(model: InverseModel) -> dict[str, str]:
     """Return all texts by file name."""
-    functions = {name: each for name, each in model.mathematics.functions.items() if name in _CALLED}
+    functions = {name: each for name, each in model.functions.items() if name in _CALLED}
     name, scratch = model.identifier, scratch_of(functions.values())
     source = c_source(f"{name}_mathematics", functions.values())[1]
+    path = (SHARED / "path.h").read_text(encoding="utf-8")  # without the lines that make it a header
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
-        "parameters": model.numbers("parameter") - len(model.settings),
         "functions": tuple(functions),
         "scratch": scratch,
         "integrated": bool(model.method),
-        "path_source": _path_functions(),
+        "path_source": path[path.index("/* Continue a path") : path.rindex("#endif")].rstrip(),
         "mathematics_source": source,
     }
     notice = model.about.notice
@@ -92,9 +89,9 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "operations": operations(functions[usual], at_most=False),
         "most_operations": sum(operations(functions[each], at_most=True) for each in {usual, longest}),
         "most_iterations": MAX_ITERATIONS,
-        "blocks": _blocks(source),
+        "blocks": source.count("casadi_newton(&") // 2,  # each has a fast and a damped loop
         "memory_bytes": _memory_bytes(model, scratch),
-        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
+        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, name),
     }
     return {
         f"{name}.h": notice + header,
@@ -105,48 +102,30 @@ def c_files(model: InverseModel) -> dict[str, str]:
     }
 
 
-def _path_functions() -> str:
-    """Return the functions in `path.h`, without the lines that make it a header."""
-    text = (SHARED / "path.h").read_text(encoding="utf-8")
-    return text[text.index("/* Continue a path") : text.rindex("#endif")].rstrip()
-
-
-def _blocks(source: str) -> int:
-    """Count the systems solved by Newton's method; each has a fast and a damped loop."""
-    return source.count("casadi_newton(&") // 2
-
-
 def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
-    mathematics = model.mathematics
-    inputs, state = model.components * mathematics.orders, max(mathematics.state_size, 1)
-    numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
+    inputs, state = model.components * model.orders, max(model.state_size, 1)
+    numbers = inputs * (1 + len(model.nodes)) + len(model.outputs) + 2 * state
     numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)
 
 
-def _measured(files: dict[str, str], file: str) -> dict[str, str]:
-    """Measure stack and code; the sum over all functions is an upper bound of the stack, since none is recursive."""
+def _measured(files: Mapping[str, str], name: str) -> dict[str, str]:
+    """Measure stack and code of a library of this machine."""
     try:
-        command = c_compiler()
-        with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
-            for name, text in files.items():
-                Path(folder, name).write_text(text, encoding="utf-8")
-            options = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fstack-usage", "-c", file, "-o", "object.o"]
-            compile_in(Path(folder), [*command, *options], file)
-            (usage,) = Path(folder).glob("*.su")
-            stack = sum(int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines())
-            code = _loaded_bytes(Path(folder, "object.o").read_bytes())
-    except (InvalidSetting, OSError, ValueError, IndexError, struct.error):
+        (library,) = libraries(files, [f"{name}.c"], name, [host()], 3).values()
+        code = _loaded_bytes(library.content)
+    except (InvalidSetting, KeyError, ValueError, struct.error):
         return dict.fromkeys(("stack", "code"), "not measured: no compiler that reports it was found")
-    by = f"measured with `{' '.join(command)} -O2`"
-    return {"stack": f"at most {stack} bytes, {by}", "code": f"{code} bytes, constants included, {by}"}
+    by = "measured in a library of this machine's compiler, with `-O3`"
+    stack = "not reported by the compiler" if library.stack is None else f"at most {library.stack} bytes, {by}"
+    return {"stack": stack, "code": f"{code} bytes, constants included, {by}"}
 
 
 def _loaded_bytes(elf: bytes) -> int:
-    """Return the size of code and constants in a 64-bit ELF object: allocated sections with content."""
+    """Return the size of code and constants in a 64-bit ELF file: allocated sections with content."""
     if elf[:5] != b"\x7fELF\x02":
-        raise ValueError("no 64-bit ELF object")
+        raise ValueError("no 64-bit ELF file")
     (table,), (size, count) = struct.unpack_from("<Q", elf, 40), struct.unpack_from("<HH", elf, 58)
     rows = [struct.unpack_from("<IIQQQQ", elf, table + k * size) for k in range(count)]
     return sum(length for _, kind, flags, _, _, length in rows if kind == 1 and flags & 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servocore.export.inverse_model import InverseModel
+from servocore.export.building import InverseModel
 from servocore.files import cross_check_texts
 from servocore.model.scene import Scene
 from servocore.solution import Solution
@@ -31,7 +31,7 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
         Version of FMI, which determines the names of variables: in the third a vector is one of them.
     """
     path, t, begin = scene.reference, solution.t, model.start_time
-    jets = path.jet(t, model.mathematics.orders - 1).reshape(len(t), -1)
+    jets = path.jet(t, model.orders - 1).reshape(len(t), -1)
     since = {"time": t - path.start_time + begin}
     inputs = dict(since)
     for each in model.of("input"):

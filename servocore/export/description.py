@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
+from servocore.export.parameter_sets import add
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
-from servocore.export.variables import INTERNAL_STEP, Choice, Variable
+from servocore.export.variables import INTERNAL_STEP, Variable
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -47,23 +48,28 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
          "generationTool": tool(), **naming},
     )  # fmt: skip
     abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
-    simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
+    simulation = add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     if fmi == 2:
-        files = _add(simulation, "SourceFiles")
+        files = add(simulation, "SourceFiles")
         for name in compiled_files(model, 2):
-            _add(files, "File", name=name)
+            add(files, "File", name=name)
     _unit_definitions(root, model)
-    types = _add(root, "TypeDefinitions")
+    types = add(root, "TypeDefinitions")
     for choice in model.choices:
         tag = "SimpleType" if fmi == 2 else "EnumerationType"
-        kind = _add(types, tag, name=choice.type_name, description=choice.description)
-        _items(_add(kind, "Enumeration") if fmi == 2 else kind, choice)
-    _categories(root)
-    _experiment(root, model)
+        kind = add(types, tag, name=choice.type_name, description=choice.description)
+        items = add(kind, "Enumeration") if fmi == 2 else kind
+        for value, (name, text) in enumerate(choice.items, start=1):
+            add(items, "Item", name=name, value=str(value), description=text)
+    categories = add(root, "LogCategories")
+    for name, text in _CATEGORIES.items():
+        add(categories, "Category", name=name, description=text)
+    stop, step = model.start_time + model.duration, model.duration / _FASTEST_STEPS
+    add(root, "DefaultExperiment", startTime=repr(model.start_time), stopTime=repr(stop), stepSize=repr(step))
     if fmi == 2:
         _annotations(root, model, fmi)
-    (_fmi2_variables if fmi == 2 else _fmi3_variables)(_add(root, "ModelVariables"), model)
-    (_fmi2_structure if fmi == 2 else _fmi3_structure)(_add(root, "ModelStructure"), model)
+    _variables(add(root, "ModelVariables"), model, fmi)
+    _structure(add(root, "ModelStructure"), model, fmi)
     if fmi == 3:
         _annotations(root, model, fmi)
     return xml_document(root)
@@ -72,110 +78,97 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
 def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
     if not model.about.annotations:
         return
-    parent = _add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
+    parent = add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
     for name, values in model.about.annotations.items():
-        each = _add(parent, "Tool", name=name) if fmi == 2 else _add(parent, "Annotation", type=name)
+        each = add(parent, "Tool", name=name) if fmi == 2 else add(parent, "Annotation", type=name)
         for key, value in values.items():
-            _add(each, "Entry", name=key, value=str(value))
+            add(each, "Entry", name=key, value=str(value))
 
 
-def _fmi2_variables(table: ET.Element, model: NativeModel) -> None:
-    for variable in model.variables:
-        for k, name in enumerate(variable.scalar_names):
-            row = _add(
-                table, "ScalarVariable", name=name, valueReference=str(variable.place + k),
-                description=_component_text(variable, k), **_causality(variable, fmi=2),
-            )  # fmt: skip
-            real = _add(row, "Real", **_attributes(variable))
-            if variable.starts:
-                real.set("start", repr(variable.starts[k]))
-    count = sum(len(each.scalar_names) for each in model.variables)
-    for k, choice in enumerate(model.choices):
-        row = _add(table, "ScalarVariable", name=choice.name, valueReference=str(count + k),
-                   description=choice.description, causality="parameter", variability=choice.variability)  # fmt: skip
-        _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
+def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
+    for reference, (variable, places) in enumerate(_numbered(model, fmi)):
+        name, text, starts = variable.name, variable.description, variable.starts
+        if fmi == 2 and variable.size is not None:
+            k = places.start - variable.place
+            name, text, starts = variable.scalar_names[k], f"{text}; component {k + 1}", starts[k : k + 1]
+        common = {"name": name, "valueReference": str(reference), "description": text, **_causality(variable, fmi)}
+        if fmi == 2:
+            number = add(add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
+        else:
+            number = add(table, "Float64", **common, **_attributes(variable))
+        if starts:
+            number.set("start", " ".join(map(repr, starts)))
+        if fmi == 3 and variable.size is not None:
+            add(number, "Dimension", start=str(variable.size))
+    for reference, choice in enumerate(model.choices, start=len(_numbered(model, fmi))):
+        common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
+                  "causality": "parameter", "variability": choice.variability}  # fmt: skip
+        kind = {"declaredType": choice.type_name, "start": str(choice.start)}
+        if fmi == 2:
+            add(add(table, "ScalarVariable", **common), "Enumeration", **kind)
+        else:
+            add(table, "Enumeration", **common, **kind)
+    if fmi == 3:
+        last = len(model.variables) + len(model.choices)
+        add(table, "Float64", name="time", valueReference=str(last), causality="independent",
+            variability="continuous", unit="s")  # fmt: skip
+
+
+def _numbered(model: NativeModel, fmi: int) -> list[tuple[Variable, range]]:
+    """Return variables with their places in the order of their references: FMI 2 has one for each component."""
+    every = [(each, range(each.place, each.place + (each.size or 1))) for each in model.variables]
+    return every if fmi == 3 else [(each, range(k, k + 1)) for each, places in every for k in places]
 
 
 # Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
 # (FMI 3.0.2, 2.4.8): models with directional derivatives, which are those of the last step, list its inputs, others
-# none, so that they declare no algebraic loop.
+# none, so that they declare no algebraic loop. Measured values have no effect before the first step.
 
 
-def _fmi2_structure(structure: ET.Element, model: NativeModel) -> None:
-    outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
-    parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
-    count = sum(len(each.scalar_names) for each in model.variables)
-    parameters += range(count, count + len(model.choices))
-    for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
-        used = [k for k, each in enumerate(model.depends[row]) if each]
-        count = model.depends.shape[1] - model.measured  # measured values have no effect before the first step
-        first = [k for k in used if k < count]
-        for parent, on in ((outputs, used if model.differentiable else ()), (initial, [*first, *parameters])):
-            _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
-
-
-def _fmi3_variables(table: ET.Element, model: NativeModel) -> None:
-    for reference, variable in enumerate(model.variables):
-        row = _add(
-            table, "Float64", name=variable.name, valueReference=str(reference), description=variable.description,
-            **_causality(variable, fmi=3), **_attributes(variable),
-        )  # fmt: skip
-        if variable.starts:
-            row.set("start", " ".join(map(repr, variable.starts)))
-        if variable.size is not None:
-            _add(row, "Dimension", start=str(variable.size))
-    for reference, choice in enumerate(model.choices, start=len(model.variables)):
-        _add(
-            table, "Enumeration", name=choice.name, valueReference=str(reference), description=choice.description,
-            causality="parameter", variability=choice.variability, declaredType=choice.type_name,
-            start=str(choice.start),
-        )  # fmt: skip
-    _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
-                  variability="continuous", unit="s")  # fmt: skip
-
-
-def _time_reference(model: NativeModel) -> int:
-    return len(model.variables) + len(model.choices)
-
-
-def _fmi3_structure(structure: ET.Element, model: NativeModel) -> None:
-    numbers = {id(variable): k for k, variable in enumerate(model.variables)}
-    inputs = [numbers[id(variable)] for variable in model.of("input")]
-    parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
-    parameters += range(len(numbers), len(numbers) + len(model.choices))
-    time = [_time_reference(model)] if model.timed else []
-    unknowns, row = [], 0
-    for output in model.of("output"):
-        rows = slice(row, row := row + (output.size or 1))
-        used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
-        listed = [*(used if model.differentiable else ()), *time]
-        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(listed))
-        first = [k for k in used if model.variables[k].place < model.numbers("input") - model.measured]
-        unknowns.append((numbers[id(output)], [*first, *parameters, *time]))
-    for number, on in unknowns:
-        _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
+def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
+    every, first_output = _numbered(model, fmi), model.numbers("input")
+    of = {k: places for k, (variable, places) in enumerate(every) if variable.causality == "input"}
+    parameters = [k for k, (variable, _) in enumerate(every)
+                  if variable.causality == "parameter" and variable.name != INTERNAL_STEP]  # fmt: skip
+    parameters += range(len(every), len(every) + len(model.choices))
+    time = [len(every) + len(model.choices)] if model.timed and fmi == 3 else []
+    listed = dict[int, tuple[list[int], list[int]]]()
+    for k, (variable, places) in enumerate(every):
+        if variable.causality == "output":
+            rows = slice(places.start - first_output, places.stop - first_output)
+            used = [j for j, columns in of.items() if model.depends[rows, columns].any()]
+            awaited = [j for j in used if of[j].start < first_output - model.measured]
+            listed[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
+    # FMI 2 counts from 1.
+    parents = [add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
+    for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
+        for k, on in listed.items():
+            if fmi == 2:
+                add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
+            else:
+                add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
 
 
 def build_description(model: NativeModel) -> bytes:
     """Return buildDescription.xml of FMI 3, for tools that compile the sources themselves."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = _add(root, "BuildConfiguration", modelIdentifier=model.identifier)
-    sources = _add(configuration, "SourceFileSet", language="C99")
+    configuration = add(root, "BuildConfiguration", modelIdentifier=model.identifier)
+    sources = add(configuration, "SourceFileSet", language="C99")
     for name in compiled_files(model, 3):
-        _add(sources, "SourceFile", name=name)
-    _add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
+        add(sources, "SourceFile", name=name)
+    add(sources, "PreprocessorDefinition", name="FMI3_FUNCTION_PREFIX", value=f"{model.identifier}_")
     return xml_document(root)
 
 
 def terminals(model: NativeModel) -> bytes:
     """Return terminalsAndIcons.xml of FMI 3: groups of variables that are connected together, such as the path."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    every = _add(root, "Terminals")
+    every = add(root, "Terminals")
     for name, (causality, text) in model.terminals.items():
-        terminal = _add(every, "Terminal", name=name, matchingRule="bus", description=text)
+        terminal = add(every, "Terminal", name=name, matchingRule="bus", description=text)
         for variable in model.variables:
             if variable.causality == causality:
-                _add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
+                add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
                               variableKind="signal")  # fmt: skip
     return xml_document(root)
 
@@ -183,35 +176,14 @@ def terminals(model: NativeModel) -> bytes:
 # Both versions of FMI -----------------------------------------------------------------------------------------------
 
 
-def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, tag, attributes)
-
-
 def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
-    definitions = _add(root, "UnitDefinitions")
+    definitions = add(root, "UnitDefinitions")
     for unit in sorted({variable.unit for variable in model.variables} | {"s"}):
-        element, exponents = _add(definitions, "Unit", name=unit), base_units(unit)
+        element, exponents = add(definitions, "Unit", name=unit), base_units(unit)
         if exponents is not None:
-            _add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})
+            add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})
         for display, factor in _DISPLAY_UNITS.get(unit, {}).items():
-            _add(element, "DisplayUnit", name=display, factor=repr(factor))
-
-
-def _items(enumeration: ET.Element, choice: Choice) -> None:
-    for value, (name, text) in enumerate(choice.items, start=1):
-        _add(enumeration, "Item", name=name, value=str(value), description=text)
-
-
-def _categories(root: ET.Element) -> None:
-    parent = _add(root, "LogCategories")
-    for name, text in _CATEGORIES.items():
-        _add(parent, "Category", name=name, description=text)
-
-
-def _experiment(root: ET.Element, model: NativeModel) -> None:
-    step = model.duration / _FASTEST_STEPS
-    start, stop = model.start_time, model.start_time + model.duration
-    _add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))
+            add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
 def _causality(variable: Variable, fmi: int) -> dict[str, str]:
@@ -232,17 +204,5 @@ def _attributes(variable: Variable) -> dict[str, str]:
     return attributes
 
 
-def _places(variable: Variable) -> range:
-    return range(variable.place, variable.place + (variable.size or 1))
-
-
 def _dependencies(on: Sequence[int]) -> dict[str, str]:
-    return {"dependencies": _joined(on), "dependenciesKind": _joined("dependent" for _ in on)}
-
-
-def _joined(words: Iterable[object]) -> str:
-    return " ".join(map(str, words))
-
-
-def _component_text(variable: Variable, k: int) -> str:
-    return variable.description if variable.size is None else f"{variable.description}; component {k + 1}"
+    return {"dependencies": " ".join(map(str, on)), "dependenciesKind": " ".join(["dependent"] * len(on))}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.exported_quantities import observation, timed_path, wanted
+from servocore.export.inverse_functions import observation, timed_path, wanted
 from servocore.formulations.projected import Projected
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.problem import Problem

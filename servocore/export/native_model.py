@@ -40,8 +40,8 @@ class Bound:
     unit: str
     reason: str
     bound: float
-    side: float
-    row: int
+    side: float = 1.0
+    row: int = -1
     rate: bool = False
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
+from servocore.export.c_functions import named_in_c
 from servocore.export.directional_derivatives import tangent
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import Bound, NativeModel
@@ -17,9 +18,9 @@ from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.expressions import highest_derivative
-from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.stepping.forward_dynamics import Plant, compile_plant
+from servocore.stepping.observation import compile_margins
 from servocore.structure.inversion import inversion
 
 CHOICES = (
@@ -98,15 +99,17 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     offsets = options.offsets or (
         {}
         if problem.system.lam.numel()
-        else {f"start.{coordinate}": (coordinate,) for coordinate in _coordinates(problem)}
+        else {f"start.{coordinate}": (coordinate,) for coordinate in problem.system.coordinates.names}
     )
     variables = _variables(problem, scene.tracked, used, offsets, options)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, _start_orders(problem))
-    functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets)
-    functions["start_margins"] = renamed(start_margins, f"{identifier}_start_margins")
-    m = len(problem.system.inputs)
+    functions = {
+        "begin": _begin(problem, f"{identifier}_begin", offsets),
+        **_functions(problem, plant, identifier, used, margins),
+        **named_in_c({"start_margins": start_margins}, identifier),
+    }
     return NativeModel(
         identifier=identifier,
         title=f"{scene.name} plant",
@@ -128,7 +131,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         choices=CHOICES,
         outputs=tuple(used),
         limits=limits,
-        depends=np.ones((len(used), m), dtype=bool),
+        depends=np.ones((len(used), len(problem.system.inputs)), dtype=bool),
         timed=False,
         start_time=0.0,
         duration=scene.reference.duration,
@@ -140,10 +143,6 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
 def _start_orders(problem: Problem) -> int:
     """Return the number of derivatives of the output, itself included, that determine coordinates and their rates."""
     return max(2, problem.array.reference_order)  # the highest one determines their accelerations
-
-
-def _coordinates(problem: Problem) -> list[str]:
-    return [quantity.name for quantity in problem.system.coordinates.quantities]
 
 
 def _used(problem: Problem, plant: Plant) -> list[Quantity]:
@@ -194,29 +193,21 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     """Return the limits of the path in its lowest derivatives, and the function (these, p) -> margins."""
     system = problem.system
     orders = min(orders, system.gamma.shape[1])
-    kept = [
-        limit
-        for limit in problem.limits
-        if limit.of_path and 0 <= highest_derivative(limit.on(system), system.gamma) < orders
-    ]
-    margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
-    bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
-    return bounds, ca.Function("margins", [system.gamma[:, :orders], system.p], [ca.densify(margins)])
+    highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.limits if limit.of_path}
+    kept = tuple(limit for limit, order in highest.items() if 0 <= order < orders)
+    bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound) for e in kept)
+    return bounds, compile_margins(system, kept, orders - 1)
 
 
 def _functions(
-    problem: Problem,
-    plant: Plant,
-    names: tuple[str, list[str], ca.Function],
-    offsets: Mapping[str, Sequence[str]],
+    problem: Problem, plant: Plant, identifier: str, outputs: Sequence[Quantity], margins: ca.Function
 ) -> dict[str, ca.Function]:
     """Return the plant's functions and their tangents by name."""
-    identifier, output_names, margins = names
     m, servo = len(problem.system.inputs), len(problem.system.outputs)
     state, d = ca.MX.sym("state", plant.step.numel_in(0)), ca.MX.sym("d", servo)
     u, slope, h = ca.MX.sym("u", m), ca.MX.sym("slope", m), ca.MX.sym("h")
     p = ca.MX.sym("p", problem.system.p.numel())
-    places = [[channel.name for channel in plant.channels].index(name) for name in output_names]
+    places = [[channel.name for channel in plant.channels].index(each.name) for each in outputs]
 
     def seen(channels: ca.MX) -> list[ca.MX]:
         """Return outputs, and margins of limits."""
@@ -228,7 +219,7 @@ def _functions(
         "observe": ([state, u, d, p], seen(plant.observe(state, u, d, p)), [state, u, p]),
         "held_observe": ([state, d, p], seen(plant.held_observe(state, d, p)), [state, p]),
     }
-    functions = {"begin": _begin(problem, f"{identifier}_begin", offsets)}
+    functions = {}
     for name, (arguments, results, by) in signatures.items():
         functions[name] = ca.Function(f"{identifier}_{name}", arguments, results)
         functions[f"{name}_tangent"] = tangent(f"{identifier}_{name}_tangent", arguments, results[:1], by)
@@ -242,7 +233,7 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) ->
     motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())
     path = ca.horzcat(motion, ca.MX.zeros(servo, 1))[:, : array.reference_order + 1]
     unknowns = inversion(problem.array).function(path, p)[0]
-    coordinates = _coordinates(problem)
+    coordinates = problem.system.coordinates.names
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
     names = [each for of in offsets.values() for each in of]
     missing = [each for each in names if each not in coordinates]

@@ -10,8 +10,8 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.export.building import InverseModel
 from servocore.export.c_functions import c_source
-from servocore.export.inverse_model import InverseModel
 from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -73,7 +73,7 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     """
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    outputs, orders = made.outputs, made.mathematics.orders
+    outputs, orders = made.outputs, made.orders
     programs, functions = [], []
     for k, (model, name) in enumerate(product(options.models, options.formulations)):
         program = program_of(Problem.of(scene, model), options.formulations[name], options.method)
@@ -132,10 +132,6 @@ def _table(
     }
 
 
-def _path(program: Program, columns: int) -> ca.MX:
-    return ca.MX.sym("path", program.start.size1_in(0), columns)
-
-
 def _padded(program: Program, path: ca.MX) -> ca.MX:
     """Return a path padded with zeros to the derivatives of the program; no result depends on the zeros."""
     missing = program.start_order + 1 - path.shape[1]
@@ -151,7 +147,7 @@ def _functions(program: Program, name: str, outputs: Sequence[Quantity], orders:
     """
     names, count = [channel.name for channel in program.channels], len(program.start_instants)
     places = [names.index(each.name) for each in outputs]
-    path, past = _path(program, orders), _path(program, orders * count)
+    path, past = (ca.MX.sym(name, program.start.size1_in(0), orders * k) for name, k in (("path", 1), ("past", count)))
     p, h, state = (
         ca.MX.sym(*each) for each in (("p", program.start.numel_in(2)), ("h",), ("state", program.state_size))
     )

@@ -30,25 +30,19 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 
 
 def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
-    """Return all C sources of an FMU by file name, FMI's own headers included."""
-    own = {**_core_sources(model, fmi), f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8")}
-    return {
-        **{name: model.about.notice + text for name, text in own.items()},
-        **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
-    }
-
-
-def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
-    """Return the mathematics, the tables and the kernel."""
+    """Return all C sources of an FMU by file name: mathematics, tables, kernel, and FMI's own headers."""
     header, source = model.source()
     values = tables(model, token_of(model, fmi))
-    own_header = rendered(f"{model.kernel}_own.h.j2", **values)
-    return {
+    own = {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
         **model.more_sources,
-        "model.h": rendered("model.h.j2", **(values | {"own": own_header})),
-        **{name: (SHARED / name).read_text(encoding="utf-8") for name in _headers(model)},
+        "model.h": rendered("model.h.j2", **values, own=rendered(f"{model.kernel}_own.h.j2", **values)),
+        **{name: (SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")},
+    }
+    return {
+        **{name: model.about.notice + text for name, text in own.items()},
+        **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
     }
 
 
@@ -108,7 +102,7 @@ def c_number(value: float) -> str:
 
 def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
     """Return the values for the templates."""
-    parameters = model.of("parameter")
+    parameters, settings = model.of("parameter"), sum(setting.size or 1 for setting in model.settings)
     roles: dict[str, list[int]] = {}
     for each in parameters:
         places = range(each.place - parameters[0].place, each.place - parameters[0].place + (each.size or 1))
@@ -123,8 +117,8 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "inputs": model.numbers("input"),
         "outputs": model.outputs,
         "added_up": model.added_up,
-        "parameters": model.numbers("parameter") - sum(setting.size or 1 for setting in model.settings),
-        "settings": sum(setting.size or 1 for setting in model.settings),
+        "parameters": model.numbers("parameter") - settings,
+        "settings": settings,
         "roles": {role: places for role, places in roles.items() if role},
         "internal": model.numbers("local"),
         "choices": model.choices,

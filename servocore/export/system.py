@@ -122,12 +122,8 @@ def packed_system(
         members[_SET] = parameter_set(title, shared, elements[0].fmi)
     for each in elements:
         if names := _common(each, shared):
-            members[_mapping(each)] = parameter_mapping(names, each.fmi)
+            members[f"resources/{each.name}.ssm"] = parameter_mapping(names, each.fmi)
     return zipped(members | {_STRUCTURE: structure(title, elements, wires, duration, shared)}, _STRUCTURE)
-
-
-def _mapping(element: Element) -> str:
-    return f"resources/{element.name}.ssm"
 
 
 def _common(element: Element, shared: Sequence[Variable]) -> list[str]:
@@ -155,7 +151,7 @@ def structure(
                 units.add(port.unit)
         if _common(element, shared):
             binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
-            add(binding, "ssd:ParameterMapping", source=_mapping(element))
+            add(binding, "ssd:ParameterMapping", source=f"resources/{element.name}.ssm")
         _bind(part, {name: element.starts[name] for name in element.named("parameter") if name in element.starts})
     joints = add(system, "ssd:Connections")
     for (begin, output), (end, given) in wires:

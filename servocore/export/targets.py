@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import cast
 
 from servocore.errors import InvalidSetting, install
 from servocore.numerics.code_cache import CodeCache
@@ -30,6 +31,9 @@ _OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-D
             "-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # fmt: skip
 _FULL, _LIGHT = "-O3", "-O1"
 _LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": ()}
+# Compilers write the frames of all functions beside an object; zig does so by an option of clang alone.
+_FRAMES = ("-fstack-usage",)
+_FRAMES_OF_ZIG = ("-Xclang", "-stack-usage-file", "-Xclang")
 _INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
 
@@ -72,6 +76,24 @@ TARGETS: Mapping[str, Target] = {
     )
 }
 """All platforms, by their name in FMI 3."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """A shared library.
+
+    Attributes
+    ----------
+    content : bytes
+        Its file.
+    stack : int or None
+        Sum of the frames of all its functions in bytes: an upper bound, since none is recursive, without those of the
+        C library that it calls. None where the compiler does not report them.
+    """
+
+    content: bytes
+    stack: int | None
+
 
 HOST, NONE = "host", "none"
 """This machine's own platform, and no platform: an FMU with sources only."""
@@ -135,7 +157,7 @@ def libraries(
     fmi: int,
     progress: Progress = lambda _: None,
     large: Collection[str] = (),
-) -> dict[str, bytes]:
+) -> dict[str, Library]:
     """Build the shared libraries of an FMU, with objects that were compiled before from the cache.
 
     Parameters
@@ -147,8 +169,8 @@ def libraries(
     identifier : str
         Name of the libraries.
     targets : sequence of str
-        Platforms. This machine's own alone is built by its own compiler, where there is one; anything else by zig,
-        whose libraries run on older systems too.
+        Platforms. This machine's own alone is built by its own compiler, where there is one, with the options of the
+        variable CFLAGS; anything else by zig, whose libraries run on older systems too.
     fmi : int
         Version of FMI.
     progress : callable
@@ -158,37 +180,30 @@ def libraries(
 
     Returns
     -------
-    dict of str to bytes
-        Libraries by their path in the FMU.
+    dict of str to Library
+        By their path in the FMU.
 
     Raises
     ------
     InvalidSetting
         If there is no compiler, or it does not compile.
     """
-    found, compiled = dict[str, list[bytes]](), list[tuple[_Compiler, list[Future[str]]]]()
+    found, compiled = dict[str, list[Library]](), list[tuple[_Compiler, list[Future[str]]]]()
     cross = None if tuple(targets) == (host(),) and _has_own_compiler() else zig()
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         for name in targets:
             target = TARGETS[name]
-            compiler = _Compiler(Path(folder), target, _command(target, cross), () if cross else own_options())
+            command = [*cross, "cc", "-target", target.triple, "-s"] if cross else c_compiler()
+            own = () if cross else tuple(shlex.split(os.environ.get("CFLAGS", "")))
+            compiler = _Compiler(Path(folder), target, command, own)
             compiled.append((compiler, [pool.submit(compiler.object_of, file, sources, large) for file in files]))
         for compiler, objects in compiled:
             progress(f"compiling for {compiler.target.name}")
             place = f"{compiler.target.folder(fmi)}/{identifier}.{compiler.target.ending}"
             found.setdefault(place, []).append(compiler.linked([each.result() for each in objects]))
     return {place: parts[0] if len(parts) == 1 else universal(parts) for place, parts in found.items()}
-
-
-def own_options() -> tuple[str, ...]:
-    """Return the user's options for the compiler of this machine, from the variable CFLAGS."""
-    return tuple(shlex.split(os.environ.get("CFLAGS", "")))
-
-
-def _command(target: Target, cross: Sequence[str] | None) -> list[str]:
-    return [*cross, "cc", "-target", target.triple, "-s"] if cross else c_compiler()
 
 
 @dataclass(frozen=True)
@@ -201,23 +216,35 @@ class _Compiler:
     own: tuple[str, ...]
 
     def object_of(self, file: str, sources: Mapping[str, str], large: Collection[str]) -> str:
-        """Compile a file, or take its object from the cache; return the name of the object file."""
+        """Compile a file, or take its object and its frames from the cache; return the name of the object file."""
         options = (*_OPTIONS, _LIGHT if file in large else _FULL, *self.own, "-c")
         key = _key([*self.command, *options, *_texts(file, sources)])
-        found, kept = f"{file}.{self.target.name}.o", CodeCache.of_user()
-        place = kept.find(key)
-        if place is not None:
-            (self.folder / found).write_bytes(place.read_bytes())
-            return found
-        self._run([*options, file, "-o", found])
-        kept.store(key, (self.folder / found).read_bytes())
-        return found
+        made, kept = f"{file}.{self.target.name}.o", CodeCache.of_user()
+        parts = {key: self.folder / made, f"frames-{key}": self._frames(made)}
+        found = {name: kept.find(name) for name in parts}
+        if all(found.values()):
+            for name, place in found.items():
+                parts[name].write_bytes(cast("Path", place).read_bytes())
+            return made
+        frames = [*_FRAMES_OF_ZIG, self._frames(made).name] if "ziglang" in self.command else _FRAMES
+        self._run([*options, *frames, file, "-o", made])
+        self._frames(made).touch()  # empty where the compiler reports none
+        for name, place in parts.items():
+            kept.store(name, place.read_bytes())
+        return made
 
-    def linked(self, objects: Sequence[str]) -> bytes:
+    def _frames(self, made: str) -> Path:
+        return (self.folder / made).with_suffix(".su")
+
+    def linked(self, objects: Sequence[str]) -> Library:
         """Join object files to a library."""
         result = f"library.{self.target.ending}"
         self._run(["-shared", *self.own, *objects, "-o", result, *_LINKED[self.target.ending]])
-        return (self.folder / result).read_bytes()
+        frames = [self._frames(each).read_text(encoding="utf-8").splitlines() for each in objects]
+        rows = [line.split("\t") for lines in frames for line in lines]  # function, bytes, kind
+        bounded = all(frames) and all(kind != "dynamic" for *_, kind in rows)
+        stack = sum(int(size) for _, size, _ in rows) if bounded else None
+        return Library((self.folder / result).read_bytes(), stack)
 
     def _run(self, options: Sequence[str]) -> None:
         compile_in(self.folder, [*self.command, *options], f"the FMU for {self.target.name}")
@@ -252,13 +279,14 @@ def _has_own_compiler() -> bool:
         return False
 
 
-def universal(slices: Sequence[bytes]) -> bytes:
+def universal(slices: Sequence[Library]) -> Library:
     """Join Mach-O files of several processors into one, behind a fat header."""
     step = 1 << _SLICE_ALIGNMENT
     header, body, offset = struct.pack(">II", 0xCAFEBABE, len(slices)), b"", step
-    for binary in slices:
+    for binary in (each.content for each in slices):
         processor, kind = struct.unpack_from("<II", binary, 4)
         header += struct.pack(">IIIII", processor, kind, offset, len(binary), _SLICE_ALIGNMENT)
         padded = binary + bytes(-len(binary) % step)
         body, offset = body + padded, offset + len(padded)
-    return header + bytes(step - len(header)) + body
+    stack = max((each.stack for each in slices if each.stack is not None), default=None)
+    return Library(header + bytes(step - len(header)) + body, stack)

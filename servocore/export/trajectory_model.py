@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,17 +14,17 @@ from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import NativeModel
-from servocore.export.variables import Choice, Variable
+from servocore.export.variables import Choice
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.references.base import Reference
+from servocore.references.base import Reference, subdivided
 from servocore.references.periodic import Periodic
 from servocore.references.piecewise import PiecewisePolynomial, hermite
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
 from servocore.references.rest_to_rest import RestToRest, rest_to_rest
 
-LAWS: Mapping[str, str] = {
+LAWS = {
     name: f"one polynomial of degree {law.degree}"
     if isinstance(law, PolynomialProfile)
     else "acceleration, cruise, deceleration"
@@ -87,16 +87,19 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     options = options or TrajectoryOptions()
     problem = Problem.of(scene, model)
     orders, servo = problem.array.reference_order + 1, problem.system.outputs
-    line = _line(scene.reference)
-    baked = options.path if options.path is not None or line is not None else scene.reference
+    law, begin, ramp = _line(scene.reference)
+    baked = options.path if options.path is not None or law else scene.reference
     if baked is not None and baked.dimension != len(servo):
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
     if options.path is not None:
         scene.with_reference(options.path)  # which refuses units that are implausible for the scene
     require_feasible(replace(problem, reference=baked or scene.reference))
     identifier = options.identifier or identifier_of(f"{scene.name}_trajectory")
-    profile = options.profile or (FROM_FILE if line is None or baked is not None else line.law)
-    variables = _variables(scene, servo, orders, line, replace(options, profile=profile))
+    profile = options.profile or (law if baked is None else FROM_FILE)
+    ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
+    times = begin, scene.reference.duration, ramp if law == profile else 0.0
+    path = rows.path_variables(servo, scene.tracked, orders, None, "")
+    variables = rows.placed([*path, *rows.line_settings(servo, scene.tracked, ends, times)])
     choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
     require_different(problem, variables, (choice.name, "time"))
@@ -138,44 +141,23 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     ).with_starts(options.start)
 
 
-class _Line(NamedTuple):
-    """A scene's own path as settings: its time law, start time in s, and ramp in s, 0 for the default."""
-
-    law: str
-    start_time: float
-    ramp: float
-
-
-def _line(path: Reference) -> _Line | None:
-    """Return a path as settings of a line, or None if it is no line by one of `LAWS`."""
-    if not isinstance(path, RestToRest):
-        return None
-    for name, law in TIME_LAWS.items():
-        if isinstance(law, ThreePhaseProfile) and isinstance(path.profile, ThreePhaseProfile):
-            return _Line(name, path.start_time, path.profile.ramp or 0.0)
-        if path.profile == law:
-            return _Line(name, path.start_time, 0.0)
-    return None
+def _line(path: Reference) -> tuple[str, float, float]:
+    """Return law, start time and ramp (0: the default) of a line; the law is empty for a path by none of `LAWS`."""
+    if isinstance(path, RestToRest):
+        for name, law in TIME_LAWS.items():
+            if isinstance(law, ThreePhaseProfile) and isinstance(path.profile, ThreePhaseProfile):
+                return name, path.start_time, path.profile.ramp or 0.0
+            if path.profile == law:
+                return name, path.start_time, 0.0
+    return "", 0.0, 0.0
 
 
 def _choice(has_path: bool, profile: str) -> Choice:
-    items = [*LAWS.items(), *([(FROM_FILE, "the built-in path")] if has_path else [])]
+    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_path else {})).items())
     names = [name for name, _ in items]
     if profile not in names:
         raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    return Choice("profile", "time law along the line, or a path", tuple(items), names.index(profile) + 1, fixed=False)
-
-
-def _variables(
-    scene: Scene, servo: Sequence[Quantity], orders: int, line: _Line | None, options: TrajectoryOptions
-) -> tuple[Variable, ...]:
-    path = scene.reference
-    ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
-    variables = rows.path_variables(servo, scene.tracked, orders, None, "")
-    begin = line.start_time if line is not None else 0.0
-    ramp = line.ramp if line is not None and line.law == options.profile else 0.0
-    settings = rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp))
-    return rows.placed([*variables, *settings])
+    return Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
@@ -216,7 +198,7 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
         path = replace(path, end_time=path.start_time + path.period)
     ends = path.stretches
     parts = -(-_ROWS // (len(ends) - 1))
-    t = np.interp(np.arange((len(ends) - 1) * parts + 1) / parts, np.arange(len(ends)), ends)
+    t = subdivided(ends, parts)
     return hermite(t, path.jet(t, min(order, path.max_order)))[0]
 
 

@@ -157,11 +157,6 @@ def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
     return tuple(found)
 
 
-def together(outputs: Sequence[Quantity], tracked: str) -> bool:
-    """Return whether the components of the output are one vector: of a named body, and with one unit."""
-    return bool(tracked) and len(outputs) > 1 and len({quantity.unit for quantity in outputs}) == 1
-
-
 def _along(
     outputs: Sequence[Quantity], tracked: str, form: Variable, names: tuple[str, str], texts: tuple[str, str],
     starts: Sequence[float] | Array | None, order: int = 0,
@@ -186,7 +181,7 @@ def _along(
     order : int
         Order of the derivative.
     """
-    if together(outputs, tracked):
+    if tracked and len(outputs) > 1 and len({each.unit for each in outputs}) == 1:
         unit = form.unit or per_time(outputs[0].unit, order)
         values = () if starts is None else tuple(map(float, starts))
         return [replace(form, name=names[0], unit=unit, description=texts[0], starts=values, size=len(outputs))]

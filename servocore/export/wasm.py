@@ -11,9 +11,8 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidSetting, install
-from servocore.export.building import followed, inverse_model
+from servocore.export.building import InverseModel, followed, inverse_model
 from servocore.export.c_functions import c_source, checked_once, copied_in_one_place, scratch_of
-from servocore.export.inverse_model import InverseModel
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
 from servocore.export.targets import zig
@@ -96,12 +95,8 @@ def loader_beside(file: Path) -> Path:
 def wasm_module(scene: Scene, model: str | None = None) -> bytes:
     """Return the module as bytes; see `export_wasm`."""
     model_to_export = inverse_model(scene, model)
-    mathematics = model_to_export.mathematics
-    inverting = (
-        {}
-        if mathematics.state_size
-        else {name: each for name, each in mathematics.functions.items() if name in _INVERTING}
-    )
+    called = () if model_to_export.state_size else _INVERTING
+    inverting = {name: each for name, each in model_to_export.functions.items() if name in called}
     problem = followed(Problem.of(scene, model))
     try:
         marched = marching(problem, model_to_export.identifier)
@@ -109,7 +104,7 @@ def wasm_module(scene: Scene, model: str | None = None) -> bytes:
         if not inverting:
             raise
         marched = None
-    orders = max(mathematics.orders, marched.orders if marched else 0)
+    orders = max(model_to_export.orders, marched.orders if marched else 0)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     path = path_variables(problem.system.outputs, scene.tracked, orders, home)
     about = described(model_to_export, path, marched)
@@ -123,7 +118,7 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
         "title": model.title,
         "model": model.model,
         "path": [{"name": name, "unit": each.unit} for each in path for name in each.scalar_names],
-        "outputs": [{"name": e.name, "unit": e.unit, "description": e.description} for e in model.mathematics.outputs],
+        "outputs": [{"name": e.name, "unit": e.unit, "description": e.description} for e in model.outputs],
         "parameters": [
             {"name": e.name, "unit": e.unit, "start": e.starts[0], **e.bounds, "description": e.description}
             for e in model.of("parameter")
@@ -164,7 +159,7 @@ def _source(model: InverseModel, inverting: Mapping[str, ca.Function], marched: 
         identifier=model.identifier,
         components=model.components,
         orders=orders,
-        outputs=model.mathematics.outputs,
+        outputs=model.outputs,
         limits=model.limits,
         functions=tuple(functions),
         has_quick="quick" in functions,
@@ -186,11 +181,8 @@ def _without_margins(begin: ca.Function) -> ca.Function:
 
 
 def _compiled(source: str, title: str) -> bytes:
-    command = zig()
-    if command is None:
-        raise InvalidSetting(f"WebAssembly is built by the package ziglang: {install('native')}")
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         Path(folder, "module.c").write_text(source, encoding="utf-8")
-        call = [*command, "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
+        call = [*(zig() or ()), "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
         compile_in(Path(folder), call, f"{title} to WebAssembly")
         return Path(folder, "module.wasm").read_bytes()

@@ -14,6 +14,7 @@ from servocore.dae import Dae, Equation
 from servocore.errors import InvalidModel
 from servocore.formulations.base import mechanical_dae
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.components import parts_of
 from servocore.structure.derivative_array import derivative_array
 
 
@@ -78,44 +79,29 @@ def project(system: MechanicalSystem) -> tuple[ca.SX, ca.SX]:
     D, shape (n, n - m), is a basis of the kernel of C, equation (26). W, shape (n, m), satisfies M W = C^T, so that W^T
     replaces C M^-1 in (27) even where M is singular.
 
-    D is the Boolean complement of a Boolean C. Otherwise C = [C_d, C_i] is split into dependent and independent
-    columns, and D = [-C_d^-1 C_i; I].
+    C = [C_d, C_i] is split into dependent and independent columns, and D = [-C_d^-1 C_i; I]: the Boolean complement
+    of a Boolean C.
 
     Raises
     ------
     InvalidModel
         If the servo Jacobian loses rank at the system's home, or a servo constrained direction has no mass.
     """
-    C = system.C
-    selected = _boolean_columns(C)
-    W = mass_inverse_times(system, C.T)
-    if selected is not None:
-        free = [k for k in range(C.size2()) if k not in selected]
-        return ca.SX.eye(C.size2())[:, free], W
-    dependent = system.dependent_coordinates()
+    C, dependent = system.C, system.dependent_coordinates()
     free = [k for k in range(C.size2()) if k not in dependent]
     D = ca.SX.zeros(C.size2(), len(free))
     D[free, :] = ca.SX.eye(len(free))
     if free:
         D[dependent, :] = -ca.solve(C[:, dependent], C[:, free])
-    return ca.sparsify(D), W
-
-
-def _boolean_columns(C: ca.SX) -> list[int] | None:
-    """Return the column of the single one in every row, or None if C is not a selection."""
-    if not C.is_constant():
-        return None
-    values = np.asarray(ca.DM(C))
-    is_selection = np.isin(values, (0.0, 1.0)).all() and (values.sum(axis=1) == 1).all()
-    if not (is_selection and (values.sum(axis=0) <= 1).all()):
-        return None
-    return [int(column) for column in values.argmax(axis=1)]
+    return ca.sparsify(D), mass_inverse_times(system, C.T)
 
 
 def mass_inverse_times(system: MechanicalSystem, right: ca.SX) -> ca.SX:
     """Return W with M W = right, using only the coordinates that inertia couples to the servo constrained ones."""
     n = len(system.coordinates)
-    coupled = _coupled(system.mass, {row for row in range(n) if right[row, :].nnz()})
+    constrained = right.sparsity().row()
+    parts = parts_of(system.mass.sparsity())
+    coupled = sorted(k for part in parts if np.isin(part.rows, constrained).any() for k in part.rows.tolist())
     M = system.mass[coupled, coupled]
     q, p = system.home_configuration()
     values = np.asarray(ca.Function("M", [system.q, system.p], [M])(q, p))
@@ -132,13 +118,3 @@ def mass_inverse_times(system: MechanicalSystem, right: ca.SX) -> ca.SX:
         # M is symmetric positive definite here; LDL^T gives far smaller expressions than a general solution.
         W[coupled, :] = ca.ldl_solve(ca.densify(right[coupled, :]), *ca.ldl(M))
     return ca.sparsify(W)
-
-
-def _coupled(M: ca.SX, start: set[int]) -> list[int]:
-    """Return the indices that the sparsity pattern of M connects to those in `start`."""
-    rows, columns = M.sparsity().get_triplet()
-    reached, frontier = set(start), set(start)
-    while frontier:
-        frontier = {i for i, j in zip(rows, columns, strict=True) if j in frontier} - reached
-        reached |= frontier
-    return sorted(reached)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import limited_values
+from servocore.effects.report import aligned
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
 from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
-from servocore.identification.information import information
-from servocore.identification.prediction import Prediction
+from servocore.identification.prediction import Prediction, information, prediction_of
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.numerics.compiled_calls import Array
@@ -55,9 +54,9 @@ class ExcitationReport:
     limits: KeptLimits
 
     def __str__(self) -> str:
-        rows = [f"{name:<24}{error:>12.3%}{self.of_scene[name]:>12.3%}" for name, error in self.standard_errors.items()]
-        head = f"{'standard error':<24}{'this path':>12}{'scene':>12}"
-        return "\n".join([head, *rows, f"{self.gain:.3g} times less; {self.limits.evidence}"])
+        rows = [(name, f"{each:.3%}", f"{self.of_scene[name]:.3%}") for name, each in self.standard_errors.items()]
+        table = aligned([("standard error", "this path", "scene"), *rows])
+        return f"{table}\n{self.gain:.3g} times less; {self.limits.evidence}"
 
 
 def excitation(
@@ -142,14 +141,15 @@ class _Search:
         The path through one waypoint for each of its components.
     harmonics : ndarray, shape (waypoints, 2 harmonics)
         Windowed, at the waypoints.
-    spreads, noise : ndarray
-        Relative uncertainties of the parameters, and noise of the inputs at the instants of the search.
+    scales, spreads, noise : ndarray
+        Units and relative uncertainties of the parameters, and noise of the inputs at the instants of the search.
     """
 
     problem: Problem
     prediction: Prediction
     basis: PiecewisePolynomial
     harmonics: Array
+    scales: Array
     spreads: Array
     noise: Array
 
@@ -157,8 +157,7 @@ class _Search:
     def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
         """Return the search for parameters of a problem."""
         order = problem.array.reference_order
-        columns = tuple(problem.system.parameters.names.index(name) for name in names)
-        prediction = Prediction(problem.resolved, (), columns, len(problem.system.inputs))
+        prediction, scales = prediction_of(problem, names)
         t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
         basis = through(np.eye(len(t)), t, rest_order=order)
         count = int(np.clip(round(_FASTEST * duration), 2, _MOST))
@@ -170,7 +169,7 @@ class _Search:
         size = prediction(jets, problem.p).values.std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
         per_instant = _NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
-        return cls(problem, prediction, basis, harmonics, spreads, per_instant)
+        return cls(problem, prediction, basis, harmonics, scales, spreads, per_instant)
 
     def path(self, x: Array) -> PiecewisePolynomial:
         """Return the path of amplitudes (2 harmonics, outputs)."""
@@ -185,9 +184,7 @@ class _Search:
     def _information(self, path: Reference) -> Array:
         t = np.arange(path.start_time, path.end_time + _GRID / 2, _GRID)
         jets, p = path.jet(t, self.problem.array.reference_order), self.problem.p
-        scales = np.abs(p[list(self.prediction.columns)])
-        scales = np.where(scales > 0.0, scales, 1.0)
-        return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, scales, self.noise)
+        return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, self.scales, self.noise)
 
     def excess(self, x: Array) -> float:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
@@ -211,20 +208,19 @@ class _Search:
         """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
         shape = self.harmonics.shape[1], len(self.problem.system.outputs)
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
-        first = [self.tried(random.standard_normal(shape) * slow * (1.0 + k % 3)) for k in range(_STARTS)]
-        score, best = max(first, key=itemgetter(0))
-        if not np.isfinite(score):
-            raise PlanningFailed(
-                f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
-            )
-        size = 0.3
-        for _ in range(_TRIALS):
+        score, best, size = -np.inf, np.zeros(shape), 0.0
+        for k in range(_STARTS + _TRIALS):
+            size = 0.3 if k == _STARTS else size
             spread = size * float(np.sqrt(np.mean(best**2)))
-            found, x = self.tried(best + spread * random.standard_normal(shape) * slow**0.5)
-            if found > score:
-                best, score, size = x, found, 1.3 * size
-            else:
-                size = max(0.94 * size, 0.01)
+            change = random.standard_normal(shape)
+            x = change * slow * (1.0 + k % 3) if k < _STARTS else best + spread * change * slow**0.5
+            found, x = self.tried(x)
+            size = 1.3 * size if found > score else max(0.94 * size, 0.01)
+            score, best = (found, x) if found > score else (score, best)
+            if k == _STARTS - 1 and not np.isfinite(score):
+                raise PlanningFailed(
+                    f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
+                )
         return best
 
     def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:

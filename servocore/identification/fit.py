@@ -11,22 +11,22 @@ information on all the rest (Nocedal and Wright, Numerical Optimization, chapter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from servocore.identification.blocks import MOVES, Blocks
-from servocore.identification.prediction import Predicted, Prediction
+from servocore.identification.logs import MOVES, Blocks
+from servocore.identification.prediction import DELAY, Predicted, Prediction
 from servocore.identification.splines import PathSpline
 from servocore.numerics.compiled_calls import Array
 
-DELAY = 0.005
-"""Standard deviation of the delay of an input behind the positions before anything is measured, in s."""
-
 _STEPS, _ROUNDS = 25, 3
-_HUBER = 3.0  # standard deviations from which on a residual counts less
+HUBER = 3.0
+"""Standard deviations from which on a residual counts less."""
+
 _CREEP = 4.0  # times the usual slope of an input by velocities: in creep dry friction is not known well enough
 _BESIDE = 7  # blocks
 _LEFT, _BLURRED = 0.03, 0.3  # weights of inputs and positions there
@@ -41,12 +41,10 @@ _BLURS = 100.0, 10.0  # times their noise that positions have at first
 _RIDGE = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """Estimates: parameters by their scales, biases and delays (logs, 2, inputs), and coefficients by stretch."""
+class State(NamedTuple):
+    """Estimates: parameters by their scales and behind them biases and delays (logs, 2, inputs), and paths."""
 
-    theta: Array
-    offsets: Array
+    x: Array
     paths: tuple[Array, ...]
 
 
@@ -98,28 +96,50 @@ class Fit:
         """Number of logs."""
         return 1 + max(each.log for each in self.stretches)
 
-    def parameters(self, theta: Array) -> Array:
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Center and precision of parameters, biases and delays before anything is measured."""
+        offsets = np.concatenate([self.biases**-2, np.full(self.inputs, DELAY**-2)])
+        center = np.concatenate([self.center / self.scales, np.zeros(self.logs * len(offsets))])
+        return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
+
+    def offsets(self, state: State) -> Array:
+        """Return biases and delays of the inputs, shape (logs, 2, inputs)."""
+        return state.x[len(self.scales) :].reshape(self.logs, 2, self.inputs)
+
+    def parameters(self, state: State) -> Array:
         """Return all parameters of the model with estimates in their places."""
         p = self.p.copy()
-        p[list(self.prediction.columns)] = theta * self.scales
+        p[list(self.prediction.columns)] = state.x[: len(self.scales)] * self.scales
         return p
+
+    def start(self, places: list[Array], x: Array | None = None) -> State:
+        """Return the state at the believed parameters with paths near some positions of the output (N, outputs)."""
+        paths = []
+        for spline, place in zip(self.splines, places, strict=True):
+            m = spline.components
+            by_path = np.zeros((len(place), m, spline.orders, m))
+            by_path[:, range(m), 0, range(m)] = 1.0
+            band, right = spline.normal(by_path, place, np.zeros((*place.shape, 0)))
+            band[0] += 1e-6 * band[0].mean()
+            paths.append(scipy.linalg.solveh_banded(band, right[:, 0], lower=True).reshape(-1, m))
+        return State(self.prior[0] if x is None else x, tuple(paths))
 
     def refined(self, state: State, spacing: float) -> tuple[Fit, State]:
         """Return the problem with another distance of knots, and its state with the same paths."""
-        splines = tuple(replace(each, spacing=spacing) for each in self.splines)
-        finer = replace(self, splines=splines)
+        finer = replace(self, splines=tuple(replace(each, spacing=spacing) for each in self.splines))
         places = [old.jets(path)[:, 0] for old, path in zip(self.splines, state.paths, strict=True)]
-        return finer, replace(state, paths=start(finer, places).paths)
+        return finer, finer.start(places, state.x)
 
     def predicted(self, state: State, k: int) -> Predicted:
         """Return the channels of a stretch."""
-        return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state.theta))
+        return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state))
 
     def residuals(self, state: State, k: int, predicted: Predicted | None = None) -> tuple[Array, Array]:
         """Return measured less predicted channels of a stretch (N, channels), and the rates of its inputs (N, m)."""
         values = (predicted or self.predicted(state, k)).values
         data, m = self.stretches[k], self.inputs
-        bias, delay = state.offsets[data.log]
+        bias, delay = self.offsets(state)[data.log]
         u = values[:, :m]
         rate = np.gradient(u, data.t, axis=0)
         rate -= delay * np.gradient(rate, data.t, axis=0)
@@ -127,17 +147,10 @@ class Fit:
         expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)
         return self.prediction.wrapped(data.values - expected), rate
 
-    def prior(self) -> tuple[Array, Array]:
-        """Return center and precision of parameters, biases and delays before anything is measured."""
-        m = self.inputs
-        offsets = np.concatenate([self.biases**-2, np.full(m, DELAY**-2)])
-        center = np.concatenate([self.center / self.scales, np.zeros(2 * m * self.logs)])
-        return center, np.concatenate([(self.scales / self.spread) ** 2, np.tile(offsets, self.logs)])
-
     def cost(self, state: State, weights: list[Weights]) -> float:
         """Return the weighted sum of squares; infinite where the model has no solution."""
-        center, precision = self.prior()
-        total = float(precision @ (_all(state) - center) ** 2)
+        center, precision = self.prior
+        total = float(precision @ (state.x - center) ** 2)
         for k, weight in enumerate(weights):
             residual, _ = self.residuals(state, k)
             total += float(np.sum((weight.factors * residual / weight.scales) ** 2))
@@ -145,8 +158,8 @@ class Fit:
 
     def step(self, state: State, weights: list[Weights], damping: float) -> tuple[State, Array]:
         """Return the change of a Gauss-Newton step, and the information on all but the paths."""
-        center, precision = self.prior()
-        information, right = np.diag(precision), precision * (center - _all(state))
+        center, precision = self.prior
+        information, right = np.diag(precision), precision * (center - state.x)
         solved = []
         count, m = len(self.scales), self.inputs
         for k, weight in enumerate(weights):
@@ -173,37 +186,39 @@ class Fit:
             (answer[:, 0] - answer[:, 1:] @ change[places]).reshape(-1, self.splines[0].components)
             for answer, places in solved
         ]
-        return _state(change, count, state.offsets.shape, tuple(moved)), information
+        return State(change, tuple(moved)), information
 
-    def weights(self, state: State, first: bool) -> list[Weights]:
-        """Return weights by the residuals of a state, or by the noise of the data alone at first."""
+    def creeping(self, k: int, predicted: Predicted) -> npt.NDArray[np.bool_]:
+        """Return where drives rest or creep, so that dry friction is not known well enough, shape (N, inputs)."""
+        m, values = self.prediction.inputs, self.stretches[k].values[:, self.inputs :]
+        slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
+        still = np.ptp(values[:, :m], axis=0) < MOVES
+        return np.asarray(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), dtype=bool)
+
+    def factors(self, k: int, predicted: Predicted, blurred: float = 1.0) -> Array:
+        """Return the inverse noise of a stretch (N, channels), less beside creep: of inputs, and of positions."""
         from scipy.ndimage import binary_dilation  # noqa: PLC0415 - kept out of the run time of an FMU
 
-        raw, m = [], self.prediction.inputs
-        for k, data in enumerate(self.stretches):
+        factors, m = 1.0 / self.stretches[k].noise, self.prediction.inputs
+        # Beside creep too: the path bends there faster than its spline.
+        creeping = binary_dilation(self.creeping(k, predicted), np.ones((2 * _BESIDE + 1, 1), dtype=bool))
+        factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
+        factors[:, self.inputs : self.inputs + m] *= np.where(creeping, blurred, 1.0)
+        return factors
+
+    def weights(self, state: State) -> list[Weights]:
+        """Return weights by the residuals of a state."""
+        raw, found = list[tuple[Array, Array]](), list[Weights]()
+        for k in range(len(self.stretches)):
             predicted = self.predicted(state, k)
-            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
-            slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
-            # Beside creep too: the path bends there faster than its spline.
-            near = np.ones((2 * _BESIDE + 1, 1), dtype=bool)
-            still = np.ptp(data.values[:, self.inputs : self.inputs + m], axis=0) < MOVES
-            creeping = binary_dilation(still | (slope > _CREEP * np.quantile(slope, 0.25, axis=0)), near)
-            factors[:, :m] *= np.where(creeping, _LEFT, 1.0)
-            if not first:
-                # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
-                factors[:, self.inputs : self.inputs + m] *= np.where(creeping, _BLURRED, 1.0)
+            # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
+            factors = self.factors(k, predicted, _BLURRED)
             raw.append((factors, factors * self.residuals(state, k, predicted)[0]))
-        ones = [Weights(np.ones(factors.shape[1]), factors) for factors, _ in raw]
-        if first:
-            return ones
-        found = []
         for log in range(self.logs):
             own = [k for k, data in enumerate(self.stretches) if data.log == log]
             counted = [used(self.stretches[k], raw[k][0]) for k in own]
-            channels = range(self.inputs + len(self.prediction.measured))
-            scales = np.array(
-                [_scale([raw[k][1][each[:, c], c] for k, each in zip(own, counted, strict=True)]) for c in channels]
-            )
+            parts = [list(zip(raw[k][1].T, each.T, strict=True)) for k, each in zip(own, counted, strict=True)]
+            scales = np.array([_scale([x[use] for x, use in channel]) for channel in zip(*parts, strict=True)])
             # The path takes degrees of freedom from the residuals: s^2 = RSS / (N - unknowns).
             rows = sum(int(each.sum()) for each in counted)
             unknowns = sum(self.splines[k].count * self.splines[k].components for k in own)
@@ -211,14 +226,13 @@ class Fit:
             scales[self.inputs :] = np.maximum(scales[self.inputs :], 1.0)
             for k in own:
                 far = np.abs(raw[k][1]) / scales
-                found.append(Weights(scales, raw[k][0] * np.sqrt(np.minimum(1.0, _HUBER / np.maximum(far, 1e-12)))))
+                found.append(Weights(scales, raw[k][0] * np.sqrt(np.minimum(1.0, HUBER / np.maximum(far, 1e-12)))))
         return found
 
 
 def used(data: Blocks, factors: Array) -> npt.NDArray[np.bool_]:
     """Return which values count in full: neither missing, nor creeping, nor far off."""
-    finite = np.isfinite(data.noise)
-    return finite & (factors * np.where(finite, data.noise, 0.0) > _COUNTED)
+    return np.asarray(factors > _COUNTED / data.noise, dtype=bool)
 
 
 def _scale(parts: list[Array]) -> float:
@@ -230,45 +244,20 @@ def _scale(parts: list[Array]) -> float:
     return float(max(size * persistence(parts) ** 0.5, 0.1))
 
 
+def correlation(parts: list[Array], lag: int) -> float:
+    """Return the correlation of residuals some blocks apart."""
+    products = sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag)
+    return products / (sum(float(part @ part) for part in parts) or 1.0)
+
+
 def persistence(parts: list[Array]) -> float:
     """Return the spectral density of residuals near zero by that of white noise, at least 1 (Bartlett's estimate)."""
-    total = sum(float(part @ part) for part in parts)
-    if total <= 0.0:
-        return 1.0
-    sums = [
-        (1 - lag / _LAGS) * sum(float(part[lag:] @ part[:-lag]) for part in parts if len(part) > lag) / total
-        for lag in range(1, _LAGS)
-    ]
-    return max(1.0, 1.0 + 2.0 * sum(sums))
-
-
-def _all(state: State) -> Array:
-    return np.concatenate([state.theta, state.offsets.ravel()])
-
-
-def _state(x: Array, count: int, shape: tuple[int, ...], paths: tuple[Array, ...]) -> State:
-    return State(x[:count], x[count:].reshape(shape), paths)
+    return max(1.0, 1.0 + 2.0 * sum((1 - lag / _LAGS) * correlation(parts, lag) for lag in range(1, _LAGS)))
 
 
 def _moved(state: State, change: State, share: float) -> State:
-    return State(
-        state.theta + share * change.theta,
-        state.offsets + share * change.offsets,
-        tuple(a + share * b for a, b in zip(state.paths, change.paths, strict=True)),
-    )
-
-
-def start(problem: Fit, places: list[Array]) -> State:
-    """Return the state at the believed parameters with paths near some positions of the output (N, outputs)."""
-    paths = []
-    for spline, place in zip(problem.splines, places, strict=True):
-        m = spline.components
-        by_path = np.zeros((len(place), m, spline.orders, m))
-        by_path[:, range(m), 0, range(m)] = 1.0
-        band, right = spline.normal(by_path, place, np.zeros((*place.shape, 0)))
-        band[0] += 1e-6 * band[0].mean()
-        paths.append(scipy.linalg.solveh_banded(band, right[:, 0], lower=True).reshape(-1, m))
-    return State(problem.center / problem.scales, np.zeros((problem.logs, 2, problem.inputs)), tuple(paths))
+    paths = zip(state.paths, change.paths, strict=True)
+    return State(state.x + share * change.x, tuple(a + share * b for a, b in paths))
 
 
 class Converged(NamedTuple):
@@ -286,23 +275,23 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
         loose = []
         for data in problem.stretches:
             share = np.where(np.arange(data.values.shape[1]) < problem.inputs, *_LOOSE)
-            factors = np.where(np.isfinite(data.noise), 1.0 / data.noise, 0.0)
             scales = np.maximum(1.0, share * data.values.std(axis=0) / np.median(data.noise, axis=0))
-            loose.append(Weights(scales, factors))
+            loose.append(Weights(scales, 1.0 / data.noise))
         for stage in (replace(problem, spread=1e-6 * problem.spread), problem):
             state = _descent(stage, state, loose, _ROUGHLY)
     # The inputs alone show the free swing of the load. Where a drive reverses quickly its acceleration jumps, and a
     # path that has to meet positions there swings wrongly; that would pass for noise of the inputs, another optimum.
     for more in _BLURS:
         scales = np.where(np.arange(problem.stretches[0].values.shape[1]) < problem.inputs, 1.0, more)
-        weights = [Weights(scales, each.factors) for each in problem.weights(state, True)]
+        every = range(len(problem.stretches))
+        weights = [Weights(scales, problem.factors(k, problem.predicted(state, k))) for k in every]
         state = _descent(problem, state, weights, _ROUGHLY)
     for _ in range(_ROUNDS):
-        weights = problem.weights(state, False)
+        weights = problem.weights(state)
         state = _descent(problem, state, weights, _SETTLED)
     change, information = problem.step(state, weights, 0.0)
     sizes = np.sqrt(np.diag(np.linalg.inv(information)))
-    return Converged(state, weights, information, bool((np.abs(_all(change)) < _NEAR * sizes).all()))
+    return Converged(state, weights, information, bool((np.abs(change.x) < _NEAR * sizes).all()))
 
 
 def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: float) -> State:
@@ -310,8 +299,8 @@ def _descent(problem: Fit, state: State, weights: list[Weights], tolerance: floa
     damping, cost = 0.0, problem.cost(state, weights)
     for _ in range(_STEPS):
         change, information = problem.step(state, weights, damping)
-        small = float(np.max(np.abs(_all(change)) * np.sqrt(np.diag(information)))) < tolerance
-        share = full = min(1.0, _FARTHEST / max(float(np.abs(change.theta).max()), 1e-12))
+        small = float(np.max(np.abs(change.x) * np.sqrt(np.diag(information)))) < tolerance
+        share = full = min(1.0, _FARTHEST / max(float(np.abs(change.x[: len(problem.scales)]).max()), 1e-12))
         candidate = _moved(state, change, share)
         while (better := problem.cost(candidate, weights)) > cost * (1 + 1e-9) and share > 0.02 * full:
             share /= 2

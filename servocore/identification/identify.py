@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -16,12 +15,11 @@ from servocore.errors import (
     InvalidSetting,
     ServocoreWarning,
     require_kind,
-    require_real,
+    require_positive,
 )
-from servocore.identification.blocks import Blocks, stretches
-from servocore.identification.fit import Converged, Fit, minimized, start
-from servocore.identification.logs import Log, Record, records
-from servocore.identification.prediction import Prediction, positions_of, released
+from servocore.identification.fit import Converged, Fit, minimized
+from servocore.identification.logs import Blocks, Log, Record, records, stretches
+from servocore.identification.prediction import positions_of, prediction_of
 from servocore.identification.result import Identified
 from servocore.identification.splines import PathSpline
 from servocore.model.scene import Scene, require_scene
@@ -114,13 +112,11 @@ def identify(
     problem = Problem.of(extended)
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
-    require_real(bias, "the bias of the inputs", "a fraction, such as 0.01", InvalidSetting)
-    if not 0.0 <= bias < np.inf:
-        raise InvalidSetting(f"the bias of the inputs must be finite and not negative, not {bias:g}")
+    require_positive(bias, "the bias of the inputs", "a fraction, such as 0.01", or_zero=True)
     names = chosen_parameters(parameters, problem)
     read = records(log, extended, positions_of(problem.resolved))
     fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
-    found = minimized(fit, start(fit, [_equilibria(fit, data) for data in fit.stretches]))
+    found = minimized(fit, fit.start([_equilibria(fit, data) for data in fit.stretches]))
     bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
     if bent or not found.settled:  # measured positions bend faster than the splines can
         fit, state = fit.refined(found.state, _SPACINGS[1])
@@ -149,9 +145,7 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
     """Return the relative standard uncertainty of each parameter."""
     given = believed if isinstance(believed, Mapping) else {"*": believed}
     for pattern, value in given.items():
-        require_real(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2", InvalidSetting)
-        if not 0.0 < value < np.inf:
-            raise InvalidSetting(f"the uncertainty of {pattern} must be positive and finite, not {value:g}")
+        require_positive(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
     own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)
@@ -162,34 +156,29 @@ def _fit(
     problem: Problem, read: Sequence[Record], drives: Sequence[str], names: tuple[str, ...], spreads: Array, bias: float
 ) -> Fit:
     """Return the maximum likelihood problem of logs; positions of drives come first, as their inputs do."""
-    resolved, inputs = released(problem.resolved), [quantity.name for quantity in problem.system.inputs]
-    measured = sorted(set(read[0].columns) - set(inputs), key=lambda label: [*drives, label].index(label))
+    inputs = [quantity.name for quantity in problem.system.inputs]
+    measured = sorted((each for each in read[0].columns if each not in inputs), key=[*drives, *read[0].columns].index)
     for record in read[1:]:
         if {*record.columns} != {*read[0].columns}:
             raise InvalidReference(f"{record.name} has other columns than {read[0].name}: one fit needs the same")
-    columns = tuple(problem.system.parameters.names.index(name) for name in names)
-    prediction = Prediction(resolved, tuple(measured), columns, len(inputs))
+    prediction, scales = prediction_of(problem, names, measured)
+    forces = [each.name for each in prediction.quantities[len(inputs) : -len(measured)]]
     peaks = np.max([[np.nanmax(np.abs(record.columns[label])) for label in inputs] for record in read], axis=0)
-    known_forces = np.zeros(len(resolved.system.inputs) - len(inputs))
-    parts = []
+    parts = list[Blocks]()
     for k, record in enumerate(read):
-        for part in stretches(
-            record.t, np.column_stack([record.columns[each] for each in inputs + measured]), len(inputs), k
-        ):
-            values, noise = (
-                np.insert(each, [len(inputs)] * len(known_forces), given, axis=1)
-                for each, given in ((part.values, 0.0), (part.noise, _FORCE * peaks.max()))
-            )
-            parts.append(replace(part, values=values, noise=noise))
+        known = {**record.columns, **dict.fromkeys(forces, np.zeros(len(record.t)))}
+        values = np.column_stack([known[each] for each in (*inputs, *forces, *measured)])
+        parts += stretches(record.t, values, len(inputs) + len(forces), k)
+    for part in parts:
+        part.noise[:, len(inputs) : -len(measured)] = _FORCE * peaks.max()
     if {part.log for part in parts} != set(range(len(read))):
         raise InvalidReference("a log has so many gaps that no second of it is left")
-    order, center = resolved.array.reference_order, problem.p[list(columns)]
-    scales = np.where(center != 0.0, np.abs(center), 1.0)
-    outputs = len(resolved.system.outputs)
+    resolved, center = prediction.resolved, problem.p[list(prediction.columns)]
+    order, outputs = resolved.array.reference_order, len(resolved.system.outputs)
     splines = tuple(PathSpline(part.t, order + 2, order + 1, outputs, _SPACINGS[0]) for part in parts)
     spread = np.where(center != 0.0, spreads * scales, 1e6)  # relative to zero nothing is known
-    biases = np.concatenate([np.maximum(bias, _NONE) * np.maximum(peaks, _NONE), known_forces + _NONE * peaks.max()])
-    return Fit(prediction, problem.p, center, scales, spread, biases, tuple(parts), splines)
+    biases = [*(max(bias, _NONE) * np.maximum(peaks, _NONE)), *(_NONE * peaks.max() for _ in forces)]
+    return Fit(prediction, problem.p, center, scales, spread, np.array(biases), tuple(parts), splines)
 
 
 def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:

@@ -17,15 +17,13 @@ _STYLE = (
 )
 
 
-def identified_page(found: Identified, note: str = "") -> str:
+def identified_page(found: Identified) -> str:
     """Return the page of a result.
 
     Parameters
     ----------
     found : Identified
         The result.
-    note : str
-        A sentence at its head, as that the log is synthetic.
 
     Returns
     -------
@@ -37,15 +35,16 @@ def identified_page(found: Identified, note: str = "") -> str:
     InvalidSetting
         If matplotlib is missing.
     """
-    residuals = [("input", "correlation at lag one", "density near zero by white noise", "delay, s", "bias")]
-    for name, (persistence, correlation) in found.whiteness.items():
+    head = ("correlation at lag one", "density near zero by white noise", "dependence on speed, chi-squared of 5")
+    residuals = [("input", *head, "delay, s", "bias")]
+    for name, (persistence, correlation, by_speed) in found.whiteness.items():
         delay, bias = (", ".join(f"{each:.3g}" for each in of[name]) for of in (found.delays, found.biases))
-        residuals.append((name, f"{correlation:.2f}", f"{persistence:.2g}", delay, bias))
+        residuals.append((name, f"{correlation:.2f}", f"{persistence:.2g}", f"{by_speed:.3g}", delay, bias))
     unknown = "".join(f"<li>{escape(each)}</li>" for each in found.unidentifiable or ("nothing",))
     return "\n".join([
         "<!doctype html>\n<html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
         f"<title>Identified parameters</title><style>{_STYLE}</style>",
-        f"<h1>Identified parameters</h1><p>{escape(note)} Logs: {escape(', '.join(found.logs))}.</p>",
+        f"<h1>Identified parameters</h1><p>Logs: {escape(', '.join(found.logs))}.</p>",
         f"<p><b>Verdict.</b> {escape(found.verdict)}.</p><h2>Values</h2>",
         f"{_table(found.table)}<p>With standard errors.</p>",
         f"<h2>Not shown by the logs</h2><ul>{unknown}</ul><h2>Inputs and residuals</h2>",

@@ -1,7 +1,8 @@
-"""Inputs and measured positions of a model without internal dynamics, with derivatives by path and parameters."""
+"""Inputs and measured positions of a model without internal dynamics, and their information on parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,12 +16,16 @@ from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
-from servocore.problem import ResolvedSystem, resolve
+from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.stepping.exact_evaluation import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
-FORCE = "force on "
-"""Begin of the name of a force that `released` adds along a coordinate."""
+DELAY = 0.005
+"""Standard deviation of the delay of an input behind the positions before anything is measured, in s."""
+
+_SHOWS = 0.25  # of its uncertainty is left of a combination that a motion shows
+_AMPLITUDE, _PERIODS = 0.5, (4.0, 2.9, 2.3)  # of the motions that are tried, in the unit of the output and s
+_TRIED = np.linspace(0.0, 20.0, 201)
 
 
 class Predicted(NamedTuple):
@@ -85,6 +90,17 @@ class Prediction:
         return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
 
 
+def prediction_of(problem: Problem, names: Sequence[str], measured: Sequence[str] = ()) -> tuple[Prediction, Array]:
+    """Return the channels of a problem with the derivatives by some parameters, and the units of these: their values.
+
+    A parameter that is zero has the unit one.
+    """
+    columns = [problem.system.parameters.names.index(name) for name in names]
+    scales = np.abs(problem.p[columns])
+    inputs, resolved = len(problem.system.inputs), released(problem.resolved)
+    return Prediction(resolved, tuple(measured), tuple(columns), inputs), np.where(scales > 0.0, scales, 1.0)
+
+
 def positions_of(resolved: ResolvedSystem) -> dict[str, Quantity]:
     """Return the quantities that a log may measure beside the inputs, by name: those of the configuration alone."""
     known = reported(resolved.system)
@@ -108,7 +124,7 @@ def released(resolved: ResolvedSystem) -> ResolvedSystem:
     if not free:
         return resolved
     known = [system.coordinates.quantities[k] for k in free]
-    forces = tuple(Quantity(f"{FORCE}{each.name}") for each in known)
+    forces = tuple(Quantity(f"force on {each.name}") for each in known)
     paths, guess, start = reference_symbols(len(free)), ca.SX(system.guess), system.home_configuration()[0][free]
     guess[free] = paths[:, 0]
     extended = replace(
@@ -159,3 +175,66 @@ def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tupl
     total = by_given - ca.mtimes(by_unknowns, ca.solve(J, right, "qr"))
     function = ca.Function("sc_channels", symbols, [ca.densify(each) for each in (values, total)])
     return Vectorized(function, (True, True, False), False, system.name)
+
+
+def information(prediction: Prediction, jets: Array, step: float, p: Array, scales: Array, noise: Array) -> Array:
+    """Return the information of the inputs on parameters, relative to their scales, shape (parameters, parameters).
+
+    The motion counts as known, as fine encoders show it; biases of inputs are free, and their delays nearly so.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Of the channels.
+    jets : ndarray, shape (N, orders, outputs)
+        The motion, at instants `step` seconds apart.
+    p : ndarray
+        All parameters.
+    scales : ndarray, shape (parameters,)
+        Units of the estimates.
+    noise : ndarray, shape (inputs,)
+        Standard deviation of an input at one instant.
+    """
+    m = len(noise)
+    predicted = prediction(jets, p)
+    rows = predicted.by_parameter[:, :m] * scales / noise[:, None]
+    rates = np.gradient(predicted.values[:, :m], step, axis=0) / noise
+    total = np.zeros((len(scales), len(scales)))
+    for k in range(m):
+        nuisance = np.column_stack([np.full(len(jets), 1.0 / noise[k]), rates[:, k]])
+        inner = nuisance.T @ nuisance + np.diag([0.0, 1.0 / DELAY**2])
+        mixed = nuisance.T @ rows[:, k]
+        total += rows[:, k].T @ rows[:, k] - mixed.T @ np.linalg.solve(inner, mixed)
+    return total
+
+
+def showing(
+    prediction: Prediction, place: Array, p: Array, scales: Array, noise: Array, direction: Array, spread: float
+) -> str:
+    """Return the smallest motion about a place that shows a combination of parameters; empty if none was found.
+
+    Parameters
+    ----------
+    prediction, p, scales, noise
+        See `information`.
+    place : ndarray, shape (outputs,)
+        A position of the output.
+    direction : ndarray, shape (parameters,)
+        The combination, of length one in `scales`.
+    spread : float
+        Its standard deviation.
+    """
+    names = [quantity.name for quantity in prediction.resolved.system.outputs]
+    step = float(_TRIED[1] - _TRIED[0])
+    orders = prediction.resolved.array.reference_order + 1
+    for moving in [*([k] for k in range(len(names))), list(range(len(names)))]:
+        jets = np.zeros((len(_TRIED), orders, len(names)))
+        jets[:, 0] = place
+        for k in moving:
+            rate = 2 * np.pi / _PERIODS[k % len(_PERIODS)]
+            for order in range(orders):
+                jets[:, order, k] += _AMPLITUDE * rate**order * np.sin(rate * _TRIED + np.pi / 2 * order)
+        found = information(prediction, jets, step, p, scales, noise)
+        if np.isfinite(found).all() and 1.0 / np.sqrt(1.0 + spread**2 * direction @ found @ direction) < _SHOWS:
+            return f"moving {' and '.join(names[k] for k in moving)} to and fro by {_AMPLITUDE:g} would show it"
+    return ""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from servocore.effects.closed_loop import run_loop
+from servocore.effects.model_inversion import inverted
 from servocore.effects.position_loops import PositionLoops
+from servocore.effects.report import aligned
 from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import csv_text
-from servocore.identification.fit import Converged, Fit, persistence, used
-from servocore.identification.information import showing
-from servocore.identification.stray import Stray, strayed
+from servocore.identification.fit import HUBER, Converged, Fit, correlation, persistence, used
+from servocore.identification.prediction import showing
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
@@ -22,8 +25,28 @@ from servocore.references.base import Reference
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
 _NAMED = 0.3  # entry of a combination from which on a parameter is named
 _PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of white noise; correlation at lag one
+_OCTAVES, _BY_SPEED = 5, 25.0  # of speed below the highest; chi-squared that noise exceeds once in ten thousand
 _FAR = 4.0  # standard deviations of an estimate from what was believed, and from no delay
 _SLOW = 10  # blocks of a moving average
+_SAMPLES, _QUANTILE = 2000, 0.95
+_INSTANT, _FEWEST = 0.02, 500  # s between instants of a motion, and their least number
+_SHARE = 0.3  # of a standard error: the change of a parameter by which the motion is differentiated
+_SMALL = 1e-3  # or of the parameter, where that is less
+
+
+class Stray(NamedTuple):
+    """How far the output will go off a path in 95 of 100 cases, in mm (thousandths of its unit).
+
+    Attributes
+    ----------
+    total : float
+        With what the residuals of the inputs do beside.
+    by_parameters : float
+        By the uncertainty of the parameters alone.
+    """
+
+    total: float
+    by_parameters: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +82,15 @@ class Identified:
     @property
     def values(self) -> dict[str, float]:
         """Estimates by name."""
-        return dict(zip(self.names, (self.estimate.state.theta * self.fit.scales).tolist(), strict=True))
+        return self._named(self.estimate.state.x[: len(self.names)] * self.fit.scales)
+
+    def _named(self, values: Array) -> dict[str, float]:
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     @property
     def standard_errors(self) -> dict[str, float]:
         """Standard errors by name, those of the residuals' own noise and its persistence."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return self._named(np.sqrt(np.diag(self.covariance)))
 
     @cached_property
     def covariance(self) -> Array:
@@ -85,8 +111,7 @@ class Identified:
     @property
     def prior_share(self) -> dict[str, float]:
         """Share of each estimate that is from what was believed: 0 where the logs alone say it, 1 where they do not."""
-        share = np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2
-        return dict(zip(self.names, share.tolist(), strict=True))
+        return self._named(np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2)
 
     @property
     def delays(self) -> dict[str, tuple[float, ...]]:
@@ -99,7 +124,7 @@ class Identified:
         return self._offsets(0)
 
     def _offsets(self, row: int) -> dict[str, tuple[float, ...]]:
-        values = self.estimate.state.offsets[:, row]
+        values = self.fit.offsets(self.estimate.state)[:, row]
         return {name: tuple(values[:, k].tolist()) for k, name in enumerate(self._inputs)}
 
     @property
@@ -108,18 +133,19 @@ class Identified:
 
     @cached_property
     def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
-        """Of each stretch: residuals, which of them count, and their weights."""
-        parts = []
-        for k, (data, weight) in enumerate(zip(self.fit.stretches, self.estimate.weights, strict=True)):
-            residual, _ = self.fit.residuals(self.estimate.state, k)
-            parts.append((residual, used(data, weight.factors), weight.factors))
+        """Of each stretch: residuals, which of them count, and rates of the positions, 0 where drives creep."""
+        parts, fit, m = [], self.fit, self.fit.inputs
+        for k, (data, weight) in enumerate(zip(fit.stretches, self.estimate.weights, strict=True)):
+            predicted = fit.predicted(self.estimate.state, k)
+            rates = np.gradient(predicted.values[:, m : m + len(self._inputs)], data.t, axis=0)
+            residual, counted = fit.residuals(self.estimate.state, k, predicted)[0], used(data, weight.factors)
+            parts.append((residual, counted, np.where(fit.creeping(k, predicted), 0.0, rates)))
         return parts
 
     @cached_property
     def residuals(self) -> dict[str, Array]:
         """Measured less predicted channels by name, shape (blocks,), with ``time``; NaN where friction creeps."""
-        rows = [np.where(counted, residual, np.nan) for residual, counted, _ in self._parts]
-        return self._by_name(rows)
+        return self._by_name([np.where(counted, residual, np.nan) for residual, counted, _ in self._parts])
 
     @cached_property
     def measured(self) -> dict[str, Array]:
@@ -132,13 +158,27 @@ class Identified:
         return columns | dict(zip(names, np.concatenate(rows).T, strict=True))
 
     @cached_property
-    def whiteness(self) -> dict[str, tuple[float, float]]:
-        """Of the residuals of each input: spectral density near zero by that of white noise, correlation at lag one."""
+    def whiteness(self) -> dict[str, tuple[float, float, float]]:
+        """Of the residuals of each input: spectral density near zero, correlation at lag one, dependence on the speed.
+
+        The density is by that of white noise. The dependence is chi-squared of five octaves of the speed of the drive:
+        the sum of the squares of the means of residuals by direction, each by its standard deviation. It sees friction
+        of another kind, which is so short or so weak that it hides in correlations.
+        """
         found = {}
+        fastest = np.max([np.abs(rates).max(axis=0) for *_, rates in self._parts], axis=0)
         for k, name in enumerate(self._inputs):
-            parts = [(residual * factors)[counted[:, k], k] for residual, counted, factors in self._parts]
-            total = sum(float(part @ part) for part in parts) or 1.0
-            found[name] = persistence(parts), sum(float(part[1:] @ part[:-1]) for part in parts) / total
+            parts, sums = [], np.zeros((2, _OCTAVES))
+            rows = zip(self._parts, self.fit.stretches, self.estimate.weights, strict=True)
+            for (residual, counted, rates), data, weight in rows:
+                parts.append((residual * weight.factors)[counted[:, k], k])
+                known = np.isfinite(data.noise[:, k]) & (np.abs(rates[:, k]) > 0.0)
+                rate, sizes = rates[known, k], weight.scales[k] * data.noise[known, k]
+                octave = np.clip(np.log2(fastest[k] / np.abs(rate)).astype(int), 0, _OCTAVES - 1)
+                signed = np.sign(rate) * np.clip(residual[known, k] / sizes, -HUBER, HUBER)
+                sums += [np.bincount(octave, each, _OCTAVES) for each in (signed, np.ones(len(octave)))]
+            by_speed = float(np.sum(sums[0] ** 2 / np.maximum(sums[1], 1.0)))
+            found[name] = persistence(parts), correlation(parts, 1), by_speed
         return found
 
     @cached_property
@@ -154,7 +194,7 @@ class Identified:
             if size < _UNKNOWN**2:
                 break
             own = direction * relative
-            unit, p = own / np.linalg.norm(own), fit.parameters(self.estimate.state.theta)
+            unit, p = own / np.linalg.norm(own), fit.parameters(self.estimate.state)
             spread = float(np.sqrt(size) * np.linalg.norm(own))
             remedy = showing(fit.prediction, path.mean(axis=0), p, fit.scales, noise, unit, spread)
             sentences.append(
@@ -168,16 +208,12 @@ class Identified:
 
         Parameters of effects that vanish where the effect does; beyond 2.8 the logs ask for the effect.
         """
-        found, theta, declared = {}, self.estimate.state.theta, self.based_on.effects.parameters
-        precision = np.diag((self.fit.scales / self.fit.spread) ** 2)
-        for k, name in enumerate(self.names):
-            if name not in declared or declared[name].lower != 0.0:
-                continue
-            free = np.linalg.inv(self._relative)
-            free[k, k] = max(free[k, k] - precision[k, k], 1e-12)
-            inverse = np.linalg.inv(free)
-            alone = theta[k] + inverse[k, k] * precision[k, k] * (theta[k] - self.fit.center[k] / self.fit.scales[k])
-            found[name] = float(alone / np.sqrt(inverse[k, k]))
+        found, declared = dict[str, float](), self.based_on.effects.parameters
+        for (name, value), center in zip(self.values.items(), self.fit.center, strict=True):
+            if name in declared and declared[name].lower == 0.0:
+                known = max(1.0 - self.prior_share[name], 1e-12)  # its own prior alone is taken away again
+                alone = value + self.prior_share[name] / known * (value - center)
+                found[name] = float(alone / self.standard_errors[name] * np.sqrt(known))
         return found
 
     def scene(self) -> Scene:
@@ -196,6 +232,9 @@ class Identified:
 
     def stray(self, path: Reference) -> Stray:
         """Return how far the output will go off a path in 95 of 100 cases, in mm, under the position loops.
+
+        By parameters it is the quantile of max over t of |S zeta|, S = d output / d theta, for zeta of the normal
+        distribution with the covariance of the estimates.
 
         Parameters
         ----------
@@ -217,25 +256,55 @@ class Identified:
             raise InvalidModel(
                 f"{self.based_on.name} has internal dynamics: how far it goes off a path is not computed"
             )
-        parts = self.residuals
-        slow = np.column_stack([_smoothed(parts[name]) for name in self._inputs])
-        return strayed(self.scene(), self.names, self.covariance, path, self.loops, (parts["time"], slow))
+        scene = self.scene().with_reference(path)
+        measured = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
+        count = max(_FEWEST, int(np.ceil(path.duration / _INSTANT))) + 1
+        motion = inverted(Problem.of(scene), measured, count)
+        gains, slopes = motion.gains(self.loops), []
+        base = run_loop(motion, motion, gains).deviation
+        # S = d output / d theta by simulations of changed plants.
+        for name, error in self.standard_errors.items():
+            value = scene.parameter_values()[name]
+            change = min(_SHARE * error, _SMALL * abs(value) or np.inf)
+            plant = inverted(Problem.of(scene.with_parameters(**{name: value + change})), measured, count)
+            deviation = run_loop(plant, motion, gains).deviation
+            at, own = np.linspace(0.0, 1.0, len(base)), np.linspace(0.0, 1.0, len(deviation))
+            slopes.append((np.column_stack([np.interp(at, own, each) for each in deviation.T]) - base) / change)
+        normal = np.random.default_rng(0).multivariate_normal
+        drawn = normal(np.zeros(len(self.names)), self.covariance, _SAMPLES, method="eigh")
+        samples = np.linalg.norm(np.tensordot(drawn, np.array(slopes), axes=1), axis=2)
+        by_parameters = float(np.quantile(samples.max(axis=1), _QUANTILE))
+        # Residuals that stay act on the plant as a disturbance.
+        t = self.residuals["time"] - self.residuals["time"][0]
+        at = (motion.t - motion.t[0]) % t[-1]
+        known, window = (np.nan_to_num(self.residuals[name]) for name in self._inputs), np.ones(_SLOW) / _SLOW
+        slow = [np.interp(at, t, np.convolve(each, window, mode="same")) for each in known]
+        rest = run_loop(motion, motion, gains, np.column_stack(slow)).error
+        return Stray(1e3 * (by_parameters + rest), 1e3 * by_parameters)  # both in one direction at worst
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to trust the result, as sentences; empty for a good one."""
         found = [] if self.estimate.settled else ["the fit has not settled: log a livelier or longer motion"]
-        for name, (persistent, correlated) in self.whiteness.items():
+        for k, (name, (persistent, correlated, by_speed)) in enumerate(self.whiteness.items()):
+            why = ""
             if persistent > _PERSISTENT or correlated > _CORRELATED:
-                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
-                found.append(
-                    f"the model does not explain {name}: its residuals of {size:.3g} are no noise (correlation"
-                    f" {correlated:.2f} from block to block), so that an effect is missing or a sensor is wrong"
+                why = (
+                    f"are no noise (correlation {correlated:.2f} from block to block), so that an effect is missing or"
+                    " a sensor is wrong"
                 )
+            elif by_speed > _BY_SPEED:
+                why = (
+                    f"depend on the speed of {self.fit.prediction.measured[k]} (chi-squared {by_speed:.0f} of"
+                    f" {_OCTAVES} octaves), so that friction is of another kind"
+                )
+            if why:
+                size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
+                found.append(f"the model does not explain {name}: its residuals of {size:.3g} {why}")
         spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
-        for k in np.flatnonzero(np.abs(list(self.values.values()) - self.fit.center) > _FAR * spreads):
-            name = self.names[k]
-            found.append(f"{name} = {self.values[name]:.4g} is far from the believed {self.fit.center[k]:.4g}")
+        for (name, value), center, spread in zip(self.values.items(), self.fit.center, spreads, strict=True):
+            if abs(value - center) > _FAR * spread:
+                found.append(f"{name} = {value:.4g} is far from the believed {center:.4g}")
         return tuple(found)
 
     @cached_property
@@ -278,23 +347,17 @@ class Identified:
         return csv_text(list(self.names), [self.covariance])
 
     @property
-    def table(self) -> list[tuple[str, ...]]:
+    def table(self) -> list[tuple[str, str, str, str]]:
         """Rows of texts with a header: values before and after with standard errors, and the share of the former."""
-        before, after = (
-            [f"{value:.4g} ± {error:.2g}" for value, error in zip(values, errors, strict=True)]
-            for values, errors in (
-                (self.fit.center, self.fit.spread),
-                (self.values.values(), self.standard_errors.values()),
-            )
-        )
-        shares = [f"{share:.0%}" for share in self.prior_share.values()]
-        head = ("parameter", "believed", "identified", "from what was believed")
-        return [head, *zip(self.names, before, after, shares, strict=True)]
+        rows = [("parameter", "believed", "identified", "from what was believed")]
+        for k, (name, value) in enumerate(self.values.items()):
+            before = f"{self.fit.center[k]:.4g} ± {self.fit.spread[k]:.2g}"
+            after = f"{value:.4g} ± {self.standard_errors[name]:.2g}"
+            rows.append((name, before, after, f"{self.prior_share[name]:.0%}"))
+        return rows
 
     def __str__(self) -> str:
-        widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
-        rows = ("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)) for row in self.table)
-        return "\n".join([*map(str.rstrip, rows), f"verdict: {self.verdict}"])
+        return f"{aligned(self.table)}\nverdict: {self.verdict}"
 
 
 def _combined(names: tuple[str, ...], direction: Array) -> str:
@@ -304,7 +367,3 @@ def _combined(names: tuple[str, ...], direction: Array) -> str:
         [name for name, share in zip(names, direction, strict=True) if sign * share > _NAMED] for sign in (1, -1)
     )
     return " and ".join(up) + (f" against {' and '.join(down)}" if down else " together" if len(up) > 1 else "")
-
-
-def _smoothed(residual: Array) -> Array:
-    return np.convolve(np.nan_to_num(residual), np.ones(_SLOW) / _SLOW, mode="same")

@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.effects.model_inversion import at_rest, inverted
-from servocore.effects.position_loops import PositionLoops, gains_of, measured_in
-from servocore.errors import IntegrationFailed, InvalidSetting, require_real
+from servocore.effects.position_loops import PositionLoops, held, measured_in, wrapped
+from servocore.errors import IntegrationFailed, InvalidSetting, require_positive
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, chained
 from servocore.numerics.memoization import made_once
@@ -78,26 +79,23 @@ def measured(
     require_scene(plant := plant or scene, "measured")
     sensors = {"step": step, "resolution": resolution, "noise": noise, "bias": bias, "delay": delay}
     for name, value in {**sensors, "outliers": outliers, "missing": missing}.items():
-        require_real(value, f"the {name} of a synthetic log", "a number", InvalidSetting)
-        if not 0.0 <= value < np.inf:
-            raise InvalidSetting(f"the {name} of a synthetic log must be finite and not negative, not {value:g}")
+        require_positive(value, f"the {name} of a synthetic log", "a number", or_zero=True)
     each = round(step / _CYCLE)
     if each < 1 or abs(each * _CYCLE - step) > 1e-9:
         raise InvalidSetting(f"a synthetic log needs a step of whole milliseconds, not {step:g} s")
-    t, inputs, positions, names, stiffness = _driven(scene, plant, loops, drives, resolution)
+    t, inputs, positions, quantities, stiffness = _driven(scene, plant, loops, drives, resolution)
     random = np.random.default_rng(seed)
     at = np.arange(0, len(t), each)
     columns = {"time": t[at]}
-    wrapping = {quantity.name for quantity in measured_in(plant.model(), names[inputs.shape[1] :])[0] if quantity.wraps}
-    for name, u, stiff in zip(names[: inputs.shape[1]], inputs.T, stiffness, strict=True):
+    for quantity, u, stiff in zip(plant.model().inputs, inputs.T, stiffness, strict=True):
         size = max(float(np.ptp(u)) / 2, _HELD * stiff)  # the sensor of a drive that rests is noisy too
         late = np.interp(t[at] - delay, t, u)
-        columns[name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
-    for name, y in zip(names[inputs.shape[1] :], positions.T, strict=True):
-        seen = np.unwrap(y[at]) if name in wrapping else y[at]
-        columns[name] = np.round(seen / resolution) * resolution if resolution else seen.copy()
-    for name in names:
-        _spoil(columns[name], outliers, missing, random)
+        columns[quantity.name] = late + size * (bias * random.uniform(-1, 1) + noise * random.standard_normal(len(at)))
+    for quantity, y in zip(quantities, positions.T, strict=True):
+        seen = np.unwrap(y[at]) if quantity.wraps else y[at]
+        columns[quantity.name] = np.round(seen / resolution) * resolution if resolution else seen.copy()
+    for column in list(columns.values())[1:]:
+        _spoil(column, outliers, missing, random)
     return columns
 
 
@@ -111,51 +109,45 @@ def _spoil(column: Array, outliers: float, missing: float, random: np.random.Gen
 
 def _driven(
     scene: Scene, plant: Scene, loops: PositionLoops, drives: tuple[str, ...], resolution: float
-) -> tuple[Array, Array, Array, tuple[str, ...], Array]:
-    """Return times, inputs (N, m) and positions (N, m) of the drives at their cycles, the names of both, and gains."""
+) -> tuple[Array, Array, Array, tuple[Quantity, ...], Array]:
+    """Return times, inputs (N, m), positions (N, m) at the cycles of the drives; measured quantities, stiffness."""
     problem, moved = Problem.of(scene), Problem.of(plant.with_reference(scene.reference))
-    of_model, of_plant = drives or scene.effects.measured, drives or plant.effects.measured
+    of_plant = drives or plant.effects.measured
     count = int(np.ceil(problem.reference.duration / _CYCLE)) + 1
-    motion, still = inverted(problem, of_model, count), at_rest(moved, of_plant)
-    gains = gains_of(problem.system, of_model, motion.end, problem.p, loops)
-    cycle, read = _cycle(moved.resolved, of_plant)
-    zero = np.asarray(read(still.start)).ravel()
-    given = np.column_stack([motion.inputs, motion.positions + zero, motion.rates])
-    held = [moved.p, np.concatenate([gains.position, gains.rate]), np.array([max(resolution, 1e-12)])]
-    tiled = (np.tile(argument[:, None], count) for argument in held)
-    rows = chained(cycle, count)(np.concatenate([still.start, zero]), given.T, *tiled)[1].T
+    motion, still = inverted(problem, drives or scene.effects.measured, count), at_rest(moved, of_plant)
+    gains, cycle = motion.gains(loops), _cycle(moved.resolved, of_plant)
+    quantities, y = measured_in(moved.system, of_plant)
+    zero = np.asarray(ca.Function("y", [moved.system.q], [y])(still.start[: len(still.end)])).ravel()
+    signals, m = motion.signals, len(zero)
+    signals[:, m : 2 * m] += zero
+    given = (
+        np.tile(argument[:, None], count) for argument in (moved.p, gains.ravel(), np.array([max(resolution, 1e-12)]))
+    )
+    rows = chained(cycle, count)(np.concatenate([still.start, zero]), signals.T, *given)[1].T
     if not np.isfinite(rows).all():
         raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")
-    m = len(problem.system.inputs)
-    names = (*(quantity.name for quantity in moved.system.inputs), *of_plant)
-    return np.arange(count) / round(1 / _CYCLE), rows[:, :m], rows[:, m:], names, gains.position
+    return np.arange(count) / round(1 / _CYCLE), rows[:, :m], rows[:, m:], quantities, gains[0]
 
 
 @made_once
-def _cycle(resolved: ResolvedSystem, measured_: tuple[str, ...]) -> tuple[ca.Function, ca.Function]:
-    """Compile one cycle of the drives, and the function from states to their positions.
+def _cycle(resolved: ResolvedSystem, drives: tuple[str, ...]) -> ca.Function:
+    """Compile one cycle of the drives.
 
     (state and low-passed positions, (inputs, positions, rates) that are wanted, p, gains, resolution) -> the same after
     the cycle, inputs and positions at its begin. The inputs stay for a cycle: two steps of the classical method.
     """
     system = resolved.system
-    quantities, y = measured_in(system, measured_)
+    quantities, y = measured_in(system, drives)
     m, n = len(system.inputs), 2 * len(system.coordinates)
     read = ca.Function("sc_positions", [ca.vertcat(system.q, system.v)], [ca.densify(y)])
     rate = forward_rate(system, held=False)
     state, wanted, p = ca.MX.sym("x", n + m), ca.MX.sym("w", 3 * m), ca.MX.sym("p", system.p.numel())
     gains, quantum = ca.MX.sym("k", 2 * m), ca.MX.sym("quantum")
-    x, slow = state[:n], state[n:]
-    position = read(x)
+    position, slow, after = read(state[:n]), state[n:], state[:n]
     seen = quantum * ca.floor(position / quantum + 0.5)
-    ahead, moved = wanted[m : 2 * m] - seen, seen - slow
-    for k in (k for k, quantity in enumerate(quantities) if quantity.wraps):
-        ahead[k], moved[k] = (ca.atan2(ca.sin(d[k]), ca.cos(d[k])) for d in (ahead, moved))
-    u = wanted[:m] + gains[:m] * ahead + gains[m:] * (wanted[2 * m :] - _FILTER * moved / _CYCLE)
-    after = x
+    passed = _FILTER * wrapped(quantities, seen - slow)
+    u = held(quantities, wanted, seen, passed / _CYCLE, gains)
     for _ in range(2):
         after = runge_kutta(lambda at, _: rate(at, u, ca.DM.zeros(m), p)[0], after, ca.MX(_CYCLE / 2))
-    logged = ca.vertcat(u, position)
-    return ca.Function(
-        "sc_cycle", [state, wanted, p, gains, quantum], [ca.vertcat(after, slow + _FILTER * moved), logged]
-    ), read
+    results = [ca.vertcat(after, slow + passed), ca.vertcat(u, position)]
+    return ca.Function("sc_cycle", [state, wanted, p, gains, quantum], results)

@@ -8,9 +8,11 @@ For an elastic joint with motor theta behind its gear and link q (Spong),
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,9 +21,9 @@ from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
 from servocore.importers.options import Options, driven_joints
-from servocore.importers.outputs import rows_of_outputs
-from servocore.importers.recursion import sparse
+from servocore.importers.recursion import rounded, sparse
 from servocore.importers.tree import Closure, Tendon, Tree
+from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.compiled_calls import Array
@@ -57,26 +59,48 @@ class Mechanism:
         """Elements of the file that have no part in the model."""
         taut = {f"range of tendon {name}" for name in self.options.taut}
         own = [each for each in self.tree.left_out if each.partition(",")[0] not in taut]
-        return [*own, *Assembly(self.tree, self.options).layout.left_out]
+        return [*own, *Assembly(self.tree, self.options).left_out]
+
+    def drawing(self, v: Mapping[str, Any]) -> list[Part]:
+        """Return the parts for symbols of the reported quantities by name.
+
+        Links are bars between joints, joints pins, frames that follow a path bodies.
+        """
+        assembly = Assembly(self.tree, self.options)
+        values = ca.vertcat(*[v[name] for name in assembly.coordinates.names])
+        loads = {*self.options.points, *self.options.ropes}
+        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
+        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
+        origins = [position for _, position in assembly.motion.world]
+        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
+        parts += [
+            ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
+            for stage, origin in zip(assembly.stages, origins, strict=True)
+        ]
+        parts += [("rope", (origins[assembly.anchor(body)], assembly.point(body)), "") for body in assembly.ropes]
+        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+            tip, stage = assembly.position(name), assembly.place(name).stage
+            parts += [("body", (tip,), name)]
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
+
+        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, assembly.q, values)))
+            return x, y, z
+
+        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
+        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]
 
 
-class Assembly:
+class Assembly(Layout):
     """The expressions of a mechanism; see `Mechanism`."""
-
-    def __init__(self, tree: Tree, options: Options) -> None:
-        options.require_known(tree)
-        self.layout = Layout(tree, options, driven_joints(tree, options))
-        self.tree, self.options = tree, self.layout.options
-        self.q, self.v = self.layout.coordinates.q, self.layout.coordinates.v
-        self.p = self.layout.parameters
 
     def system(self) -> MechanicalSystem:
         """Return the model."""
-        tree, layout, u = self.tree, self.layout, ca.SX.sym("u", len(self.drives))
+        tree, u = self.tree, ca.SX.sym("u", len(self.drives))
         gamma, lam = reference_symbols(len(self.drives)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
-        outputs = rows_of_outputs(layout, self.output_names, posture)
+        outputs = self.output_rows(self.output_names, posture)
         if len(outputs) != len(self.drives):
             one, other = (
                 ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.drives])
@@ -89,12 +113,12 @@ class Assembly:
         home, spread = self._prediction(output, list(outputs), posture)
         return MechanicalSystem(
             name=tree.name,
-            coordinates=layout.coordinates,
-            parameters=self.p,
+            coordinates=self.coordinates,
+            parameters=self.parameters,
             inputs=tuple(drive.quantity for drive in self.drives),
             outputs=tuple(outputs),
             mass=self.mass,
-            gyroscopic=ca.mtimes(layout.reduction.T, layout.motion.inertia_forces()),
+            gyroscopic=ca.mtimes(self.reduction.T, self.motion.inertia_forces()),
             potential=self._potential(gravity),
             force=self._damping(),
             input_matrix=ca.sparsify(ca.vertcat(*[self._row(drive.power) for drive in self.drives])),
@@ -140,7 +164,7 @@ class Assembly:
     @cached_property
     def drives(self) -> list[Drive]:
         """Inputs."""
-        return chosen_drives(self.layout, self)
+        return chosen_drives(self)
 
     def _row(self, power: ca.SX) -> ca.SX:
         """Return a row of B from the power of a unit input, which is linear in the rates."""
@@ -149,47 +173,46 @@ class Assembly:
     @cached_property
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
-        layout, motion, A = self.layout, self.layout.motion, self.layout.reduction
+        motion, A = self.motion, self.reduction
         armature = {
             joint.name: joint.armature
-            for joint in layout.joints
+            for joint in self.joints
             if joint.armature and joint.name not in self.options.elastic
         }
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
         for name in self.options.elastic:
-            k = layout.coordinates.index(f"{name}{MOTOR}")
-            mass[k, k] += self.p[f"{name}.motor_inertia"]
+            k = self.coordinates.index(f"{name}{MOTOR}")
+            mass[k, k] += self.parameters[f"{name}.motor_inertia"]
         for body in (*self.options.points, *self.options.ropes):
-            first = layout.coordinates.index(f"{body}.x")
+            first = self.coordinates.index(f"{body}.x")
             for k in range(first, first + 3):
                 mass[k, k] += self.tree.body[body].mass
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
         """Return V: weight, springs of joints and tendons, elastic joints."""
-        layout, tree = self.layout, self.tree
-        potential = layout.motion.weight(gravity)
-        for joint in layout.joints:
+        tree = self.tree
+        potential = self.motion.weight(gravity)
+        for joint in self.joints:
             if joint.stiffness:
-                potential += joint.stiffness / 2 * (layout.motion.q[joint.name] - joint.rest) ** 2
+                potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
         for tendon in tree.tendons.values():
             if tendon.stiffness and tendon.name not in self.options.taut:
                 potential += tendon.stiffness / 2 * (self.length(tendon) - tendon.rest) ** 2
         for name in self.options.elastic:
-            potential += self.p[f"{name}.stiffness"] / 2 * self._twist(name, self.q) ** 2
+            potential += self.parameters[f"{name}.stiffness"] / 2 * self._twist(name, self.q) ** 2
         for body in (*self.options.points, *self.options.ropes):
-            potential -= tree.body[body].mass * ca.dot(gravity, layout.point(body))
+            potential -= tree.body[body].mass * ca.dot(gravity, self.point(body))
         return potential
 
     def _twist(self, name: str, values: ca.SX) -> ca.SX:
         """Return the difference of motor and link of an elastic joint, of coordinates or rates."""
-        coordinates = self.layout.coordinates
-        return values[coordinates.index(f"{name}{MOTOR}")] - values[coordinates.index(name)]
+        return values[self.coordinates.index(f"{name}{MOTOR}")] - values[self.coordinates.index(name)]
 
     def _damping(self) -> ca.SX:
         """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
-        layout, motion, A = self.layout, self.layout.motion, self.layout.reduction
-        damping = {joint.name: joint.damping for joint in layout.joints if joint.damping}
+        motion, A = self.motion, self.reduction
+        damping = {joint.name: joint.damping for joint in self.joints if joint.damping}
         forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
         for tendon in self.tree.tendons.values():
             if tendon.damping and tendon.name not in self.options.taut:
@@ -198,16 +221,16 @@ class Assembly:
         for name, elastic in self.options.elastic.items():
             if elastic.damping:
                 twist = ca.jacobian(self._twist(name, self.v), self.v)
-                forces -= self.p[f"{name}.spring_damping"] * ca.mtimes(twist.T, ca.mtimes(twist, self.v))
+                forces -= self.parameters[f"{name}.spring_damping"] * ca.mtimes(twist.T, ca.mtimes(twist, self.v))
         return forces
 
     def length(self, tendon: Tendon) -> ca.SX:
         """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
         if tendon.refusal:
             raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
-        length = sum((factor * self.layout.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
+        length = sum((factor * self.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
         for divisor, frames in tendon.branches:
-            points = [self.layout.position(name) for name in frames]
+            points = [self.position(name) for name in frames]
             length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
         return length
 
@@ -216,18 +239,18 @@ class Assembly:
     @cached_property
     def rows(self) -> dict[str, ca.SX]:
         """Holonomic constraints by name."""
-        layout, rows = self.layout, dict[str, ca.SX]()
-        for joint in layout.moving:
+        rows = dict[str, ca.SX]()
+        for joint in self.moving:
             if joint.kind == "ball":
                 rows[f"{joint.name} unit quaternion"] = (
-                    ca.sumsqr(ca.vertcat(*[layout.motion.q[e] for e in joint.coordinates])) - 1
+                    ca.sumsqr(ca.vertcat(*[self.motion.q[e] for e in joint.coordinates])) - 1
                 )
         for body in self.options.points:
-            gap = layout.point(body) - layout.motion.pose(layout.centre(body))[1]
+            gap = self.point(body) - self.motion.pose(self.centre(body))[1]
             rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
-        for body, hinges in layout.ropes.items():
-            turned, anchor = layout.motion.world[layout.anchor(body)]
-            way = layout.point(body) - anchor
+        for body, hinges in self.ropes.items():
+            turned, anchor = self.motion.world[self.anchor(body)]
+            way = self.point(body) - anchor
             if len(hinges) == 1 and hinges[0].kind == "hinge":
                 rows[f"plane of {body}"] = ca.dot(ca.mtimes(turned, sparse(hinges[0].axis)), way)
             rows[f"rope of {body}"] = ca.sumsqr(way) - self._rope_square(body)
@@ -242,26 +265,21 @@ class Assembly:
 
     def _rope_square(self, body: str) -> ca.SX:
         """Return the square of the length of a rope, which turning about its anchor leaves as it is."""
-        return ca.sumsqr(self.layout.motion.seen_from(self.layout.centre(body), self.layout.anchor(body)))
+        return ca.sumsqr(self.motion.seen_from(self.centre(body), self.anchor(body)))
 
     def _closed(self, closure: Closure) -> list[ca.SX]:
         """Return the rows of a constraint beside the tree."""
-        layout, tree = self.layout, self.tree
+        tree = self.tree
         if closure.kind in ("joint", "tendon"):
-            one, other = (
-                None
-                if not name
-                else layout.motion.q[name]
-                if closure.kind == "joint"
-                else self.length(tree.tendons[name])
-                for name in (closure.first, closure.second)
+            of: Callable[[str], ca.SX] = (
+                self.motion.q.__getitem__ if closure.kind == "joint" else lambda name: self.length(tree.tendons[name])
             )
-            moved = ca.SX(0) if other is None else other - closure.rest[1]
-            assert one is not None
-            return [one - closure.rest[0] - sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))]
-        rows = ca.vertsplit(layout.position(closure.first) - layout.position(closure.second))
+            moved = of(closure.second) - closure.rest[1] if closure.second else ca.SX(0)
+            polynomial = sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))
+            return [of(closure.first) - closure.rest[0] - polynomial]
+        rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
-            turned = ca.mtimes(layout.rotation(closure.first).T, layout.rotation(closure.second))
+            turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
             skew = [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
             rows += [each / 2 for each in skew] if closure.kind == "weld" else [turned[0, 2], turned[1, 2]]
         return rows
@@ -281,7 +299,7 @@ class Assembly:
         found = dict[Quantity, ca.SX]()
         for k, drive in enumerate(self.drives):
             found |= {quantity: expression(u[k]) for quantity, expression in drive.observed.items()}
-        for actuator, factors in rotors(self.layout, self.drives):
+        for actuator, factors in rotors(self, self.drives):
             force = sum((factor * u[k] for k, factor in factors.items()), ca.SX(0))
             found[Quantity(f"{actuator.name}.drive", "N", f"drive of {actuator.name}")] = force
         return found
@@ -291,18 +309,18 @@ class Assembly:
     @cached_property
     def posture(self) -> Array:
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
-        layout, given = self.layout, self.options.posture
+        given = self.options.posture
         values = {
-            name: x for joint in layout.joints for name, x in zip(joint.coordinates, layout.start(joint), strict=True)
+            name: x for joint in self.joints for name, x in zip(joint.coordinates, self.start(joint), strict=True)
         }
         values |= {f"{name}{MOTOR}": values[name] for name in self.options.elastic}
-        values |= {name: float(x) for name, x in given.items() if name in layout.coordinates.names}
-        q = np.array([values.get(name, 0.0) for name in layout.coordinates.names])
+        values |= {name: float(x) for name, x in given.items() if name in self.coordinates.names}
+        q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
         if not self.rows:
             return q
         for body in (*self.options.points, *self.options.ropes):  # where it is in the file, in the posture
-            first = layout.coordinates.index(f"{body}.x")
-            place = ca.Function("place", [self.q], [layout.motion.pose(layout.centre(body))[1]])
+            first = self.coordinates.index(f"{body}.x")
+            place = ca.Function("place", [self.q], [self.motion.pose(self.centre(body))[1]])
             q[first : first + 3] = filled(place(q)).ravel()
         g = ca.vertcat(*self.rows.values())
         evaluate = ca.Function("posture", [self.q], [g, ca.jacobian(g, self.q)])
@@ -333,11 +351,10 @@ class Assembly:
             raise self.tree.fault(
                 f"the outputs {listed} are dependent at the posture {self._listed(q)}: give another one with posture"
             )
-        spread = np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m]
-        spread[np.abs(spread) < _ROUND_OFF] = 0.0
+        spread = rounded(np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float))
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)
 
     def _listed(self, q: Array) -> str:
-        names = self.layout.coordinates.names
+        names = self.coordinates.names
         return ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(names, q, strict=True))[:8])

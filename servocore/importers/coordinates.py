@@ -1,21 +1,23 @@
-"""Coordinates of an imported mechanism: joints that move, motors of elastic joints, point masses of their own."""
+"""Coordinates of an imported mechanism (joints, motors of elastic joints, point masses), and its servo outputs."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import dropwhile, takewhile
+from math import comb
 
 import casadi as ca
 import numpy as np
 
-from servocore.importers.options import Options
+from servocore.importers.options import Options, driven_joints
 from servocore.importers.recursion import Motion, Place, stages_of
 from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import filled
 
 UNITS = {"hinge": ("rad", "N.m", "torque"), "slide": ("m", "N", "force"), "ball": ("1", "N.m", "torque")}
 """Unit of a coordinate, unit and name of its force."""
@@ -23,6 +25,8 @@ UNITS = {"hinge": ("rad", "N.m", "torque"), "slide": ("m", "N", "force"), "ball"
 MOTOR = ".motor"
 """Suffix of the coordinate of a motor."""
 
+_HALVINGS = 3
+_TERMS = 11  # of the series of asin(x)/x for x below sin(pi/16): the next one is below 1e-17
 _MEETS = 1e-9  # m between hinges of a rope
 _LIGHT = 1e-6  # of a load: bodies of a rope, which MJCF does not let be massless
 
@@ -36,12 +40,11 @@ class Layout:
         The mechanism.
     options : Options
         Choices of the user.
-    driven : sequence of str
-        Joints with a drive.
     """
 
-    def __init__(self, tree: Tree, options: Options, driven: frozenset[str]) -> None:
-        self.tree = tree
+    def __init__(self, tree: Tree, options: Options) -> None:
+        options.require_known(tree)
+        self.tree, driven = tree, driven_joints(tree, options)
         self.ropes = {body: rope_hinges(tree, body, driven) for body in options.ropes}
         on_way = {name for hinges in self.ropes.values() for name in _below(tree, hinges)}
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
@@ -58,6 +61,7 @@ class Layout:
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
             *(Quantity(f"{name}.{axis}", "m") for name in (*options.points, *options.ropes) for axis in "xyz"),
         )
+        self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
 
     def _declared(self) -> list[Parameter]:
@@ -157,6 +161,58 @@ class Layout:
         if (load := self._load(name)) in self.options.ropes:
             raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
+
+    def output_rows(self, names: Sequence[str], posture: Array) -> dict[Quantity, ca.SX]:
+        """Return the servo outputs with their expressions.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Joints; frames for their three coordinates; a frame with ``.x``, ``.y``, ``.z``, ``.rx``, ``.ry``, ``.rz``.
+        posture : ndarray, shape (n,)
+            Configuration from which rotations count.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no joint or frame of a name.
+        """
+        rows = dict[Quantity, ca.SX]()
+        for name in names:
+            if name in self.motion.q:
+                joint = next(joint for joint in self.joints if name in joint.coordinates)
+                rows[Quantity(name, UNITS[joint.kind][0])] = self.motion.q[name]
+                continue
+            frame, _, part = name.rpartition(".")
+            if part in ("rx", "ry", "rz"):
+                vector = self._rotation_vector(frame, posture)
+                rows[Quantity(name, "rad", f"rotation of {frame} from its posture")] = vector["xyz".index(part[1])]
+            elif part in ("x", "y", "z") and frame:
+                rows[Quantity(name, "m", f"position of {frame}")] = self.position(frame)["xyz".index(part)]
+            else:
+                place = self.position(name)
+                rows |= {
+                    Quantity(f"{name}.{axis}", "m", f"position of {name}"): place[k] for k, axis in enumerate("xyz")
+                }
+        return rows
+
+    def _rotation_vector(self, frame: str, posture: Array) -> ca.SX:
+        """Return the rotation vector from the orientation at the posture, base axes, shape (3,), rad.
+
+        It is analytic at zero: the unit quaternion is halved three times, and what remains is the series of asin(x)/x.
+        Rotations reach up to half a turn.
+        """
+        R = self.rotation(frame)
+        start = filled(ca.Function("start", [self.coordinates.q], [R])(posture))
+        D = ca.mtimes(R, ca.DM(start).T)
+        w = ca.sqrt(1 + ca.trace(D)) / 2
+        e = ca.vertcat(D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]) / (4 * w)
+        for _ in range(_HALVINGS):
+            w = ca.sqrt((1 + w) / 2)
+            e = e / (2 * w)
+        terms = [comb(2 * k, k) / 4**k / (2 * k + 1) for k in reversed(range(_TERMS))]
+        series = ca.polyval(ca.DM(terms), ca.sumsqr(e))
+        return e * series * 2.0 ** (_HALVINGS + 1)
 
     def anchor(self, body: str) -> int:
         """Return the stage at whose origin the rope of a point mass begins; raises `InvalidModel` if there is none."""

@@ -58,7 +58,7 @@ class Drive:
     rotor: str = ""
 
 
-def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
+def chosen_drives(assembly: Assembly) -> list[Drive]:
     """Return the inputs: those that were chosen, or all drives of the file but passive ones.
 
     Raises
@@ -66,7 +66,7 @@ def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
     InvalidSetting
         If a name is no joint, no drive and no component of a wrench, or stands twice.
     """
-    tree, options = layout.tree, layout.options
+    tree, options = assembly.tree, assembly.options
     driven = driven_joints(tree, options)
     names = options.inputs
     if names is None:
@@ -74,25 +74,25 @@ def chosen_drives(layout: Layout, assembly: Assembly) -> list[Drive]:
         names += [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
     if not names:
         raise InvalidSetting(f"{tree.source} has no drive: name inputs, components of wrenches as BODY.force_z too")
-    drives = [_drive(name, layout, assembly) for name in names]
+    drives = [_drive(name, assembly) for name in names]
     listed = [drive.quantity.name for drive in drives]
     if len(set(listed)) < len(listed):
         raise InvalidSetting(f"inputs: {next(name for name in listed if listed.count(name) > 1)} stands twice")
     return drives
 
 
-def _drive(name: str, layout: Layout, assembly: Assembly) -> Drive:
-    tree, motion = layout.tree, layout.motion
+def _drive(name: str, assembly: Assembly) -> Drive:
+    tree, motion = assembly.tree, assembly.motion
     actuators = {each.name: each for each in tree.actuators}
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         unit = np.eye(6)[number]
-        power = motion.power(layout.centre(part[1]), unit[:3], unit[3:])
+        power = motion.power(assembly.centre(part[1]), unit[:3], unit[3:])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
     joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
     joint = joint if joint in tree.joints else joint.rpartition(".")[0]
     if joint in tree.joints:
-        return _on_joint(tree.joints[joint], layout)
+        return _on_joint(tree.joints[joint], assembly)
     if name not in actuators:
         listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(
@@ -102,12 +102,12 @@ def _drive(name: str, layout: Layout, assembly: Assembly) -> Drive:
     gear = np.array(actuator.gear)
     if actuator.kind == "tendon":
         length = assembly.length(tree.tendons[actuator.on])
-        rate = ca.jtimes(length, layout.coordinates.q, layout.coordinates.v)
+        rate = ca.jtimes(length, assembly.q, assembly.v)
         return _limited(Drive(Quantity(f"{name}.force", "N"), rate), actuator, float(gear[0]), length)
     size, unit = float(np.linalg.norm(gear[:3])), Quantity(f"{name}.force", "N")
     if not size:
         size, unit = float(np.linalg.norm(gear[3:])), Quantity(f"{name}.torque", "N.m")
-    power = motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    power = motion.power(assembly.place(actuator.on), gear[:3] / size, gear[3:] / size)
     return _limited(Drive(unit, power, rotor=actuator.on), replace(actuator, bias=(0.0, 0.0, 0.0)), size, ca.SX(0))
 
 

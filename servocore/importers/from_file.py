@@ -6,9 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
-
-import casadi as ca
 
 from servocore.importers.assembly import Assembly, Mechanism
 from servocore.importers.mjcf import read_mjcf
@@ -17,7 +14,6 @@ from servocore.importers.sdf import read_sdf
 from servocore.importers.tree import Tree
 from servocore.importers.urdf import read_urdf
 from servocore.importers.xml_files import XmlFile
-from servocore.model.drawing import Part
 from servocore.model.limits import RATE, Limit, Named
 from servocore.model.scene import Scene
 from servocore.references.base import Reference
@@ -162,9 +158,7 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
             for x, each in zip(system.home, system.outputs, strict=True)
         ]
         reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
-    return Scene(
-        tree.name, {"file": factory}, reference, limits=limits, drawing=_Drawing(tree, options), hint=assembly.hint
-    )
+    return Scene(tree.name, {"file": factory}, reference, limits=limits, drawing=factory.drawing, hint=assembly.hint)
 
 
 def _target(start: float, way: float, low: float, high: float) -> float:
@@ -182,7 +176,7 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
             what = f"{name}{RATE}" if rate else name
             limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
 
-    for joint in assembly.layout.moving:
+    for joint in assembly.moving:
         if joint.kind != "ball":
             unit = "rad" if joint.kind == "hinge" else "m"
             add(joint.name, unit, joint.lower, joint.upper)
@@ -192,37 +186,3 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
         for name, bounds in drive.bounds.items():
             add(name, units[name], *bounds)
     return tuple(limits)
-
-
-class _Drawing:
-    """The parts of a mechanism: links as bars between joints, joints as pins, frames that follow a path as bodies."""
-
-    def __init__(self, tree: Tree, options: Options) -> None:
-        self.tree, self.options = tree, options
-
-    def __call__(self, v: Mapping[str, Any]) -> list[Part]:
-        """Return the parts for symbols of the reported quantities by name."""
-        assembly = Assembly(self.tree, self.options)
-        layout, q = assembly.layout, assembly.q
-        values = ca.vertcat(*[v[name] for name in layout.coordinates.names])
-        loads = {*self.options.points, *self.options.ropes}
-        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
-        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
-        origins = [position for _, position in layout.motion.world]
-        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
-        parts += [
-            ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
-            for stage, origin in zip(layout.stages, origins, strict=True)
-        ]
-        parts += [("rope", (origins[layout.anchor(body)], layout.point(body)), "") for body in layout.ropes]
-        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
-            tip, stage = layout.position(name), layout.place(name).stage
-            parts += [("body", (tip,), name)]
-            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
-
-        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, q, values)))
-            return x, y, z
-
-        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
-        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.importers.tree import GROUND, IDENTITY, ZERO, Joint, Tree
+from servocore.model.rotationless.parts import turned
 from servocore.numerics.compiled_calls import Array
 
 _UNPHYSICAL = 1e-3  # relative: CAD exports round inertias to three or four digits
@@ -90,10 +91,14 @@ def _about(point: Array) -> Array:
     return np.asarray(point @ point * IDENTITY - np.outer(point, point))
 
 
+def rounded(values: Array, least: float = _ROUND_OFF) -> Array:
+    """Return numbers with zero in the place of those that are smaller than the least one."""
+    return np.asarray(np.where(np.abs(values) < least, 0.0, values))
+
+
 def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
     """Return numbers as an expression without those that are smaller than the least one: round-off of zeros."""
-    rounded = np.where(np.abs(values) < least, 0.0, values)
-    return ca.SX(ca.sparsify(ca.DM(rounded)))
+    return ca.SX(ca.sparsify(ca.DM(rounded(values, least))))
 
 
 def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], dict[str, Place]]:
@@ -195,7 +200,7 @@ class Motion:
             if joint.kind == "slide":
                 position, slide = position + ca.mtimes(rotation, axis * (q - joint.zero)), axis
             elif joint.kind == "hinge":
-                rotation, turn = ca.mtimes(rotation, _turned(axis, q - joint.zero)), axis
+                rotation, turn = ca.mtimes(rotation, ca.sparsify(turned(rounded(joint.axis), q - joint.zero))), axis
             else:
                 w, x, y, z = ca.vertsplit(q)
                 turn = 2 * ca.blockcat([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
@@ -320,12 +325,6 @@ class Motion:
             for (m, c, _), (R, p) in zip(self._inertias, self.world, strict=True)
         ]
         return -sum(terms, ca.SX(0))
-
-
-def _turned(axis: ca.SX, angle: ca.SX) -> ca.SX:
-    """Return the rotation about a unit axis."""
-    along = ca.mtimes(axis, axis.T)
-    return ca.cos(angle) * ca.sparsify(ca.SX.eye(3) - along) + ca.sin(angle) * ca.sparsify(ca.skew(axis)) + along
 
 
 def _shifted(m: ca.SX, c: ca.SX, J: ca.SX, R: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

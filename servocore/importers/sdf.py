@@ -11,9 +11,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from servocore.importers.links import LinkReader
 from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Closure, Joint, Tree
-from servocore.importers.xml_files import XmlFile
+from servocore.importers.xml_files import LinkReader, XmlFile
 from servocore.numerics.compiled_calls import Array
 
 _AXES = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "ball": 0, "fixed": 0}

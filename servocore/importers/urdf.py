@@ -11,9 +11,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from servocore.importers.links import LinkReader
 from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Joint, Tree
-from servocore.importers.xml_files import XmlFile
+from servocore.importers.xml_files import LinkReader, XmlFile
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
 

@@ -103,9 +103,6 @@ class Discretization:
         Symbol of the step size h.
     labels : tuple of str
         Names of the rows of the equations in messages.
-    ratio, rescaled : casadi.SX, optional
-        Symbol of a new step size divided by the old one, and the state for it; the unchanged
-        state when not given.
     fraction, between : casadi.SX, optional
         Symbol of a fraction of the last step, and the state moved there: dense output. An
         expression of state, fraction and step; the end of the step when not given.
@@ -122,15 +119,12 @@ class Discretization:
     reference: ca.SX
     step: ca.SX
     labels: tuple[str, ...]
-    ratio: ca.SX = field(default_factory=lambda: ca.SX.sym("ratio"))
-    rescaled: ca.SX = UNNEEDED
     fraction: ca.SX = field(default_factory=lambda: ca.SX.sym("fraction"))
     between: ca.SX = UNNEEDED
 
     def __post_init__(self) -> None:
-        for attribute in ("rescaled", "between"):
-            if getattr(self, attribute) is UNNEEDED:
-                object.__setattr__(self, attribute, self.state)
+        if self.between is UNNEEDED:
+            object.__setattr__(self, "between", self.state)
 
 
 class Method(Protocol):
@@ -239,7 +233,7 @@ def on_history(
 ) -> Discretization:
     """Return one step of a method whose state is the unknowns at equidistant instants, the newest first.
 
-    First guess, change of step and dense output come from the polynomial through these instants.
+    First guess and dense output come from the polynomial through these instants.
 
     Parameters
     ----------
@@ -255,7 +249,7 @@ def on_history(
         The history at the initial time.
     """
     size_x, places = dae.x.numel(), -np.arange(float(history.size2()))  # in steps
-    unknowns, ratio, fraction = ca.vertcat(dae.x, dae.z), ca.SX.sym("ratio"), ca.SX.sym("fraction")
+    unknowns, fraction = ca.vertcat(dae.x, dae.z), ca.SX.sym("fraction")
     # Newton's matrix of the overhead crane on index 3, h = 1e-4 s: condition 1e14 without these scales, 200 with them.
     unknown_scale, residual_scale = dae.scales(h)
     equations = SquareSystem(
@@ -278,8 +272,6 @@ def on_history(
         nodes=nodes,
         reference=reference,
         step=h,
-        ratio=ratio,
-        rescaled=ca.vec(ca.mtimes(history, lagrange(places, [ratio * place for place in places]))),
         fraction=fraction,
         between=ca.vertcat(ca.mtimes(history, lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
         labels=dae.labels,

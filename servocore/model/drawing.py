@@ -102,14 +102,8 @@ class Picture:
 
     def about(self) -> dict[str, Any]:
         """Return the data for the page."""
-        stands = any(part["kind"] in ("body", "post") for part in self.parts)
-        return {
-            "parts": self.parts,
-            "points": self.points,
-            "tracked": self.tracked,
-            "flat": self.flat,
-            "grounded": stands,
-        }
+        shown = {each: getattr(self, each) for each in ("parts", "points", "tracked", "flat")}
+        return {**shown, "grounded": any(part["kind"] in ("body", "post") for part in self.parts)}
 
 
 def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Picture:
@@ -142,18 +136,17 @@ def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: 
     names, listed = list(symbols), list[dict[str, Any]]()
     points: dict[str, ca.SX] = {}
     for part in parts:
-        texts = []
-        for point in part.points:
-            entries = [as_expression(entry, f"{system.name}: a point of its drawing") for entry in point]
-            expression = ca.vertcat(*entries)
-            texts.append(str(expression))
-            points.setdefault(texts[-1], expression)
+        corners = [
+            ca.vertcat(*[as_expression(entry, f"{system.name}: a point of its drawing") for entry in point])
+            for point in part.points
+        ]
+        points |= {str(corner): corner for corner in corners}
         if part.colour and part.colour not in names:
             raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
         listed.append({
             "kind": part.kind,
             "name": part.name,
-            "places": [list(points).index(text) for text in texts],
+            "places": [list(points).index(str(corner)) for corner in corners],
             "colour": names.index(part.colour) if part.colour else None,
             "along": part.along,
         })  # fmt: skip

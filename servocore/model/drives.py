@@ -46,6 +46,9 @@ _RATED = (
     Parameter("rated_power", 0.0, "W", 1e-9, 1e15, "rated power of the motor"),
 )
 
+_CORNER = tuple(Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
+                for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
+
 Given = float | str
 """A number in SI units, or a text with its unit."""
 
@@ -116,23 +119,17 @@ class Drive:
             value = getattr(self, each.name)
             if value is not None or getattr(Drive, each.name) is not None:
                 object.__setattr__(self, each.name, _checked(each, value))
-        object.__setattr__(self, "torque_speed", self._curve())
-
-    def _curve(self) -> tuple[tuple[float, float], ...]:
-        """Return the corners of the torque-speed curve in SI units."""
-        speed, torque = (Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
-                         for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
         rows = getattr(self.torque_speed, "tolist", lambda: self.torque_speed)()
         pairs = isinstance(rows, Sequence) and all(isinstance(row, Sequence) and len(row) == 2 for row in rows)
         if isinstance(rows, str) or not pairs:
             raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {described(rows)}")
-        corners = tuple((_checked(speed, row[0]), _checked(torque, row[1])) for row in rows)
+        corners = tuple(tuple(map(_checked, _CORNER, row)) for row in rows)
         rising = all(a[0] < b[0] for a, b in pairwise(corners))
         if corners and not (len(corners) > 1 and corners[0][0] == 0.0 and rising):
             raise InvalidModel(
                 "torque_speed needs two corners or more, at rising speeds from 0 on: ((0, 60), (150, 40))"
             )
-        return corners
+        object.__setattr__(self, "torque_speed", corners)
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
@@ -140,19 +137,10 @@ class Drive:
         return tuple((float(speed), float(torque)) for speed, torque in self.torque_speed)
 
     @property
-    def rated(self) -> dict[str, float]:
-        """Rated torque (N.m) and power (W) by name, those that are given."""
-        return {each.name: float(value) for each in _RATED if (value := getattr(self, each.name)) is not None}
-
-
-def _declared(name: str, drive: Drive) -> list[Parameter]:
-    """Return the data of a drive that are given, as parameters of a model; `name` is that of the input."""
-    given = [(each, getattr(drive, each.name), f"{each.description}, of {name}") for each in _DATA]
-    return [
-        replace(each, name=f"{name}.{each.name}", default=float(value), description=text)
-        for each, value, text in given
-        if value != getattr(Drive, each.name)
-    ]
+    def declared(self) -> list[Parameter]:
+        """Data that are given and enter the model, with their values as defaults."""
+        values = ((each, getattr(self, each.name)) for each in _DATA)
+        return [replace(each, default=value) for each, value in values if value != getattr(Drive, each.name)]
 
 
 def _checked(of: Parameter, value: object) -> float:
@@ -197,27 +185,26 @@ def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalS
     InvalidModel
         If an input has no place for a drive, or its radius is missing or given twice.
     """
-    declared = [each for name, drive in drives.items() for each in _declared(name, drive)]
+    declared = [
+        replace(each, name=f"{name}.{each.name}", description=f"{each.description}, of {name}")
+        for name, drive in drives.items()
+        for each in drive.declared
+    ]
     parameters = system.parameters.extended(*declared)
     q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
     mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
     observables = dict(system.observables)
     for name, drive in drives.items():
-        k = _place(system, name, drive)
-        B, p = system.input_matrix[k, :], _Data(name, parameters)
-        rate, n = -ca.mtimes(B, v), p.transmission
-        taken = ca.SX(0)
-        if p.gives("motor_inertia"):
-            # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
-            inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
-            mass += inertia * ca.mtimes(B.T, B)
-            gyroscopic += inertia * B.T * along
-            taken -= inertia * (ca.mtimes(B, v_dot) + along)
-        if p.gives("coulomb") or p.gives("viscous"):
-            friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
-            force += B.T * friction
-            taken += friction
-        left[k] -= taken
+        k, p = _place(system, name, drive), _data(name, drive, parameters)
+        B, n = system.input_matrix[k, :], p["transmission"]
+        rate = -ca.mtimes(B, v)
+        # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
+        inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
+        mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
+        gyroscopic += ca.sparsify(inertia * B.T * along)
+        friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
+        force += ca.sparsify(B.T * friction)
+        left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
         observables |= _observed(name, drive, p, system.u[k], n * rate)
     # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
     known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
@@ -254,39 +241,26 @@ def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
     return names.index(name)
 
 
-class _Data:
-    """The data of a drive by name: symbols of those that are parameters, neutral numbers of the others."""
-
-    def __init__(self, name: str, parameters: Parameters) -> None:
-        self._name, self._parameters = name, parameters
-
-    def gives(self, data: str) -> bool:
-        """Whether it is given."""
-        return f"{self._name}.{data}" in self._parameters.names
-
-    @property
-    def transmission(self) -> ca.SX:
-        """n, the speed of the motor by the rate of the input."""
-        return self["ratio"] * self["rope_falls"] / self["drum_radius"]
-
-    def __getitem__(self, data: str) -> ca.SX:
-        if self.gives(data):
-            return self._parameters[f"{self._name}.{data}"]
-        return ca.SX(next(each.default for each in _DATA if each.name == data))
+def _data(name: str, drive: Drive, parameters: Parameters) -> dict[str, ca.SX]:
+    """Return the data of a drive: symbols of those that are parameters, neutral numbers of the others."""
+    given = {each.name: parameters[f"{name}.{each.name}"] for each in drive.declared}
+    p = {each.name: ca.SX(each.default) for each in _DATA} | given
+    return p | {"transmission": p["ratio"] * p["rope_falls"] / p["drum_radius"]}
 
 
-def _observed(name: str, drive: Drive, p: _Data, u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
+def _observed(name: str, drive: Drive, p: Mapping[str, ca.SX], u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
     """Return torque, speed, power and reserve of the motor under an input, by its speed."""
-    torque = u / p.transmission
-    if p.gives("efficiency"):  # tau / eta where the motor drives, tau eta where the load does
-        more, less, driving = 1 / p["efficiency"], p["efficiency"], ca.tanh(speed / p.transmission / CREEP)
-        torque = (more + less) / 2 * torque + (more - less) / 2 * _size(torque, _SLIGHT) * driving
+    torque, efficiency = u / p["transmission"], p["efficiency"]
+    if drive.efficiency != 1.0:  # tau / eta where the motor drives, tau eta where the load does
+        driving = ca.tanh(speed / p["transmission"] / CREEP)
+        more, less = 1 / efficiency + efficiency, 1 / efficiency - efficiency
+        torque = more / 2 * torque + less / 2 * _size(torque, _SLIGHT) * driving
     known = {
         Quantity(f"{name}.motor_torque", "N.m", f"torque of the motor of {name}"): torque,
         Quantity(f"{name}.motor_speed", "rad/s", f"speed of the motor of {name}"): speed,
         Quantity(f"{name}.power", "W", f"power at the motor's shaft of {name}"): torque * speed,
     }
-    if p.gives("torque_constant"):
+    if drive.torque_constant is not None:
         known[Quantity(f"{name}.current", "A", f"current of the motor of {name}")] = torque / p["torque_constant"]
     if drive.corners:
         about = f"torque that the motor of {name} could add at its speed"
@@ -303,7 +277,7 @@ def motors(system: MechanicalSystem, drives: Mapping[str, Drive], outputs: Seque
     given = ca.SX.sym("outputs", len(outputs))
     known = dict(zip((each.name for each in outputs), ca.vertsplit(given), strict=True))
     for name, drive in drives.items():
-        found = _observed(name, drive, _Data(name, system.parameters), known[name], known[f"{name}.motor_speed"])
+        found = _observed(name, drive, _data(name, drive, system.parameters), known[name], known[f"{name}.motor_speed"])
         known |= {quantity.name: expression for quantity, expression in found.items()}
     return ca.Function("motors", [given, system.p], [ca.vertcat(*known.values())], {"cse": True})
 

@@ -108,18 +108,9 @@ def _reactions(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.S
     if not wanted or system.constraint_rank().redundant or system.time.numel():
         return {}
     mu, nu = coordinates.q, coordinates.v
-    nu_dot, d, v_dot = (
-        ca.SX.sym("nu_dot", mu.numel()),
-        ca.SX.sym("d", len(system.outputs)),
-        ca.SX.sym("v_dot", mapping.numel()),
-    )
-    rate = ca.jtimes(mapping, mu, nu)
-    left = (
-        ca.mtimes(system.C.T, d)
-        - ca.mtimes(system.mass, v_dot)
-        - system.bias
-        - ca.mtimes(system.input_matrix.T, system.u)
-    )
+    nu_dot, d, v_dot = (ca.SX.sym("", len(each)) for each in (coordinates, system.outputs, system.coordinates))
+    rate, without = ca.jtimes(mapping, mu, nu), ca.SX.zeros(system.lam.numel())
+    left = ca.mtimes(system.C.T, d) - ca.substitute(system.momentum_balance(v_dot), system.lam, without)
     balance, *seen = ca.substitute(
         [ca.horzcat(ca.mtimes(system.G, system.G.T), ca.mtimes(system.G, left)), *wanted.values()],
         [system.q, system.v, v_dot],

@@ -47,36 +47,45 @@ def require_sound(system: MechanicalSystem) -> None:
         not symmetric and positive semidefinite.
     """
     _require_names(system)
-    q, v, p, lam, u, gamma = system.q, system.v, system.p, system.lam, system.u, system.gamma
-    groups = ca.vertcat(*(ca.vec(symbols) for symbols in (q, v, p, lam, u, gamma)))
-    if len(ca.symvar(groups)) < groups.numel():
+    groups = (system.q, system.v, system.p, system.lam, system.u, system.gamma)
+    of_q, of_v, of_p, _, _, of_gamma = hashed = [_hashes(group) for group in groups]
+    anywhere = frozenset[int]().union(*hashed)
+    if len(anywhere) < sum(group.numel() for group in groups):
         raise InvalidModel(
             f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
         )
-    at_rest, moving = ({field: getattr(system, field) for field in listed} for listed in (_AT_REST, _MOVING))
-    seen = {f"observable {quantity.name}": expression for quantity, expression in system.observables.items()}
-    guess = {"guess": system.guess}
-    _require_timeless(system)
-    start, still = _compiled(system, guess, (gamma, p)), _compiled(system, at_rest, (q, p, system.time))
-    forces = _compiled(system, moving, (q, v, p, system.time))
-    observe, clock = _compiled(system, seen, (q, v, p, lam, u, gamma)), np.full(system.time.numel(), _TIME)
-    home = _home(system, guess, start)
-    p_home = np.array(system.home_parameters)
+    for field in _TIMELESS:
+        if system.time.numel() and ca.depends_on(getattr(system, field), system.time):
+            raise InvalidModel(f"{system.name}: {field} must not depend on the time")
+    fields = {field: getattr(system, field) for field in (*_AT_REST, *_MOVING)}
+    fields |= {f"observable {quantity.name}": expression for quantity, expression in system.observables.items()}
+    still = of_q | of_p | _hashes(system.time)
+    _require_symbols(system.name, "guess", system.guess, of_gamma | of_p)
+    for what, expression in fields.items():
+        known = still if what in _AT_REST else still | of_v if what in _MOVING else anywhere
+        _require_symbols(system.name, what, expression, known)
+    home, p_home = _home(system)
     points, rates = probes(home, system.coordinates.nominal, p_home), np.cos(np.arange(len(home)))
-    rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in (lam, u, gamma)]
-    evaluated = [_arrays(still.call([*point, clock])) for point in points]
-    _require_finite(system, at_rest, evaluated)
-    _require_finite(system, moving, [_arrays(forces.call([at, rates, values, clock])) for at, values in points])
-    _require_finite(system, seen, [_arrays(observe.call([at, rates, values, *rest])) for at, values in points[-2:]])
+    rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in groups[3:]]
+    rest[-1][len(system.outputs) :, 0] = _TIME
+    evaluate = ca.Function("sc_fields", list(groups), list(fields.values()))
+    evaluated = [[np.asarray(value) for value in evaluate.call([at, rates, p_at, *rest])] for at, p_at in points]
+    _require_finite(system, fields, evaluated)
     masses = [terms[0] for terms in evaluated]
     _require_symmetric(system.name, masses)
     require_mass(system.name, masses[:3], system.coordinates.names)
 
 
-def _require_timeless(system: MechanicalSystem) -> None:
-    for field_name in _TIMELESS:
-        if system.time.numel() and ca.depends_on(getattr(system, field_name), system.time):
-            raise InvalidModel(f"{system.name}: {field_name} must not depend on the time")
+def _hashes(expression: ca.SX) -> frozenset[int]:
+    """Return hashes of the symbols in an expression."""
+    return frozenset(symbol.element_hash() for symbol in ca.symvar(expression))
+
+
+def _require_symbols(whose: str, what: str, expression: ca.SX, known: frozenset[int]) -> None:
+    """Raise `InvalidModel` if an expression holds a symbol whose hash is not known."""
+    leftover = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
+    if leftover:
+        raise InvalidModel(f"{whose}: {what} holds symbols that it must not use: {leftover}")
 
 
 def _require_names(system: MechanicalSystem) -> None:
@@ -102,14 +111,14 @@ def _require_names(system: MechanicalSystem) -> None:
                 raise InvalidModel(
                     f"{system.name}: two of the {kind} are called {name}, one of them needs another name"
                 )
-            if other != kind and not _same(same_expression, expression):
+            if other != kind and not equal_at_a_point(same_expression, expression):
                 raise InvalidModel(
                     f"{system.name}: {name} is the name of two quantities, one of the {other} and one of the {kind};"
                     " one of them needs another name"
                 )
 
 
-def _same(one: ca.SX, other: ca.SX) -> bool:
+def equal_at_a_point(one: ca.SX, other: ca.SX) -> bool:
     """Whether two expressions have the same value at a point without symmetry."""
     if ca.is_equal(one, other):
         return True
@@ -119,40 +128,18 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
     return abs(first - second) <= _DEPENDENT * max(abs(first), abs(second))
 
 
-def _compiled(system: MechanicalSystem, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
-    """Compile expressions of groups of symbols.
-
-    Raises
-    ------
-    InvalidModel
-        If an expression holds another symbol.
-    """
-    function = ca.Function("sc_fields", list(groups), list(fields.values()), {"allow_free": True})
-    for what, expression in fields.items() if function.get_free() else ():
-        leftover = ca.Function("sc_field", list(groups), [expression], {"allow_free": True}).get_free()
-        if leftover:
-            raise InvalidModel(f"{system.name}: {what} holds symbols that it must not use: {leftover}")
-    return function
-
-
-def _arrays(values: Sequence[ca.DM]) -> list[Array]:
-    return [np.asarray(value) for value in values]
-
-
-def _home(system: MechanicalSystem, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
-    """Return the configuration at home."""
-    gamma = np.zeros(guess.size_in(0))
-    gamma[:, 0] = system.home
-    configuration = np.asarray(guess(gamma, np.array(system.home_parameters)))
-    _require_finite(system, fields, [[configuration]])
-    lost = np.flatnonzero(~np.isfinite(configuration.ravel()))
+def _home(system: MechanicalSystem) -> tuple[Array, Array]:
+    """Return the configuration and the parameter values at home."""
+    configuration, p = system.home_configuration()
+    _require_finite(system, {"guess": system.guess}, [[configuration[:, None]]])
+    lost = np.flatnonzero(~np.isfinite(configuration))
     if len(lost):
         outputs = ", ".join(quantity.name for quantity in system.outputs)
         raise InvalidModel(
             f"{system.name}: the guess at home = {system.home} has no value for {system.coordinates.names[lost[0]]};"
             f" home must be a value of {outputs} that the system can take"
         )
-    return configuration.ravel()
+    return configuration, p
 
 
 def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array, Array]]:

@@ -14,7 +14,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import of_one_shape, parts_of
+from servocore.numerics.components import of_one_shape, parts_of, singular_values
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
@@ -86,15 +86,10 @@ def _followed(rows: Array, extent: Array) -> Array:
     """
     places = (indices.tolist() for indices in np.nonzero(rows))
     groups = of_one_shape([part for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)) if len(part.entries)])
-    decomposed = [
-        np.linalg.svd(np.stack([rows[np.ix_(part.rows, part.columns)] for part in same]), full_matrices=False)
-        for same in groups
-    ]
-    largest = max((values.max() for _, values, _ in decomposed), default=0.0)
-    followed = np.zeros(rows.shape[1])
-    for same, (left, values, right) in zip(groups, decomposed, strict=True):
-        inverse = np.divide(1.0, values, out=np.zeros_like(values), where=values > _NEGLIGIBLE * largest)
-        pseudoinverse = right.swapaxes(1, 2) @ (inverse[:, :, None] * left.swapaxes(1, 2))
-        for part, matrix in zip(same, pseudoinverse, strict=True):
+    largest, followed = float(singular_values(rows).max(initial=0.0)), np.zeros(rows.shape[1])
+    for same in groups:
+        matrices = np.stack([rows[np.ix_(part.rows, part.columns)] for part in same])
+        negligible = _NEGLIGIBLE * largest / np.linalg.norm(matrices, 2, axis=(1, 2))
+        for part, matrix in zip(same, np.linalg.pinv(matrices, negligible), strict=True):
             followed[part.columns] = np.abs(matrix * extent[part.rows]).max(axis=1)
     return followed

@@ -1,18 +1,21 @@
-"""Parameters of a scene from a TOML file: their names at top level, each optional, SI units."""
+"""Parameters, limits and drives of a scene from TOML files."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from pathlib import Path
 
-from servocore.errors import InvalidModel, ServocoreWarning
+from servocore.errors import InvalidModel, InvalidSetting, ServocoreWarning
+from servocore.model.drives import Drive
+from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
 
 
 def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = ()) -> dict[str, float]:
-    """Read parameter values of a scene from a file.
+    """Read parameter values of a scene from a file: names at top level, each optional, SI units.
 
     Parameters
     ----------
@@ -53,6 +56,98 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
         except InvalidModel as error:
             raise InvalidModel(f"{path}: {error}") from None
     return values
+
+
+def read_limits(path: str | Path) -> dict[str, Bounds]:
+    """Read limits from a TOML file: ``F = 60``, ``M_w = [-104, -92]``, ``swing = "5 deg"``, ``s.rate = 1.2``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Names at top level, or in a table ``[limits]``.
+
+    Returns
+    -------
+    dict
+        Arguments of `Scene.with_limits`. Beside a limit of ``s``, that of its rate needs quotation marks,
+        ``"s.rate" = 1.2``: in TOML ``s.rate`` is a key of a table ``s``.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read or is not TOML, or a value is not a number, a text or a pair of these.
+    """
+    path = Path(path)
+    try:
+        table = read_table(path)
+    except InvalidModel as error:
+        if "overwrite" not in str(error):
+            raise
+        raise InvalidModel(
+            f'{error}: a name is given twice, or one and its rate, which is then written "s.rate" = 1.2, in quotation'
+            " marks"
+        ) from None
+    inner = table.get("limits")
+    if isinstance(inner, Mapping) and len(table) == 1:
+        table = dict(inner)
+    limits: dict[str, Bounds] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):  # in TOML s.rate is a table s
+            limits |= {
+                f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
+                for derivative, inside in value.items()
+            }
+        else:
+            limits[name] = _bounds(path, name, value)
+    return limits
+
+
+def _bounds(path: Path, name: str, value: object) -> Bounds:
+    if isinstance(value, list) and len(value) == 2 and all(_is_bound(bound) for bound in value):
+        return (value[0], value[1])
+    if isinstance(value, float | int | str) and _is_bound(value):
+        return value
+    raise InvalidModel(
+        f"{path}: the limit of {name} must be a number, a text with a unit or two of these, not {value!r}"
+    )
+
+
+def _is_bound(value: object) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)
+
+
+def read_drives(path: str | Path) -> dict[str, Drive]:
+    """Read drives from a TOML file, as `Scene.with_drives` takes them.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table for each input, such as ``[M_b]``, with ``ratio = 120`` and ``motor_inertia = "0.012 kg m^2"``; a
+        number without unit is in SI units.
+
+    Returns
+    -------
+    dict of str to Drive
+        By the names of inputs.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read or is not TOML, or a value is unknown, has the wrong unit or is outside its range;
+        the message names file, input and value.
+    """
+    path, known = Path(path), [each.name for each in fields(Drive)]
+    drives = {}
+    for name, data in read_table(path).items():
+        if not isinstance(data, Mapping):
+            raise InvalidModel(f"{path}: {name} is no drive: write a table [{name}] with lines such as ratio = 42.1")
+        if wrong := [key for key in data if key not in known]:
+            raise InvalidModel(f"{path}: [{name}] has no {', '.join(wrong)}; a drive has {', '.join(known)}")
+        try:
+            drives[name] = Drive(**data)
+        except (InvalidModel, InvalidSetting) as error:
+            raise InvalidModel(f"{path}: [{name}]: {error}") from None
+    return drives
 
 
 def read_table(path: Path) -> dict[str, object]:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from servocore.numerics.compiled_calls import Array
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -88,9 +90,18 @@ class RunQuantity:
         """Return the integrand, from the reported quantity."""
         return value**2 if self.rms else value
 
-    def of_sum(self, total: Any, duration: float) -> Any:
+    def of_sum(self, total: Any, duration: Any) -> Any:
         """Return it from the integral of the quantity, or of its square, over a duration in s."""
         return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
+
+    def course(self, t: Array, values: Array) -> Array:
+        """Return it at every instant (N,) since the first, by Simpson's rule from values of the reported quantity."""
+        from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
+
+        found = np.asarray(cumulative_simpson(self.integrand(values), x=t, initial=0.0), dtype=np.float64)
+        found[1:] = self.of_sum(found[1:], t[1:] - t[0])
+        found[0] = abs(values[0]) if self.rms else 0.0
+        return found
 
 
 def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:

@@ -8,34 +8,26 @@ from collections import Counter
 
 from servocore.errors import InvalidSetting
 
-_NEWTON, _METRE = {"kg": 1, "m": 1, "s": -2}, {"m": 1}
+_SIZES = {"": 1.0, "c": 1e-2, "m": 1e-3, "k": 1e3, "M": 1e6}
+_PREFIXED: dict[str, tuple[tuple[str, ...], dict[str, int]]] = {
+    "m": (("", "c", "m", "k"), {"m": 1}),
+    "s": (("", "m"), {"s": 1}),
+    "N": (("", "k", "M"), {"kg": 1, "m": 1, "s": -2}),
+    "Nm": (("", "k"), {"kg": 1, "m": 2, "s": -2}),
+    "J": (("", "k"), {"kg": 1, "m": 2, "s": -2}),
+    "W": (("", "k"), {"kg": 1, "m": 2, "s": -3}),
+    "A": (("", "m"), {"A": 1}),
+    "rad": (("", "m"), {"rad": 1}),
+}
 _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
     "%": (0.01, {}),
-    "m": (1.0, _METRE),
-    "cm": (1e-2, _METRE),
-    "mm": (1e-3, _METRE),
-    "km": (1e3, _METRE),
-    "s": (1.0, {"s": 1}),
-    "ms": (1e-3, {"s": 1}),
+    **{f"{each}{unit}": (_SIZES[each], of) for unit, (listed, of) in _PREFIXED.items() for each in listed},
     "min": (60.0, {"s": 1}),
     "h": (3600.0, {"s": 1}),
     "kg": (1.0, {"kg": 1}),
     "g": (1e-3, {"kg": 1}),
     "t": (1e3, {"kg": 1}),
-    "N": (1.0, _NEWTON),
-    "kN": (1e3, _NEWTON),
-    "MN": (1e6, _NEWTON),
-    "Nm": (1.0, {**_NEWTON, "m": 2}),
-    "kNm": (1e3, {**_NEWTON, "m": 2}),
-    "J": (1.0, {**_NEWTON, "m": 2}),
-    "kJ": (1e3, {**_NEWTON, "m": 2}),
-    "W": (1.0, {**_NEWTON, "m": 2, "s": -3}),
-    "kW": (1e3, {**_NEWTON, "m": 2, "s": -3}),
-    "A": (1.0, {"A": 1}),
-    "mA": (1e-3, {"A": 1}),
-    "rad": (1.0, {"rad": 1}),
-    "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180.0, {"rad": 1}),
     "°": (math.pi / 180.0, {"rad": 1}),
     "rev": (2.0 * math.pi, {"rad": 1}),

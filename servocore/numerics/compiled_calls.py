@@ -16,17 +16,12 @@ from servocore.numerics.memoization import made_once
 Array = npt.NDArray[np.float64]
 
 
-def read_only(array: Array) -> Array:
-    """Return a read-only view of an array; the array itself stays writable."""
-    view = np.asarray(array).view()
-    view.flags.writeable = False
-    return view
-
-
 def lock_arrays(record: object, *names: str) -> None:
-    """Replace the arrays of a frozen record by read-only views."""
+    """Replace the arrays of a frozen record by read-only views; the arrays themselves stay writable."""
     for name in names:
-        object.__setattr__(record, name, read_only(getattr(record, name)))
+        view = np.asarray(getattr(record, name)).view()
+        view.flags.writeable = False
+        object.__setattr__(record, name, view)
 
 
 class Call:

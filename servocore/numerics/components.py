@@ -1,15 +1,16 @@
 """Independent parts of equations, rows and columns of a matrix that have no entries in common with the others.
 
-Dense linear algebra costs the cube of the size of a matrix, so that independent parts are cheaper one by one. The other
-subjects are scales of rows and columns, and the assignment of rows to columns with the largest sum of weights.
+Dense linear algebra costs the cube of the size of a matrix, so that ranks and condition numbers come from independent
+parts, small ones of one shape together as stacks. Of large parts, which are sparse, only the extreme singular values
+are computed, from sparse factors. Rows and columns are scaled first: rank and condition do not depend on units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -17,12 +18,15 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
+Product = Callable[[Array], Array]
 
 LARGE = 128
 """Rows from which on sparse factors replace singular values."""
 
-SWEEPS = 6
-"""Of equilibration."""
+_SWEEPS = 6  # of equilibration
+_WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
+_SUBSPACE = 10  # vectors of Lanczos' method
+_ACCURATE = 1e-4  # residual of the extreme singular values of large parts; their error is about its square
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +63,37 @@ def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
     graph = ca.Sparsity.triplet(height + width, height + width, *(nodes.tolist() for nodes in both))
     _, order, ends = graph.scc()
-    number, place = np.empty(height + width, dtype=np.intp), np.empty(height + width, dtype=np.intp)
-    members = []
-    for k, (first, last) in enumerate(pairwise(ends)):
-        each = np.sort(np.array(order[first:last], dtype=np.intp))
-        places = each[each < height], each[each >= height] - height
-        number[each] = k
-        place[places[0]], place[places[1] + height] = np.arange(len(places[0])), np.arange(len(places[1]))
-        members.append(places)
-    by_part = np.argsort(number[rows], kind="stable")
-    entries = np.split(by_part, np.cumsum(np.bincount(number[rows], minlength=len(members)))[:-1])
+    numbers = _numbers(order, ends)
+    return _parts(pattern, numbers[:height], numbers[height:], len(ends) - 1)
+
+
+def triangular_blocks(pattern: ca.Sparsity) -> tuple[Part, ...]:
+    """Return the diagonal blocks of a matrix in block triangular form, in that order."""
+    count, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
+    return _parts(pattern, _numbers(row_order, row_ends), _numbers(column_order, column_ends), count)
+
+
+def _numbers(order: Sequence[int], ends: Sequence[int]) -> Places:
+    """Return the number of the group of every item, from the items in the order of the groups."""
+    numbers = np.empty(len(order), dtype=np.intp)
+    numbers[list(order)] = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+    return numbers
+
+
+def _parts(pattern: ca.Sparsity, of_row: Places, of_column: Places, count: int) -> tuple[Part, ...]:
+    """Return the parts of a matrix from the number of the part of every row and column."""
+    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    inside = np.flatnonzero(of_row[rows] == of_column[columns])
+    members, of_width, entries = (_members(each, count) for each in (of_row, of_column, of_row[rows[inside]]))
     return tuple(
-        Part(*places, its, (place[rows[its]], place[columns[its] + height]))
-        for places, its in zip(members, entries, strict=True)
+        Part(high, wide, its, (np.searchsorted(high, rows[its]), np.searchsorted(wide, columns[its])))
+        for high, wide, its in zip(members, of_width, (inside[each] for each in entries), strict=True)
     )
+
+
+def _members(numbers: Places, count: int) -> list[Places]:
+    """Return the indices of the items of every group, in rising order."""
+    return np.split(np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers, minlength=count))[:-1])
 
 
 def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
@@ -92,44 +113,128 @@ def filled(matrix: ca.DM) -> Array:
 
 def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
-    places = (indices.tolist() for indices in np.nonzero(matrix))
-    parts = [part for part in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(part.entries)]
-    of_parts = [
-        np.linalg.svd(np.stack([matrix[np.ix_(part.rows, part.columns)] for part in same]), compute_uv=False).ravel()
-        for same in of_one_shape(parts)
-    ]
+    pattern = ca.Sparsity.triplet(*matrix.shape, *(indices.tolist() for indices in np.nonzero(matrix)))
+    parts = [part for part in parts_of(pattern) if len(part.entries)]
+    entries = matrix[tuple(np.array(pattern.get_triplet(), dtype=np.intp))][:, None]
+    of_parts = [_decomposed(same, entries).ravel() for same in of_one_shape(parts)]
     # Empty rows and columns are singular values of zero, which no part brings.
     values = np.sort(np.concatenate([*of_parts, np.zeros(min(matrix.shape))]))[::-1]
     return np.asarray(values[: min(matrix.shape)])
 
 
-def equilibrated(matrix: Array) -> Array:
-    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units.
+def _decomposed(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the singular values of parts of one shape at N instants, shape (parts, N, values)."""
+    return np.asarray(np.linalg.svd(np.stack([part.dense(entries) for part in parts]), compute_uv=False))
 
-    Takes one matrix, or many stacked.
-    """
-    scaled = np.array(matrix, dtype=np.float64)
-    size = np.empty_like(scaled)  # in place: allocation in every sweep takes longer than the divisions
-    for sweep in range(SWEEPS if matrix.size else 0):
-        for axis in (-1, -2):
-            largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
-            factor = np.where(largest > 0.0, largest, 1.0)
-            scaled /= np.sqrt(factor) if sweep < SWEEPS - 1 else factor
+
+def equilibrated(matrix: Array) -> Array:
+    """Scale rows and columns to unit maximum (Ruiz 2001), so that rank and condition do not depend on units."""
+    places, scaled = np.nonzero(matrix), np.zeros(matrix.shape)
+    scaled[places] = _equilibrated(places, matrix[places][:, None])[:, 0]
     return scaled
 
 
-def has_full_rank(matrix: Array) -> bool:
-    """Whether a matrix is square and of full rank after its rows and columns are scaled."""
+def _equilibrated(places: Iterable[Places], entries: Array) -> Array:
+    """Scale the entries of sparse matrices, shape (nnz, N), at these rows and columns, as `equilibrated` does."""
+    scaled, lines = np.array(entries, dtype=np.float64), []
+    for of_entry in places:
+        order = np.argsort(of_entry, kind="stable")
+        first = np.diff(of_entry[order], prepend=-1) > 0
+        line = np.empty(len(order), dtype=np.intp)
+        line[order] = np.cumsum(first) - 1
+        lines.append((order, np.flatnonzero(first), line))
+    for sweep in range(_SWEEPS if len(scaled) else 0):
+        for order, starts, line in lines:
+            largest = np.maximum.reduceat(np.abs(scaled)[order], starts)
+            factor = np.where(largest > 0.0, largest, 1.0)
+            scaled /= (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)[line]
+    return scaled
+
+
+def condition_number(matrix: Array) -> float:
+    """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
+    return float(np.linalg.cond(equilibrated(matrix))) if np.isfinite(matrix).all() else float("inf")
+
+
+def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the condition numbers of a sparse square matrix at N instants, from its entries (nnz, N)."""
+    finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
+    largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
+    for _, highest, lowest in _extremes(parts, entries if finite.all() else np.where(finite, entries, 0.0)):
+        largest, least = np.maximum(largest, highest.max(axis=0)), np.minimum(least, lowest.min(axis=0))
+    regular = finite & (least > 0.0)
+    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
+
+
+def are_regular(parts: Sequence[Part], entries: Array) -> npt.NDArray[np.bool_]:
+    """Whether the parts of a sparse matrix with N sets of entries (nnz, N) are square and of full rank each."""
+    regular = np.ones(entries.shape[1], dtype=bool)
+    for size, highest, lowest in _extremes(parts, entries):
+        regular &= (lowest > highest * (np.finfo(np.float64).eps * size)).all(axis=0)
+    return regular
+
+
+def _extremes(parts: Sequence[Part], entries: Array) -> Iterator[tuple[int, Array, Array]]:
+    """Yield the size of parts, and their largest and least singular values (parts, N) once they are scaled."""
+    places = np.zeros((2, len(entries)), dtype=np.intp)
+    for part in parts:
+        places[:, part.entries] = part.rows[part.places[0]], part.columns[part.places[1]]
+    entries = _equilibrated(places, entries)
+    for same in of_one_shape(parts):  # stacked: calls for hundreds of parts take longer than decompositions
+        size = len(same[0].rows)
+        if size != len(same[0].columns):
+            values = np.zeros((1, entries.shape[1], 1))
+        elif size >= LARGE:
+            values = np.array([_extreme_singular_values(part, entries) for part in same])
+        else:
+            values = _decomposed(same, entries)
+        yield size, values[:, :, 0], values[:, :, -1]
+
+
+def _extreme_singular_values(part: Part, entries: Array) -> Array:
+    """Return the largest and the least singular value of a large part at N instants, shape (N, 2)."""
+    from scipy.sparse import csc_array  # noqa: PLC0415 - few matrices are large
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    size, found = len(part.rows), np.zeros((entries.shape[1], 2))
+    vectors = [np.ones(size)] * 2  # those of one instant are close to those of the next
+    for k, values in enumerate(entries[part.entries].T):
+        matrix = csc_array((values, part.places), (size, size))
+        with suppress(RuntimeError):  # of a matrix that is exactly singular
+            solve, transposed = splu(matrix).solve, matrix.T.tocsc()
+            inverse, vectors[1] = _norm(solve, partial(solve, trans="T"), vectors[1])
+            largest, vectors[0] = _norm(matrix.dot, transposed.dot, vectors[0])
+            found[k] = largest, 1.0 / inverse
+    return found
+
+
+def _norm(times: Product, times_transposed: Product, start: Array) -> tuple[float, Array]:
+    """Return the norm of a matrix and the vector that it stretches most, from products with it and its transpose."""
+    from scipy.sparse.linalg import LinearOperator, eigsh  # noqa: PLC0415
+
+    square = LinearOperator((len(start),) * 2, matvec=lambda x: times_transposed(times(x)), dtype=np.float64)
+    squares, vectors = eigsh(square, k=1, v0=start, ncv=_SUBSPACE, tol=_ACCURATE)
+    return float(np.sqrt(squares[0])), vectors[:, 0]
+
+
+def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
+    """Return the product with (J J^T + damping)^-1 of a sparse J; None if it is inaccurate.
+
+    Then the rows are far from dependent: the condition number of J is less than the root of that of J J^T.
+    """
     height, width = matrix.shape
-    scaled = equilibrated(matrix)
-    if height != width:
-        return False
-    if height >= LARGE:
-        with suppress(np.linalg.LinAlgError):
-            # Frobenius norms bound the condition number, at a tenth of the time of singular values.
-            if np.linalg.norm(scaled) * np.linalg.norm(np.linalg.inv(scaled)) * np.finfo(np.float64).eps * height < 1.0:
-                return True
-    return bool(np.linalg.matrix_rank(scaled) == height)
+    if height > width:
+        return None
+    from scipy.sparse import csr_array, eye_array  # noqa: PLC0415
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    rows = csr_array(matrix)
+    gram = (rows @ rows.T + damping * eye_array(height)).tocsc()
+    with suppress(RuntimeError):  # of a matrix that is exactly singular
+        solve: Product = splu(gram).solve
+        if np.linalg.norm(gram.data) * _norm(solve, solve, np.ones(height))[0] < _WELL_CONDITIONED:
+            return solve
+    return None
 
 
 _SMALL = 3  # unknowns: parts up to this size are solved by a formula, cheaper than a function call
@@ -191,58 +296,3 @@ def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:
     results = ca.Function("sc_part", symbols, expressions).call(renamed)
     text: str = ca.Function("sc_part", renamed, results).serialize()
     return text
-
-
-_MOST_AUGMENTED = 200  # rows: beyond, compiled loops are worth their import
-
-
-def largest_assignment(weights: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return the column of every row such that the sum of the weights (n, n) is maximal.
-
-    Shortest augmenting paths with potentials (Kuhn 1955, Edmonds and Karp 1972): O(n^3), in vectors of NumPy. SciPy has
-    the same in C, but its import takes ten times longer than the analysis of most systems.
-    """
-    if len(weights) > _MOST_AUGMENTED:
-        import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU, and of most programs
-
-        return np.asarray(scipy.optimize.linear_sum_assignment(weights, maximize=True)[1], dtype=np.intp)
-    size = len(weights)
-    of_row, of_column = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)  # potentials
-    row_of = np.full(size, -1)
-    for row in range(size):
-        _augment(weights, of_row, of_column, row_of, row)
-    columns = np.empty(size, dtype=np.intp)
-    columns[row_of] = np.arange(size)
-    return columns
-
-
-def _augment(
-    weights: npt.NDArray[np.int64],
-    of_row: npt.NDArray[np.int64],
-    of_column: npt.NDArray[np.int64],
-    row_of: npt.NDArray[np.intp],
-    row: int,
-) -> None:
-    """Assign a column to a row along the shortest augmenting path to a free column; all arrays change in place."""
-    most = np.iinfo(np.int64).max // 4
-    loss, before = np.full(len(row_of), most), np.full(len(row_of), -1)
-    seen = np.zeros(len(row_of), dtype=bool)
-    here, column = row, -1  # the current row, and the column by which it was reached
-    while True:
-        reduced = of_row[here] + of_column - weights[here]
-        nearer = ~seen & (reduced < loss)
-        loss[nearer], before[nearer] = reduced[nearer], column
-        column = int(np.where(seen, most, loss).argmin())
-        step = loss[column]
-        of_row[row_of[seen]] -= step
-        of_row[row] -= step
-        of_column[seen] += step
-        loss[~seen] -= step
-        if row_of[column] < 0:
-            break
-        seen[column] = True
-        here = row_of[column]
-    while column >= 0:
-        previous = int(before[column])
-        row_of[column] = row_of[previous] if previous >= 0 else row
-        column = previous

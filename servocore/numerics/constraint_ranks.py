@@ -17,8 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, Call
-from servocore.numerics.components import LARGE, singular_values
-from servocore.numerics.conditioning import gram_solver
+from servocore.numerics.components import LARGE, gram_solver, singular_values
 
 ROUND_OFF = 1e-9
 """Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""
@@ -227,15 +226,17 @@ def last_good_columns(matrix: Array) -> list[int] | None:
 
     None if the rows are dependent; units do not matter.
     """
-    m, n = matrix.shape
     largest = np.abs(matrix).max(axis=1, initial=0.0)
     if not largest.all():
         return None
-    matrix = matrix / largest[:, None]
-    candidates = [tuple(sorted(pivot_columns(matrix)))]
-    if math.comb(n, m) <= _MOST_MINORS:
-        candidates = list(itertools.combinations(range(n), m))
+    present = np.flatnonzero(np.abs(matrix).max(axis=0))  # of a selection of coordinates, no other minor exists
+    matrix = matrix[:, present] / largest[:, None]
+    many = math.comb(len(present), len(matrix)) > _MOST_MINORS
+    candidates = (
+        [sorted(pivot_columns(matrix))] if many else list(itertools.combinations(range(len(present)), len(matrix)))
+    )
     minors = np.abs(np.linalg.det(np.stack([matrix[:, columns] for columns in candidates])))
     if not minors.max(initial=0.0) > _SINGULAR:
         return None
-    return list(candidates[np.flatnonzero(minors >= _GOOD_ENOUGH * minors.max())[-1]])
+    chosen = candidates[np.flatnonzero(minors >= _GOOD_ENOUGH * minors.max())[-1]]
+    return [int(column) for column in present[list(chosen)]]

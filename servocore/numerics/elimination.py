@@ -12,6 +12,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.numerics.components import filled
+from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import without_jumps
 
 _FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
@@ -85,6 +87,10 @@ class KnownValues:
         results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
         return results
 
+    def final(self, outputs: list[ca.SX], *, common: bool = True) -> list[ca.MX]:
+        """Return the values of outputs once all unknowns are solved, dense."""
+        return self.evaluated("sc_finish", *map(ca.densify, self.resolved(*outputs)), common=common)
+
     def counts(self) -> ca.MX:
         """Return the iterations of the slowest block, and the factorizations of all."""
         most, total = ca.MX(0), ca.MX(self.linear_blocks)
@@ -130,7 +136,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     or come later in the list; they are returned already resolved among themselves.
     """
     jacobian = ca.jacobian(without_jumps(residual), unknowns)
-    pattern = dependence(jacobian)
+    pattern = filled(ca.DM(jacobian.sparsity(), 1)) > 0.0
     constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
     active_rows, active_columns = set(range(len(pattern))), set(range(len(pattern)))
     pivots: list[tuple[int, int]] = []
@@ -179,13 +185,6 @@ def own_slopes(residual: ca.SX, unknowns: ca.SX) -> ca.SX:
     return ca.densify(ca.jtimes(residual, unknowns, ca.SX.ones(unknowns.numel())))
 
 
-def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
-    """Return the sparsity pattern of a matrix as a Boolean array."""
-    pattern = np.zeros(jacobian.shape, dtype=bool)
-    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
-    return pattern
-
-
 def _cheapest_pivot(
     pattern: npt.NDArray[np.bool_],
     constant: set[tuple[int, int]],
@@ -219,10 +218,9 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
     if matrix.size1() <= _FORMULA:
         return small_inverse_times(matrix, right)
     if matrix.size1() <= _LARGEST:
-        rows = _with_right_side(matrix, right)
-        products, order = _cheapest_order([frozenset(row) for row in rows])
-        if products <= _DEAREST * matrix.size1() ** 3:
-            return _by_determinants([rows[i] for i in order])
+        solution = _by_determinants(matrix.size1(), tuple(zip(*matrix.sparsity().get_triplet(), strict=True)))
+        if solution is not None:
+            return ca.SX(solution(matrix, right))
     # QR is Gram and Schmidt's here: its error grows with the square of the condition, which is large where equations of
     # forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
     length = ca.sqrt(ca.sum2(matrix**2))
@@ -242,29 +240,29 @@ def small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
-def _with_right_side(matrix: ca.SX, right: ca.SX) -> list[dict[int, ca.SX]]:
-    """Return the entries of rows by column, with the right side as one column more."""
-    size = matrix.size1()
-    rows = [{size: right[i]} for i in range(size)]
-    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
-        rows[i][j] = matrix[i, j]
-    return rows
+@made_once  # blocks of derivatives repeat, and so do those of bodies
+def _by_determinants(size: int, entries: tuple[tuple[int, int], ...]) -> ca.Function | None:
+    """Return (matrix, right) -> solution for a matrix with these entries; None if that takes too many products.
 
-
-def _by_determinants(rows: list[dict[int, ca.SX]]) -> ca.SX:
-    """Develop determinants row after row by Laplace, with every minor computed once: all unknowns share most of them.
-
-    How rows and columns are scaled does not matter to round-off, nothing but the determinant is divided by, and the
-    chain of operations is short where a factorization has a division and a root in every row.
+    Determinants are developed row after row by Laplace, with every minor computed once: all unknowns share most of
+    them. How rows and columns are scaled does not matter to round-off, nothing but the determinant is divided by, and
+    the chain of operations is short where a factorization has a division and a root in every row.
     """
-    size, minors = len(rows), {_Columns(): ca.SX(1)}
-    for row in rows:
-        minors = _with_row(minors, row)
+    pattern = ca.Sparsity.triplet(size, size, *([entry[k] for entry in entries] for k in range(2)))
+    matrix, right, minors = ca.SX.sym("A", pattern), ca.SX.sym("b", size), {_Columns(): ca.SX(1)}
+    rows = [{size: right[i]} for i in range(size)]  # the right side is one column more
+    for i, j in entries:
+        rows[i][j] = matrix[i, j]
+    products, order = _cheapest_order([frozenset(row) for row in rows])
+    if products > _DEAREST * size**3:
+        return None
+    for i in order:
+        minors = _with_row(minors, rows[i])
     every = _Columns(range(size))
     # In the place of column j stands the right side: moved there from the end past all columns between.
     signs = [(-1) ** (size - 1 - j) for j in range(size)]
-    numerators: ca.SX = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
-    return numerators / minors[every]
+    numerators = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
+    return ca.Function("sc_determinants", [matrix, right], [numerators / minors[every]])
 
 
 def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Columns, ca.SX]:
@@ -274,11 +272,7 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
         for j in sorted(row.keys() - columns):
             term = row[j] * minor
             odd = sum(k < j for k in columns) % 2
-            more_columns = columns | {j}
-            if more_columns in larger:
-                larger[more_columns] = larger[more_columns] - term if odd else larger[more_columns] + term
-            else:
-                larger[more_columns] = -term if odd else term
+            larger[columns | {j}] = larger.get(columns | {j}, ca.SX(0)) + (-term if odd else term)
     return larger
 
 

@@ -96,17 +96,6 @@ def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
     return ca.sparsify(ca.diag(ca.vertcat(*entries)))
 
 
-def constants_kept(scale: ca.SX) -> tuple[ca.SX, list[int]]:
-    """Return the scale with symbols in place of all entries that are not numbers, and the indices of these.
-
-    Most scales are one, and CasADi drops a multiplication by a constant one.
-    """
-    places = [k for k in range(scale.numel()) if not scale[k].is_constant()]
-    mixed = ca.SX(scale)
-    mixed[places] = ca.SX.sym("scale", len(places))
-    return mixed, places
-
-
 def expressions_of(name: str, fields: Mapping[str, object], n: int) -> dict[str, ca.SX]:
     """Return the fields of a system with n coordinates, given as numbers, arrays or lists, as expressions."""
     taken = {}

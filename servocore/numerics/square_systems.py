@@ -27,7 +27,7 @@ from servocore.numerics.elimination import (
     symbolic_solution,
     tear,
 )
-from servocore.numerics.expressions import constants_kept, largest
+from servocore.numerics.expressions import largest
 from servocore.numerics.newton import MAX_ITERATIONS, NEWTON_TOLERANCE, TICK, compile_newton
 from servocore.numerics.step_operations import without_jumps
 
@@ -116,22 +116,12 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
         return None
     if known.iterations or known.isomorphic_counts:
         return None
-    wanted = [ca.densify(output) for output in known.resolved(*outputs)]
-    return ca.Function(name, [givens], known.evaluated("sc_finish", *wanted)).expand()
+    return ca.Function(name, [givens], known.final(outputs)).expand()
 
 
-def compile_bare_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function:
-    r"""Compile givens -> (\*outputs), NaN where Newton's method fails, without the counts and the residual.
-
-    To evaluate all equations once more takes a third of the time of a step.
-    """
-    givens = ca.MX.sym("givens", system.givens.numel())
-    known = _solved(system, givens, unrolled=False)
-    wanted = [ca.densify(output) for output in known.resolved(*outputs)]
-    return ca.Function(name, [givens], known.evaluated("sc_finish", *wanted))
-
-
-def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unrolled: bool = False) -> ca.Function:
+def compile_solver(
+    name: str, system: SquareSystem, outputs: list[ca.SX], *, unrolled: bool = False, checked: bool = True
+) -> ca.Function:
     r"""Compile `system` into a function that solves it.
 
     Parameters
@@ -144,6 +134,9 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
         Expressions of unknowns and givens to return.
     unrolled : bool
         See `compile_unrolled_solver`.
+    checked : bool
+        Whether to return the counts and the residual as well: to evaluate all equations once more takes a third of the
+        time of a step. Outputs are NaN where Newton's method fails in any case.
 
     Returns
     -------
@@ -158,9 +151,10 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
     """
     givens = ca.MX.sym("givens", system.givens.numel())
     known = _solved(system, givens, unrolled)
+    if not checked:
+        return ca.Function(name, [givens], known.final(outputs))
     worst = largest(system.residual / system.residual_scale)
-    wanted = [ca.densify(output) for output in known.resolved(*outputs, worst)]
-    *results, residual = known.evaluated("sc_finish", *wanted, common=not unrolled)
+    *results, residual = known.final([*outputs, worst], common=not unrolled)
     if known.corrections:
         # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
         exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
@@ -272,16 +266,15 @@ def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], 
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
     order = sorted if unrolled else list  # blocks of derivatives repeat: sorted, they share their minors
-    by_row, level_of = pattern.T, np.full(pattern.size2(), -1)  # -1 while an unknown is not solved
-    starts, held = by_row.colind(), np.array(by_row.row(), dtype=np.intp)
-    levels: list[list[tuple[list[int], list[int]]]] = []
+    of_row, level_of = pattern.T, np.full(pattern.size2(), -1)  # -1 while an unknown is not solved
+    starts, held = of_row.colind(), np.array(of_row.row(), dtype=np.intp)
+    levels: dict[int, list[tuple[list[int], list[int]]]] = {}
     for k in range(count):
         block = rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]]
         level = 1 + max(int(level_of[held[starts[i] : starts[i + 1]]].max()) for i in block[0])
         level_of[block[1]] = level
-        levels += [[]] if level == len(levels) else []
-        levels[level].append((order(block[0]), order(block[1])))
-    return levels
+        levels.setdefault(level, []).append((order(block[0]), order(block[1])))
+    return [levels[level] for level in sorted(levels)]
 
 
 def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
@@ -305,28 +298,23 @@ def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
-    linear = is_linear(residual, unknowns, jacobian)
-    if linear and size <= _EXPLICIT_SIZE:
-        jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
+    if not is_linear(residual, unknowns, jacobian):
+        known.evaluate_explicit()
+        _solve_nonlinear(known, block, unrolled)
+        return
+    constant = ca.substitute(residual, unknowns, ca.SX.zeros(size))
+    known.linear_blocks += 1
+    if size <= _EXPLICIT_SIZE:
+        jacobian, constant = known.resolved(jacobian, constant)
         known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
-        known.linear_blocks += 1
         return
     known.evaluate_explicit()
-    if linear:
-        _solve_linear(known, block, unrolled)
-    else:
-        _solve_nonlinear(known, block, unrolled)
-
-
-def _solve_linear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
-    jacobian = ca.jacobian(block.residual, block.unknowns)
-    constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
-    known.linear_blocks += 1
     if unrolled:
-        known.add_values(block.unknowns, *known.evaluated("sc_linear", symbolic_solution(jacobian, -constant)))
-        return
-    matrix, right = known.evaluated("sc_linear", jacobian, -constant)
-    known.add_values(block.unknowns, ca.solve(matrix, right, "qr"))
+        (values,) = known.evaluated("sc_linear", symbolic_solution(jacobian, -constant))
+    else:
+        matrix, right = known.evaluated("sc_linear", jacobian, -constant)
+        values = ca.solve(matrix, right, "qr")
+    known.add_values(unknowns, values)
 
 
 def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
@@ -340,21 +328,15 @@ def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) ->
 
 def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     """Return the solution by Newton's method, NaN if it does not converge."""
-    start, scale, row_scale = known.evaluated(
-        "sc_prepare", block.guess / block.unknown_scale, block.unknown_scale, block.residual_scale
-    )
+    unknown_scale, residual_scale = block.unknown_scale, block.residual_scale
+    start, scale = known.evaluated("sc_prepare", block.guess / unknown_scale, unknown_scale)
     size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
-    scale_symbol, varying = constants_kept(block.unknown_scale)
-    row_scale_symbol, rows_varying = constants_kept(block.residual_scale)
-    symbols, values = known.needed(block.residual)
-    equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
-    x = ca.vertcat(scaled, clock)
-    p = ca.vertcat(symbols, *[each[k] for each, k in ((scale_symbol, varying), (row_scale_symbol, rows_varying)) if k])
-    given = ca.vertcat(values, *[each[k] for each, k in ((scale, varying), (row_scale, rows_varying)) if k])
-    root = compile_newton(x, p, ca.vertcat(equations, ca.exp(-clock / TICK)), symbols, block.tolerance)(
-        ca.vertcat(start, 0), given
-    )
+    symbols, values = known.needed(block.residual, unknown_scale, residual_scale)
+    equations = ca.substitute(block.residual, block.unknowns, scaled * unknown_scale) / residual_scale
+    x, data = ca.vertcat(scaled, clock), known.needed(block.residual)[0]
+    newton = compile_newton(x, symbols, ca.vertcat(equations, ca.exp(-clock / TICK)), data, block.tolerance)
+    root = newton(ca.vertcat(start, 0), values)
     ticks = root[size] / TICK
     known.iterations.append(ticks)
     # A count at the limit is a failure: NaN instead of the last iterate.

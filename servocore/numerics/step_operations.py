@@ -50,8 +50,13 @@ def operations_of(function: ca.Function) -> Iterator[Operation]:
 
 def holds_any(expression: ca.SX, operations: set[int]) -> bool:
     """Whether an expression holds one of some operations, given by their numbers in CasADi."""
+    return bool(operations & operations_in(expression))
+
+
+def operations_in(expression: ca.SX) -> set[int]:
+    """Return the operations of an expression, by their numbers in CasADi."""
     function = ca.Function("sc_operations", [], [expression], {"allow_free": True})
-    return any(function.instruction_id(k) in operations for k in range(function.n_instructions()))
+    return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
 def without_jumps(expression: ca.SX) -> ca.SX:

@@ -14,7 +14,8 @@ from __future__ import annotations
 import casadi as ca
 
 from servocore.numerics.just_in_time import NAME
-from servocore.numerics.vector_code import chain_part, vector_part, vectors
+from servocore.numerics.machine_code import code_generator
+from servocore.numerics.vector_code import vector_part, vectors
 
 NODES = 4
 """Steps whose values and rates belong to one polynomial."""
@@ -36,20 +37,13 @@ def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, posit
     positive : range
         Indices of the results that must be positive.
     """
-    steps = chain_part("sc_steps", step, (False, True, False, False))
-    weigh, reading = (
-        vector_part("sc_weigh", weights, (True, False)),
-        vector_part("sc_read", read, (True, True, False, False)),
-    )
+    weigh = vector_part("sc_weigh", weights, (True, False))
+    reading = vector_part("sc_read", read, (True, True, False, False))
     signs = ", ".join(str(int(k in positive)) for k in range(read.numel_out(0)))
-    defined = {"STATES": step.numel_in(0), "COLUMNS": read.numel_out(0), "SIGNS": signs, "OUTSIDE": OUTSIDE,
-               "UNSOUND": UNSOUND, "NO_MEMORY": NO_MEMORY}  # fmt: skip
-    return (
-        steps
-        + vectors(weigh, reading)
-        + "".join(f"#define {name} {value}\n" for name, value in defined.items())
-        + _DRIVER
-    )
+    defined = {"STEP": step.name(), "STATES": step.numel_in(0), "PATH": step.numel_in(1), "COLUMNS": read.numel_out(0),
+               "SIGNS": signs, "OUTSIDE": OUTSIDE, "UNSOUND": UNSOUND, "NO_MEMORY": NO_MEMORY}  # fmt: skip
+    names = "".join(f"#define {name} {value}\n" for name, value in defined.items())
+    return code_generator("step", [step]).dump() + vectors(weigh, reading) + names + _DRIVER
 
 
 _DRIVER = f"""#include <stdlib.h>
@@ -88,7 +82,7 @@ static void between(const double *values, long apart, const double *first, long 
 int {NAME}(const long *sizes, const double *const *in, const double *t, const double *path, long row, long lane,
            long count, double *out) {{
  static const int signs[] = {{SIGNS}};
- const long last = sizes[1], apart = last + 2, in_a_row[] = {{0, sizes[2], 0, 0}}, none[4] = {{0}};
+ const long last = sizes[1], apart = last + 2, none[4] = {{0}};
  const double begin = in[4][0], h = in[3][0];
  if (outside(t, count, begin, in[4][1])) return OUTSIDE;
  double *values = malloc(sizeof(double)*(2*STATES*apart + ({1 + 2 * NODES} + STATES)*count));
@@ -99,11 +93,16 @@ int {NAME}(const long *sizes, const double *const *in, const double *t, const do
  int wrong = 0;
  for (long c = 0; c < sizes[0]; ++c, out += COLUMNS*count) {{
   const double *start = in[0] + c*sizes[3], *numbers = in[2] + c*sizes[5], *settings = in[3] + c*sizes[6];
-  for (long i = 0; i < STATES; ++i) values[i*apart] = start[i];
-  sc_steps(1, last + 1, (const double *const[]){{start, in[1] + c*sizes[4], numbers, settings}}, in_a_row, none,
-           (double *const[]){{values + 1, rates}}, apart);
-  for (long i = 0; i < STATES; ++i)
-   for (long k = 0; k <= last; ++k) rates[i*apart + k] *= h;
+  double now[STATES], next[STATES], rate[STATES], column[PATH];
+  for (long i = 0; i < STATES; ++i) values[i*apart] = now[i] = start[i];
+  for (long k = 0; k <= last; ++k) {{
+   for (long i = 0; i < PATH; ++i) column[i] = in[1][c*sizes[4] + i*sizes[2] + k];
+   STEP((const double *[]){{now, column, numbers, settings}}, (double *[]){{next, rate}}, 0, 0, 0);
+   for (long i = 0; i < STATES; ++i) {{
+    now[i] = values[i*apart + k + 1] = next[i];
+    rates[i*apart + k] = rate[i]*h;
+   }}
+  }}
   between(values, apart, first, count, x);
   sc_read(1, count, (const double *const[]){{x, path + c*lane, numbers, settings + 1}},
           (const long[]){{count, row, 0, 0}}, none, (double *const[]){{out}}, count);

@@ -12,7 +12,7 @@ from functools import cached_property, partial
 from math import prod
 from pathlib import Path
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -124,17 +124,6 @@ class Between:
         return states
 
 
-class _InstantsAsC(NamedTuple):
-    """Addresses of times and path, strides of rows and cases of the path, number of instants, and the arrays."""
-
-    t: int
-    path: int
-    row: int
-    lane: int
-    instants: int
-    held: list[Array]
-
-
 @dataclass(frozen=True, eq=False)
 class Instants:
     """Instants at which runs are read, with their positions between the steps of the last run.
@@ -166,8 +155,11 @@ class Instants:
         return Instants(self.t, self.path[cases], self._between) if self.path.ndim > 2 else self
 
     @cached_property  # used by every call with the same instants
-    def as_c(self) -> _InstantsAsC:
-        """Arguments of machine code; the last instant is repeated until a register is full."""
+    def as_c(self) -> tuple[int, int, int, int, int, list[Array]]:
+        """Addresses of times and path, strides of rows and cases of the path, number of instants, and the arrays.
+
+        The last instant is repeated until a register is full.
+        """
         t, path = self.t, self.path
         if len(t) < LANES:
             some = np.minimum(np.arange(LANES), len(t) - 1)
@@ -175,7 +167,7 @@ class Instants:
         t, path = np.ascontiguousarray(t), np.ascontiguousarray(path)
         lane = path.strides[0] // _BYTES if path.ndim > 2 else 0
         times, places = addresses([t, path])
-        return _InstantsAsC(times, places, len(t), lane, len(t), [t, path])
+        return times, places, len(t), lane, len(t), [t, path]
 
 
 @made_once
@@ -322,7 +314,7 @@ def _loaded(library: Path) -> Any:
 
 def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None, columns: int) -> tuple[Array, bool]:
     count = len(instants.t)
-    values = np.empty((cases or 1, columns, instants.as_c.instants))
+    values = np.empty((cases or 1, columns, instants.as_c[4]))
 
     def some(first: int, last: int) -> bool:
         if cases is None or last - first == cases:

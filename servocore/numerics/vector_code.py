@@ -75,24 +75,6 @@ _EXTREMES = """static void extremes(vec most, vec least, vec total, double *high
 }
 """
 
-_SCALAR = """#include <math.h>
-#define vec double
-#define all(x) (x)
-#define load(p) (*(p))
-#define one(c) ((c) ? 1.0 : 0.0)
-#define where(c, x) ((c) != 0.0 ? (x) : 0.0)
-#define magnitude(x) fabs(x)
-#define larger(x, y) (((x) >= (y)) | ((y) != (y)) ? (x) : (y))
-#define smaller(x, y) (((x) <= (y)) | ((y) != (y)) ? (x) : (y))
-#define first_of(x) (x)
-#define sign(x) ((x) < 0.0 ? -1.0 : (x) > 0.0 ? 1.0 : (x))
-#define each1(f, to, x) const vec to = f(x)
-#define each2(f, to, x, y) const vec to = f(x, y)
-"""
-_NO_LONGER = "".join(
-    f"#undef {line.split()[1].partition('(')[0]}\n" for line in _SCALAR.splitlines() if line.startswith("#define")
-)
-
 
 class NoCounterpart(Exception):
     """An operation has no vector counterpart, or a function is not one of expressions."""
@@ -185,31 +167,10 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
     ]))  # fmt: skip
 
 
-def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
-    """Return the function `name` of a recursion: the first result is the first argument of the next instant.
-
-    The parameters are those of `vector_source`; the first argument is the start of a case. It must come before the
-    source that `vectors` returns.
-    """
-    of = _Statements(function, along, chained=True)
-    return _SCALAR + of.function(name, [
-        f"  double state[{of.sizes[0]}];",
-        f"  for (long i = 0; i < {of.sizes[0]}; ++i) state[i] = in0[i];",
-        "  for (long k = 0; k < count; ++k) {",
-        *[f"   {statement}" for statement in of.block],
-        *[f"   state[{i}] = {value};" for which, i, value in of.results if which == 0],
-        *[
-            f"   out[{which}][(c*{of.sizes[which]} + {i})*columns + k] = {value if which else f'state[{i}]'};"
-            for which, i, value in of.results
-        ],
-        "  }",
-    ]) + _NO_LONGER  # fmt: skip
-
-
 class _Statements:
     """The operations of a function as C statements: those per case, and those per eight instants."""
 
-    def __init__(self, function: ca.Function, along: Sequence[bool], chained: bool = False) -> None:
+    def __init__(self, function: ca.Function, along: Sequence[bool]) -> None:
         if not function.is_a("SXFunction"):
             raise NoCounterpart
         self.sizes = [function.numel_out(k) for k in range(function.n_out())]
@@ -217,7 +178,7 @@ class _Statements:
         self.once: list[str] = []
         self.block: list[str] = []
         self.results: list[tuple[int, int, str]] = []
-        self._along, self._chained = along, chained
+        self._along = along
         values: dict[int, tuple[str, bool]] = {}  # by place: variable, and whether all instants share it
         for k, (number, made, operands, constant) in enumerate(operations_of(function)):
             if number == ca.OP_OUTPUT:
@@ -254,9 +215,6 @@ class _Statements:
             return _number(constant), True
         if operation == "INPUT":
             argument, i = arguments
-            if self._chained and argument == 0:
-                self.block.append(f"const vec {name} = state[{i}];")
-                return name, False
             if self._along[argument]:
                 self.block.append(f"const vec {name} = load(in{argument} + {i}*row{argument} + k);")
                 return name, False

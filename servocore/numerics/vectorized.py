@@ -15,6 +15,7 @@ from servocore.numerics.just_in_time import LANES, NAME, JustInTime
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from types import ModuleType
 
     from servocore.numerics.machine_code import Build
 
@@ -47,14 +48,12 @@ class Vectorized:
         self._code = JustInTime(self._build, _loaded, native, again)
 
     def _build(self) -> Build | None:
-        from servocore.numerics.vector_code import build_of_source  # noqa: PLC0415 - few compile
+        from servocore.numerics import vector_code  # noqa: PLC0415 - few compile
 
-        return build_of_source(self._source, self._of_what, self.function)
+        return vector_code.build_of_source(lambda: self._source(vector_code), self._of_what, self.function)
 
-    def _source(self) -> str:
-        from servocore.numerics.vector_code import vector_source  # noqa: PLC0415 - few compile
-
-        return vector_source(self.function, self._along)
+    def _source(self, code: ModuleType) -> str:
+        return str(code.vector_source(self.function, self._along))
 
     def ready(self, count: int, called: bool = True) -> bool:
         """Whether machine code for so many instants is compiled; with `called`, count a call."""
@@ -152,10 +151,8 @@ class Extremes(Vectorized):
         """Evaluate one case by CasADi's interpreter."""
         return [extremes_of(values) for values in super().interpreted(*arguments)]
 
-    def _source(self) -> str:
-        from servocore.numerics.vector_code import extremes_source  # noqa: PLC0415 - few compile
-
-        return extremes_source(self.function, self._along)
+    def _source(self, code: ModuleType) -> str:
+        return str(code.extremes_source(self.function, self._along))
 
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         results = [np.empty((cases, 2, size)) for size in self._sizes]

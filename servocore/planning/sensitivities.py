@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.away_from_home import require_redundant_constraints
+from servocore.checks.along_motion import require_redundant_constraints
 from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
 from servocore.errors import InvalidModel, InvalidSetting

@@ -284,6 +284,11 @@ def survey(reference: Reference) -> FloatArray:
     return np.append((ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel(), ends[-1])
 
 
+def subdivided(t: FloatArray, parts: int) -> FloatArray:
+    """Return instants with every interval divided into so many parts."""
+    return np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
+
+
 def time_grid(reference: Reference, step: float | None) -> FloatArray:
     """Return the instants from start to end, a whole number of equal steps.
 

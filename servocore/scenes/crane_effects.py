@@ -13,15 +13,12 @@ Sources that assumptions name:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from servocore.errors import InvalidModel
-from servocore.model.effects import Effect, Effects, parameters_with
+from servocore.model.effects import Effect, Effects
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Parameter, Parameters
-from servocore.model.system import MechanicalSystem
-from servocore.scenes.crane_carriages import Carriage
-from servocore.scenes.crane_levels import assemble, overhang
+from servocore.model.symbols import Parameter
+from servocore.scenes.crane_levels import Crane, overhang
 from servocore.scenes.hanging_load import ROPE
 
 MOST_LUMPS = 4
@@ -127,34 +124,6 @@ def flexible(part: str, what: str, frequency: float, measured: Quantity) -> Effe
         (_MOTOR, swinging),
         drives={measured.name: f"{measured.name}_motor"},
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Crane:
-    """A crane in all its levels of physics; a factory of models by the names of effects."""
-
-    name: str
-    carriage: Carriage
-    parameters: Parameters
-    inputs: Sequence[Quantity]
-    outputs: Sequence[Quantity]
-    home: tuple[float, ...]
-    effects: tuple[Effect, ...] = ()
-
-    def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
-        """Assemble the model with some effects and without others."""
-        known = {effect.name: effect for effect in self.effects}
-        chosen = {known[effect] for effect in added} | {
-            known[own] for effect in added for own in known[effect].includes
-        }
-        names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
-        if sum(label.startswith("rope mass") for label in names) > 1:
-            raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
-        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
-        changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
-        name = f"{self.name} with {changes}" if changes else self.name
-        hanging = overhang(self.outputs)
-        return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names, hanging)
 
 
 def crane_effects(

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from servocore.errors import InvalidModel
+from servocore.model.effects import Effect, parameters_with
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -96,105 +98,117 @@ def _chain(effects: frozenset[str], p: Parameters) -> Chain:
     return Chain(tuple(names), tuple(masses), tuple(links), count > 0, beside)
 
 
-def assemble(
-    name: str,
-    carriage: Carriage,
-    parameters: Parameters,
-    inputs: Sequence[Quantity],
-    outputs: Sequence[Quantity],
-    home: tuple[float, ...],
-    effects: frozenset[str] = frozenset(),
-    hanging: Sequence[Quantity] = (),
-    reported: Sequence[Quantity] = (),
-) -> MechanicalSystem:
-    """Return a crane with some effects, or as its scene needs it.
+@dataclass(frozen=True, eq=False)
+class Crane:
+    """A crane in all its levels of physics; a factory of models by the names of effects.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        What the system is called in messages.
+        Name of the crane in messages.
     carriage : Carriage
         What the rope hangs from.
     parameters : Parameters
-        Of the crane and of the effects.
-    inputs, outputs : sequence of Quantity
+        Of the crane without effects.
+    inputs, outputs : tuple of Quantity
         Those of the carriage's drives and of the winch; coordinates of the load, the last upwards.
     home : tuple of float
         A regular position of the load, m.
-    effects : frozenset of str
-        Their names; ``no winch inertia`` for a winch without.
-    hanging : sequence of Quantity
-        Observables of the horizontal offset of the load, see `overhang`; may be empty.
-    reported : sequence of Quantity
-        Coordinates that are observables too, so that their signs distinguish branches.
+    effects : tuple of Effect
+        All that can be added or left out.
     """
-    p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
-    own = carriage.quantities(effects)
-    above = [Quantity(f"{label}_{axis.name}", "m") for label in chain.names for axis in outputs]
-    stretched = (STRETCHED,) if "elastic rope" in effects else ()
-    c = Coordinates(*own, ROPE, *stretched, *outputs, *above)
-    first = len(own) + 1 + len(stretched)
-    points = ca.horzsplit(ca.reshape(c.q[first:], dimension, -1))
-    rope_mass = p["rope_mass"] * p["rope_piece"] if chain.heavy else 0  # wound up it belongs to the trolley
-    frame = carriage.frame(c, p, effects, p["trolley_mass"] - rope_mass)
-    winch = ca.SX(0) if "no winch inertia" in effects else p["winch_inertia"] / p["winch_radius"] ** 2
-    hung = (mass for mass in chain.masses for _ in outputs)
-    rope = _upper_rope(c, p, chain, points, frame.exit)
-    links = [ca.sumsqr(a - b) - link**2 for a, b, link in zip(points, points[1:], chain.links, strict=False)]
-    weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
-    constraints = ca.vertcat(frame.constraints, *links, rope.constraints)
-    lam, gamma = ca.SX.sym("lam", constraints.numel()), reference_symbols(dimension)
-    drives = (*frame.drives, Drive(ROPE, c[ROPE.name], ca.jacobian(c[ROPE.name], c.q), "winch_friction"))
-    gear = ca.diag(ca.vertcat(*[1] * len(frame.drives), 1 / p["winch_radius"]))
-    return MechanicalSystem(
-        name=name,
-        coordinates=c,
-        parameters=p,
-        inputs=tuple(inputs),
-        outputs=tuple(outputs),
-        mass=diagonal((*frame.masses, winch, *[0] * len(stretched), *hung)),
-        potential=frame.potential + weight + rope.potential,
-        force=_forces(c, p, drives, c.v[first : first + dimension], effects),
-        constraints=constraints,
-        input_matrix=-ca.mtimes(gear, ca.vertcat(*(drive.row for drive in drives))),
-        output=points[0],
-        multipliers=lam,
-        gamma=gamma,
-        guess=_guess(gamma, p, chain, carriage, effects),
-        home=home,
-        observables={
-            **_observables(c, drives, rope, lam, points[-1] - frame.exit, chain, reported),
-            **dict(zip(hanging, ca.vertsplit((points[0] - frame.exit)[: len(hanging)]), strict=True)),
-        },
-    )
+
+    name: str
+    carriage: Carriage
+    parameters: Parameters
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    home: tuple[float, ...]
+    effects: tuple[Effect, ...] = ()
+
+    def points(self, reported: Sequence[Quantity] = ()) -> MechanicalSystem:
+        """Return the crane without effects; coordinates that are reported too distinguish branches by their signs."""
+        return self._assembled(f"{self.name}, points", self.parameters, frozenset(), reported=reported)
+
+    def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
+        """Assemble the model with some effects and without others."""
+        known = {effect.name: effect for effect in self.effects}
+        chosen = {known[effect] for effect in added} | {
+            known[own] for effect in added for own in known[effect].includes
+        }
+        names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
+        if sum(label.startswith("rope mass") for label in names) > 1:
+            raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
+        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
+        changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
+        name = f"{self.name} with {changes}" if changes else self.name
+        return self._assembled(name, declared, names, overhang(self.outputs))
+
+    def _assembled(
+        self,
+        name: str,
+        p: Parameters,
+        effects: frozenset[str],
+        hanging: Sequence[Quantity] = (),
+        reported: Sequence[Quantity] = (),
+    ) -> MechanicalSystem:
+        carriage, outputs, dimension, chain = self.carriage, self.outputs, len(self.outputs), _chain(effects, p)
+        own = carriage.quantities(effects)
+        above = [Quantity(f"{label}_{axis.name}", "m") for label in chain.names for axis in outputs]
+        stretched = (STRETCHED,) if "elastic rope" in effects else ()
+        c = Coordinates(*own, ROPE, *stretched, *outputs, *above)
+        first = len(own) + 1 + len(stretched)
+        points = ca.horzsplit(ca.reshape(c.q[first:], dimension, -1))
+        rope_mass = p["rope_mass"] * p["rope_piece"] if chain.heavy else 0  # wound up it belongs to the trolley
+        frame = carriage.frame(c, p, effects, p["trolley_mass"] - rope_mass)
+        winch = ca.SX(0) if "no winch inertia" in effects else p["winch_inertia"] / p["winch_radius"] ** 2
+        hung = (mass for mass in chain.masses for _ in outputs)
+        total, span = c[ROPE.name], points[-1] - frame.exit
+        taut = c[STRETCHED.name] if stretched else total - chain.beside  # its length under the load
+        links = [ca.sumsqr(a - b) - link**2 for a, b, link in zip(points, points[1:], chain.links, strict=False)]
+        weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
+        constraints = ca.vertcat(frame.constraints, *links, ca.sumsqr(span) - taut**2)
+        lam, gamma = ca.SX.sym("lam", constraints.numel()), reference_symbols(dimension)
+        drives = (*frame.drives, Drive(ROPE, total, ca.jacobian(total, c.q), "winch_friction"))
+        energy = _rope_energy(p, chain, total, taut, points[-1][-1], frame.exit[-1])
+        gear = ca.diag(ca.vertcat(*[1] * len(frame.drives), 1 / p["winch_radius"]))
+        return MechanicalSystem(
+            name=name,
+            coordinates=c,
+            parameters=p,
+            inputs=self.inputs,
+            outputs=outputs,
+            mass=diagonal((*frame.masses, winch, *[0] * len(stretched), *hung)),
+            potential=frame.potential + weight + energy,
+            force=_forces(c, p, drives, c.v[first : first + dimension], effects),
+            constraints=constraints,
+            input_matrix=-ca.mtimes(gear, ca.vertcat(*(drive.row for drive in drives))),
+            output=points[0],
+            multipliers=lam,
+            gamma=gamma,
+            guess=_guess(gamma, p, chain, carriage, effects),
+            home=self.home,
+            observables={
+                **_observables(c, drives, 2 * lam[-1] * taut, span, chain, reported),
+                **dict(zip(hanging, ca.vertsplit((points[0] - frame.exit)[: len(hanging)]), strict=True)),
+            },
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class _UpperRope:
-    potential: ca.SX
-    constraints: ca.SX
-    above: ca.SX
-    taut: ca.SX  # its length under the load: that of an elastic rope is a coordinate
-
-
-def _upper_rope(c: Coordinates, p: Parameters, chain: Chain, points: Sequence[ca.SX], exit_: ca.SX) -> _UpperRope:
-    """Return the rope from the last point to the trolley; its weight is that of what is paid out above the lumps.
+def _rope_energy(p: Parameters, chain: Chain, total: ca.SX, taut: ca.SX, low: ca.SX, top: ca.SX) -> ca.SX:
+    """Return weight and stretch of the rope from the last point to the trolley; what is paid out above lumps weighs.
 
     How long an elastic rope is under its load is a coordinate without mass. The pull is then a multiplier that follows
     from the load; as a small difference of lengths times EA it would lose as many digits as the rope stretches little.
     """
-    total = c[ROPE.name]
-    above = total - chain.beside
-    potential, taut = ca.SX(0), above
+    potential, above = ca.SX(0), total - chain.beside
     if chain.heavy:
         half = p["rope_piece"] - chain.beside  # of the last lump's piece, above it
-        length, top, low = above - half, exit_[-1], points[-1][-1]
         middle = (top + low + (top - low) * half / above) / 2
-        potential = p["rope_mass"] * p["gravity"] * length * middle
-    if STRETCHED.name in c.names:
-        taut = c[STRETCHED.name]
+        potential = p["rope_mass"] * p["gravity"] * (above - half) * middle
+    if "rope_stiffness" in p.names:
         potential += p["rope_stiffness"] / total / 2 * (taut - above) ** 2
-    return _UpperRope(potential, ca.sumsqr(points[-1] - exit_) - taut**2, above, taut)
+    return potential
 
 
 def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: ca.SX, effects: frozenset[str]) -> ca.SX:
@@ -216,33 +230,29 @@ def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: c
 def _observables(
     c: Coordinates,
     drives: Sequence[Drive],
-    rope: _UpperRope,
-    lam: ca.SX,
+    tension: ca.SX,
     span: ca.SX,
     chain: Chain,
     reported: Sequence[Quantity],
 ) -> dict[Quantity, ca.SX]:
     own = {drive.measured: drive.position for drive in drives if drive.measured.name not in c.names}
     own |= {each: c[each.name] for each in reported}
-    tension = 2 * lam[-1] * rope.taut
     rope_meant = "upper rope" if chain.names else "rope"
     ahead = {2: ", positive where the load is ahead", 3: ""}[span.numel()]
     about = f"angle of the {rope_meant} from the vertical{ahead}"
     swing = Quantity("swing", "rad", about, nonnegative=span.numel() == 3)
     observables = {**own, TENSION: tension, swing: swing_angle(span)}
-    return {**observables, ROPE_ABOVE: rope.above} if chain.heavy else observables
+    return {**observables, ROPE_ABOVE: c[ROPE.name] - chain.beside} if chain.heavy else observables
 
 
 def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effects: frozenset[str]) -> ca.SX:
     """Return a configuration near the path: from the load upwards along the pull, every point as fast as the load."""
     up = ca.vertcat(*[0] * (gamma.size1() - 1), p["gravity"])
-    points, mass = [gamma[:, 0]], ca.SX(0)
+    points, mass = [gamma[:, 0]], sum(chain.masses, ca.SX(0))
     pull = gamma[:, 2] + up
     direction = pull / ca.norm_2(pull)
     for link in chain.links:
         points.append(points[-1] + link * direction)
-    for each in chain.masses:
-        mass += each
     height = exit_height(p, effects)
     distance = (height - points[-1][-1]) / direction[-1]
     exit_ = points[-1] + distance * direction

@@ -28,8 +28,8 @@ from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 from servocore.scenes.crane_carriages import Rails
-from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
-from servocore.scenes.crane_levels import assemble
+from servocore.scenes.crane_effects import crane_effects, flexible, friction
+from servocore.scenes.crane_levels import Crane
 
 PARAMETERS = Parameters(
     Parameter("bridge_mass", 40.0, "kg", 0.0, 1e9, "m_b, moves along x only"), *hanging_load.PARAMETERS
@@ -44,10 +44,10 @@ OUTPUTS = (
     Quantity("y", "m", "load position across the rails"),
     Quantity("z", "m", "load position, negative below the trolley"),
 )
-HOME = (1.0, 1.0, -4.0)
 BRIDGE = Quantity("s_x", "m", "bridge position along the rails")
 TROLLEY = Quantity("s_y", "m", "trolley position on the bridge")
 RAILS = Rails((BRIDGE, TROLLEY), ("bridge_mass", "trolley_mass"), ("bridge_friction", "trolley_friction"))
+CRANE = Crane("gantry crane", RAILS, PARAMETERS, INPUTS, OUTPUTS, (1.0, 1.0, -4.0))
 SWINGS = (
     Quantity("swing_x", "rad", "swing along the rails, positive where the load is ahead"),
     Quantity("swing_y", "rad", "swing across the rails, positive where the load is ahead"),
@@ -56,7 +56,7 @@ SWINGS = (
 
 def points() -> MechanicalSystem:
     """Six coordinates q = (s_x, s_y, l, x, y, z), one constraint: the rope reaches from trolley to load."""
-    return assemble("gantry crane, points", RAILS, PARAMETERS, INPUTS, OUTPUTS, HOME)
+    return CRANE.points()
 
 
 def generalized() -> MechanicalSystem:
@@ -106,7 +106,7 @@ LIMITS = hanging_load.limits("trolley")
 
 
 EFFECTS = crane_effects(
-    Crane("gantry crane", RAILS, PARAMETERS, INPUTS, OUTPUTS, HOME),
+    CRANE,
     [BRIDGE, TROLLEY],
     [
         friction(Parameter("bridge_friction", 14.7, "N", 0.0, 1e9, "dry friction of the bridge's drive")),

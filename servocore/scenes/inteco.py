@@ -37,7 +37,7 @@ from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.crane_levels import assemble
+from servocore.scenes.crane_levels import Crane
 from servocore.scenes.gantry_crane import INPUTS as FORCES
 from servocore.scenes.gantry_crane import LIMITS, OUTPUTS, RAILS, drawing
 from servocore.scenes.gantry_crane import closed_form as frictionless
@@ -80,7 +80,7 @@ def _friction(rate: Any, side: Any, values: Mapping[str, Any] | Parameters, lett
 
 def points() -> MechanicalSystem:
     """Six coordinates q = (s_x, s_y, l, x, y, z), one constraint: the gantry crane with duty cycles and friction."""
-    crane = assemble("inteco, points", RAILS, PARAMETERS, FORCES, OUTPUTS, (0.2, 0.3, -2.0))
+    crane = Crane("inteco", RAILS, PARAMETERS, FORCES, OUTPUTS, (0.2, 0.3, -2.0)).points()
     force, rows = ca.SX(crane.force), []
     for name, letter in DRIVES.items():
         place = crane.coordinates.names.index(name)

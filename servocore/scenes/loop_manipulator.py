@@ -140,13 +140,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
     m, s, y_2 = p["link_3_mass"], p["link_3_length"] / 2, p["tracked_distance"]
     length, c, d = p["link_2_length"], p["joint_stiffness"], p["joint_damping"]
     inertia, soft = m * s**2 * 4 / 3 - m * s * y_2, 1 + y_2 / length
-
-    def straight(y: Array) -> Array:
-        """Return angle, rate and acceleration of a straight manipulator, the rest from which theta is counted."""
-        side = y[:, 1] / (length + y_2)
-        cos = np.sqrt(1 - side[0] ** 2)
-        rate = side[1] / cos
-        return np.array([np.arcsin(side[0]), rate, (side[2] + side[0] * rate**2) / cos])
+    reach = length + y_2  # theta is counted from the angle of a straight manipulator
 
     def turning(y: Array, theta: Array, rate: Array) -> tuple[Array, Array, Array]:
         """Return theta'', beta and beta' from the jet of the point, shape (3, 2, ...)."""
@@ -158,7 +152,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
 
     def rate(time: Array | float, state: Array) -> Array:
         y = np.moveaxis(reference.jet(time, 2), (-2, -1), (0, 1))
-        rest = straight(y)
+        rest = _arc_sine(y[:, 1] / reach)
         return np.array([state[1], turning(y, rest[0] + state[0], rest[1] + state[1])[0] - rest[2]])
 
     if inertia > 0.0:
@@ -167,7 +161,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
         matrix = np.array([[0.0, 1.0], [-c * soft / inertia, -d * soft / inertia]])
         states = two_sided(rate, t, reference.start_time, reference.end_time, matrix)
     y = np.moveaxis(reference.jet(t, 2), 0, -1)
-    rest = straight(y)
+    rest = _arc_sine(y[:, 1] / reach)
     theta = np.array([rest[0] + states[0], rest[1] + states[1], np.zeros(len(t))])
     theta[2], *_ = turning(y, theta[0], theta[1])
     return _forces(y, theta, p)
@@ -206,6 +200,7 @@ def _direction(angle: Array) -> Array:
 
 
 def _arc_sine(side: Array) -> Array:
+    """Return angle, rate and acceleration from the jet of its sine."""
     cos = np.sqrt(1 - side[0] ** 2)
     rate = side[1] / cos
     return np.array([np.arcsin(side[0]), rate, (side[2] + side[0] * rate**2) / cos])

@@ -25,21 +25,21 @@ from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 from servocore.scenes.crane_carriages import Rails
-from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
-from servocore.scenes.crane_levels import assemble
+from servocore.scenes.crane_effects import crane_effects, flexible, friction
+from servocore.scenes.crane_levels import Crane
 
 PARAMETERS = Parameters(*hanging_load.PARAMETERS)
 INPUTS = (Quantity("F", "N", "force on the trolley, positive as s"), hanging_load.WINCH)
 OUTPUTS = (Quantity("x", "m", "load position"), Quantity("z", "m", "load position, negative below the girder"))
-HOME = (1.0, -4.0)
 TROLLEY = Quantity("s", "m", "trolley position")
 RAIL = Rails((TROLLEY,), ("trolley_mass",), ("trolley_friction",))
+CRANE = Crane("overhead crane", RAIL, PARAMETERS, INPUTS, OUTPUTS, (1.0, -4.0))
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical, positive where the load is ahead")
 
 
 def points() -> MechanicalSystem:
     """Four coordinates q = (s, l, x, z), one constraint (x - s)^2 + z^2 = l^2."""
-    return assemble("overhead crane, points", RAIL, PARAMETERS, INPUTS, OUTPUTS, HOME)
+    return CRANE.points()
 
 
 def generalized() -> MechanicalSystem:
@@ -70,7 +70,7 @@ LIMITS = hanging_load.limits("girder")
 
 
 EFFECTS = crane_effects(
-    Crane("overhead crane", RAIL, PARAMETERS, INPUTS, OUTPUTS, HOME),
+    CRANE,
     [TROLLEY],
     [friction(), flexible("rail", "the trolley", 6.0, TROLLEY)],
     rope=0.7,

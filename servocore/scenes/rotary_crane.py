@@ -38,8 +38,8 @@ from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
 from servocore.scenes.crane_carriages import SlewingBridge
-from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
-from servocore.scenes.crane_levels import assemble
+from servocore.scenes.crane_effects import crane_effects, flexible, friction
+from servocore.scenes.crane_levels import Crane
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 
 PARAMETERS = Parameters(
@@ -60,7 +60,7 @@ OUTPUTS = (
 PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
 TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
 
-HOME = (4.0, 0.0, -5.0)
+CRANE = Crane("rotary crane", SlewingBridge(PHI, TROLLEY), PARAMETERS, INPUTS, OUTPUTS, (4.0, 0.0, -5.0))
 SMALLEST_RADIUS = 1e-3
 """The trolley must stay farther from the slewing axis than this, in m: on the axis phi is undefined."""
 
@@ -75,9 +75,7 @@ def points(trolley: Quantity = TROLLEY, *, invariant: bool = False) -> Mechanica
     rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2. For `invariant` see
     `SlewingBridge`.
     """
-    bridge = SlewingBridge(PHI, trolley, invariant)
-    own = (trolley, ROPE)
-    return assemble("rotary crane, points", bridge, PARAMETERS, INPUTS, OUTPUTS, HOME, reported=own)
+    return replace(CRANE, carriage=SlewingBridge(PHI, trolley, invariant)).points(reported=(trolley, ROPE))
 
 
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
@@ -201,7 +199,7 @@ INVARIANT_MODELS = {"points": partial(points, invariant=True)}
 
 
 EFFECTS = crane_effects(
-    Crane("rotary crane", SlewingBridge(PHI, TROLLEY), PARAMETERS, INPUTS, OUTPUTS, HOME),
+    CRANE,
     [PHI, TROLLEY],
     [
         friction(Parameter("bridge_friction", 10.0, "N.m", 0.0, 1e9, "dry friction of the slewing drive")),

@@ -63,7 +63,7 @@ class OnRope:
         load, length, trolley = c.q[count - 3 : count], c["l"], ca.vertcat(c["p_x"], c["p_y"], 0)
         nodes, above = ca.vertcat(c.q[count:], load), length - p["rope_piece"]
         first = nodes[:3]
-        weight = part.mass * part.weight_centre(nodes)[2] + p["rope_mass"] * above * first[2] / 2
+        weight = part.first_moment(nodes)[2] + p["rope_mass"] * above * first[2] / 2
         guess = ca.substitute(base.guess, old, new)
         observables = {key: ca.substitute(ca.SX(expression), old, new) for key, expression in base.observables.items()}
         return MechanicalSystem(

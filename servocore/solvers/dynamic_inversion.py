@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
     InvalidModel,
     InvalidReference,
-    InvalidSetting,
-    require_real,
 )
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -30,7 +27,8 @@ from servocore.numerics.stepped_runs import Instants, Run
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import first_state
+from servocore.solvers.route import require_inside, require_stable, require_tolerance
+from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_steps
 from servocore.stepping.program import program_of
@@ -101,14 +99,11 @@ class DynamicInversion:
         native: bool | None = None,
     ) -> None:
         require_scene(scene, "DynamicInversion")
-        require_real(tolerance, "the tolerance", "a number", InvalidSetting)
-        if not 0.0 < tolerance < 1.0:
-            raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {tolerance}")
+        require_tolerance(tolerance)
         self._problem = problem = Problem.of(scene, model, start)
         if problem.flat:
             raise InvalidModel(f"{scene.name} has no internal dynamics: ExactInversion computes its inputs")
-        if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-            raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
+        require_stable(problem)
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
@@ -142,18 +137,9 @@ class DynamicInversion:
         instants = self._instants(times)
         inputs, sound = self._steps.runs(self._run, instants)
         if not sound:
-            self._require_inside(instants.t)
+            require_inside(self._problem.reference, instants.t)
             raise IntegrationFailed(f"{self._problem.system.name}: the inputs belong to no motion that can be")
         return inputs[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
-
-    def _require_inside(self, t: Array) -> None:
-        """Raise `InvalidReference` if a time lies outside the path."""
-        reference = self._problem.reference
-        if not (t.min() >= reference.start_time and t.max() <= reference.end_time):
-            raise InvalidReference(
-                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
-                f" {reference.end_time:g} s, not from {t.min():g} s to {t.max():g} s"
-            )
 
     def _of(self, count: int) -> Run:
         """Return a run of some number of steps."""
@@ -165,8 +151,8 @@ class DynamicInversion:
         known = self._known.get(key)
         if known is None:
             t = np.frombuffer(key)  # and not the array, which the caller may change
-            if self._steps.formula is None and len(t):
-                self._require_inside(t)  # before the table is read
+            if self._steps.formula is None:
+                require_inside(self._problem.reference, t)  # before the table is read
             known = self._steps.instants([self._problem.reference], t)
             self._known = {key: known}
         return known
@@ -177,15 +163,13 @@ class DynamicInversion:
         t, count = np.linspace(reference.start_time, reference.end_time, _INSTANTS), float(_FEWEST)
         instants = self._instants(t)
         exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
-        peaks = np.maximum(np.abs(exact).max(axis=1), 1e-300)
         while count < _MOST:
-            with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-                coarse, fine = (
-                    self._steps.runs(self._of(round(count) * many), instants)[0][:inputs] for many in (1, 2)
-                )
-                error = (np.abs(fine - coarse).max(axis=1) / peaks).max()
+            fine, errors = _judged(
+                self._steps, [reference], round(count), self._problem.p, self._start, instants, inputs
+            )
+            error = float(errors)
             if error <= tolerance:
-                if not (np.abs(fine - exact).max(axis=1) <= _ASTRAY * peaks).all():
+                if not (np.abs(fine - exact) <= _ASTRAY * np.abs(exact).max(axis=1, keepdims=True)).all():
                     name = self._problem.system.name
                     raise IntegrationFailed(f"{name}: explicit steps lead to another motion than solve")
                 return round(count)
@@ -194,6 +178,18 @@ class DynamicInversion:
             f"{self._problem.system.name}: {_MOST} explicit steps do not keep a tolerance of {tolerance:g}: the"
             " internal dynamics are stiff, and solve with RadauIIA steps them"
         )
+
+
+def _judged(
+    steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants, inputs: int
+) -> tuple[Array, Array]:
+    """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many, (...)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
+        coarse, fine = (
+            steps.runs(steps.run(paths, count * many, p, start), instants)[0][..., :inputs, :] for many in (1, 2)
+        )
+        peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
+        return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +249,8 @@ class DynamicCases:
             good = self._kept(_of(paths, left), count, p[left], start[left])
             taken = left[good]
             if len(taken):
-                values = self._read(_of(paths, taken), t, count, p[taken], start[taken])
+                chosen, steps = _of(paths, taken), self._compiled(paths)
+                values = steps.runs(steps.run(chosen, count, p[taken], start[taken]), steps.instants(chosen, t))[0]
                 signs, wanted = np.split(values[:, len(self.problem.system.inputs) :], [-len(self.names)], axis=1)
                 inputs[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
             left, count = left[~good], 2 * count
@@ -262,18 +259,13 @@ class DynamicCases:
 
     def _kept(self, paths: list[Reference], count: int, p: Array, start: Array) -> npt.NDArray[np.bool_]:
         """Whether so many steps keep the tolerance, case by case, to judge by twice as many."""
-        inputs, path = len(self.problem.system.inputs), paths[0]
-        t = np.linspace(path.start_time, path.end_time, _COMPARED)
-        with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-            coarse, fine = (self._read(paths, t, count * many, p, start)[:, :inputs] for many in (1, 2))
-            peaks = np.maximum(np.abs(fine).max(axis=2), 1e-300)
-            kept: npt.NDArray[np.bool_] = (np.abs(fine - coarse).max(axis=2) <= self.tolerance * peaks).all(axis=1)
+        steps, inputs = self._compiled(paths), len(self.problem.system.inputs)
+        instants = steps.instants(paths, np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED))
+        kept: npt.NDArray[np.bool_] = _judged(steps, paths, count, p, start, instants, inputs)[1] <= self.tolerance
         return kept
 
-    def _read(self, paths: list[Reference], t: Array, count: int, p: Array, start: Array) -> Array:
-        """Return inputs, positive quantities and requested ones, (cases, columns, N), by so many steps."""
-        steps = compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
-        return steps.runs(steps.run(paths, count, p, start), steps.instants(paths, t))[0]
+    def _compiled(self, paths: list[Reference]) -> ExplicitSteps:
+        return compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:
         """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""

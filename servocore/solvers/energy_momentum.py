@@ -13,8 +13,8 @@ from servocore.numerics.compiled_calls import Array, chained, mapped
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.fixed_step_loop import CHUNK
 from servocore.solvers.input_functions import Inputs, values_at
+from servocore.solvers.runs import CHUNK
 from servocore.stepping.energy_momentum import (
     ConservingStep,
     compile_conserving_step,
@@ -121,19 +121,35 @@ def conserved_motion(
     """
     system, at = problem.system, _places(t, step)
     n, count = len(system.coordinates), int(at[-1])
-    scheme = scheme_of(problem, method, count)
+    scheme, places = scheme_of(problem, method, count), np.union1d(at, np.minimum(at + 1, count))
     require_invariant_constraints(system, start[:n], problem.p)
-    state = np.concatenate([start, np.zeros(system.lam.numel())])
-    run = _stepped(problem, scheme, state, inputs, t, step, np.union1d(at, np.minimum(at + 1, count)))
-    now, after = (np.searchsorted(run.places, instants) for instants in (at, np.minimum(at + 1, count)))
+    now = np.concatenate([start, np.zeros(system.lam.numel() + 1)])  # the work since the start comes last
+    columns, iterations, worst, done = [now[:, None]], 0.0, 0.0, 0
+    while done < count:
+        length = min(CHUNK, count - done)
+        middles = np.minimum(t[0] + step * (done + 0.5 + np.arange(length)), t[-1])
+        arguments = (values_at(inputs, middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
+        states, counts, residual, work = chained(scheme.step, length)(now[:-1], *arguments)
+        table = np.vstack([states.reshape(len(now) - 1, -1, order="F"), now[-1] + np.cumsum(work.ravel())])
+        bad = ~np.isfinite(table[:-1]).all(axis=0)
+        if bad.any():
+            time = t[0] + step * (done + int(bad.argmax()))
+            raise IntegrationFailed(
+                f"{system.name}: the energy-momentum step from t = {time:.6g} s to {time + step:.6g} s was not solved:"
+                f" something turns or swings too far in a step of {step:g} s; a smaller step is needed"
+            )
+        columns.append(table[:, places[(places > done) & (places <= done + length)] - done - 1])
+        iterations += float(counts.reshape(2, -1, order="F")[0].sum())
+        worst, now, done = max(worst, float(residual.max())), table[:, -1], done + length
+    found = np.hstack(columns)
+    here, after = (np.searchsorted(places, instants) for instants in (at, np.minimum(at + 1, count)))
     # The multipliers of a state are those of the step before it: the first has none, the last no step after it.
-    scaled = run.states[2 * n :] / step**2
-    scaled[:, 0] = scaled[:, min(1, len(run.places) - 1)]
-    q, v = run.states[:n, now], run.states[n : 2 * n, now]
-    energy, turning = mapped(scheme.energy, len(at))(q, v, np.tile(problem.p[:, None], len(at)))
-    balance = np.column_stack([energy.ravel(), run.work[now], turning.reshape(3, -1, order="F").T])
-    forces = (scaled[:, now] + scaled[:, after]) / 2
-    return ConservedMotion(run.states[: 2 * n, now], forces.T, balance, count, int(run.iterations), run.worst)
+    scaled = found[2 * n : -1] / step**2
+    scaled[:, 0] = scaled[:, min(1, len(places) - 1)]
+    states, forces = found[: 2 * n, here], (scaled[:, here] + scaled[:, after]) / 2
+    energy, turning = mapped(scheme.energy, len(at))(states[:n], states[n:], np.tile(problem.p[:, None], len(at)))
+    balance = np.column_stack([energy.ravel(), found[-1, here], turning.reshape(3, -1, order="F").T])
+    return ConservedMotion(states, forces.T, balance, count, int(iterations), worst)
 
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
@@ -169,45 +185,3 @@ def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
     if places[-1] > _MOST_STEPS:
         raise InvalidSetting(f"steps of {step:g} s are {places[-1]:.2g} in all, more than {_MOST_STEPS:.0e}")
     return places
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Steps that were kept: their places, states (size, N), work since the start (N,); iterations, worst residual."""
-
-    places: npt.NDArray[np.intp]
-    states: Array
-    work: Array
-    iterations: float
-    worst: float
-
-
-def _stepped(
-    problem: Problem, scheme: ConservingStep, state: Array, inputs: Inputs, t: Array, step: float,
-    kept: npt.NDArray[np.intp],
-) -> _Run:  # fmt: skip
-    """Take all steps, chunk by chunk in compiled loops, and keep the states at some places, the first among them."""
-    states, works = [state[:, None]], [np.zeros(1)]
-    counted, worst, done, begin, total = 0.0, 0.0, 0, float(t[0]), 0.0
-    while done < kept[-1]:
-        length = min(CHUNK, int(kept[-1]) - done)
-        middles = np.minimum(begin + step * (done + 0.5 + np.arange(length)), float(t[-1]))
-        arguments = (values_at(inputs, middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
-        states_after, counts, residual, work = chained(scheme.step, length)(state, *arguments)
-        states_after = states_after.reshape(len(state), -1, order="F")
-        bad = ~np.isfinite(states_after).all(axis=0)
-        if bad.any():
-            at = begin + step * (done + int(bad.argmax()))
-            raise IntegrationFailed(
-                f"{problem.system.name}: the energy-momentum step from t = {at:.6g} s to {at + step:.6g} s was not"
-                " solved: something turns or swings too far in a step of"
-                f" {step:g} s; a smaller step is needed"
-            )
-        wanted = kept[(kept > done) & (kept <= done + length)] - done - 1
-        so_far = total + np.cumsum(work.ravel())
-        states.append(states_after[:, wanted])
-        works.append(so_far[wanted])
-        counted += float(counts.reshape(2, -1, order="F")[0].sum())
-        worst = max(worst, float(residual.max()))
-        state, total, done = states_after[:, -1], float(so_far[-1]), done + length
-    return _Run(kept, np.hstack(states), np.concatenate(works), counted, worst)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import require_feasible
+from servocore.checks.better_solutions import BetterSolver
 from servocore.checks.between_instants import continuous_angles
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
@@ -20,15 +20,14 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
-from servocore.solvers.results import Run, Segment, require_derivatives, solution_of
 from servocore.solvers.route import JudgedRoute
+from servocore.solvers.runs import Progress, Run, require_derivatives, run_steps, solution_of, step_failure, step_of
 from servocore.stepping.exact_evaluation import (
     ExactEvaluation,
     along_path,
@@ -37,13 +36,7 @@ from servocore.stepping.exact_evaluation import (
     unknowns_from,
 )
 from servocore.stepping.program import Program, program_of
-from servocore.structure.inversion import block_determinants, determinants, inversion
-
-if TYPE_CHECKING:
-    from servocore.checks.better_solutions import BetterSolver
-
-NATIVE_FROM = 500
-"""Instants from which on checks are worth machine code."""
+from servocore.structure.inversion import block_determinants, determinants
 
 _CHUNK = 2048  # instants that are evaluated at once
 
@@ -69,49 +62,67 @@ class Pointwise(JudgedRoute):
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        evaluation, kept = self._evaluation(problem), slice(None)
-        program = program_of(problem, self.formulation, native=bool(self.native) and evaluation is None)
-        if problem.follow_branch:
-            done, looked = run_steps(problem, program, times, progress), list[Array]()
+        kept, followed = slice(None), problem.follow_branch
+        program = program_of(problem, self.formulation, native=bool(self.native) and followed)
+        if followed:
+            done = self._looked_at(problem, run_steps(problem, program, times, progress))
         else:
             times, parts = enough(times)
             kept = slice(None, None, parts)
-            done, looked = _at_every_instant(problem, program, times, evaluation, progress, kept)
-        read = _looking(problem.resolved, program)
-        looked = looked or [*along_path(problem, read, times, done.states)]
+            done = self._at_every_instant(problem, program, times, progress, kept)
         try:
-            motion = motion_of(problem, times, done.states, block_determinants(problem.array, *looked[2:]))
+            motion = motion_of(problem, times, done.states, block_determinants(problem.array, *done.observed[2:]))
         except IntegrationFailed as error:
             solved = np.isfinite(done.states).all(axis=0)
             if solved.all():
-                solution_of(problem, [Segment(program, times, done)])  # a sign that is wrong is a better reason
+                solution_of(problem, [done])  # a sign that is wrong is a better reason
             if solved.any():
                 raise
             raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
         if motion.states is not done.states:
-            done = replace(done, states=motion.states)
-            looked = [*along_path(problem, read, times, done.states)]
-        continuous_angles(motion, program, looked[0])
-        branch = FOLLOWED if problem.follow_branch else motion.branch
-        solution = solution_of(problem, [Segment(program, times, done, (looked[0], looked[1]))], branch=branch)
-        motion = replace(motion, values=looked[0])
+            done = self._looked_at(problem, replace(done, states=motion.states))
+        motion = replace(motion, values=done.observed[0])
+        continuous_angles(motion, program, done.observed[0])
+        solution = solution_of(problem, [done], branch=FOLLOWED if followed else motion.branch)
         return replace(solution, t=solution.t[kept], values=solution.values[kept], motion=motion)
+
+    @staticmethod
+    def _looked_at(problem: Problem, run: Run) -> Run:
+        """Return a run with the results of `_looking`."""
+        looked = along_path(problem, _looking(problem.resolved, run.program), run.t, run.states)
+        return replace(run, observed=looked)
 
     def better(self, _: Problem) -> BetterSolver:
         """Return the exact inversion again, from guesses beside the answers."""
-        from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-
         return BetterSolver(_perturbed, True, "the exact inversion, solved again,")
 
-    def _evaluation(self, problem: Problem) -> ExactEvaluation | None:
-        """Return the inversion with the observed quantities; None if the form has none, or a branch is followed."""
-        exact = self.formulation == Reduced() and not problem.follow_branch
-        if not exact or inversion(problem.array).expression is None:
-            return None
-        read = _looking(problem.resolved, program_of(problem, self.formulation))
-        evaluation = exact_evaluation(problem.resolved, read, self.native, True)
+    def _at_every_instant(
+        self, problem: Problem, program: Program, times: Array, progress: Progress | None, kept: slice
+    ) -> Run:
+        """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking`.
+
+        The counts are those of the instants that are kept.
+        """
+        require_derivatives(problem, program)
+        evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
-        return evaluation
+        count, results = len(times), list[Array]()
+        chunk = count if evaluation.by_expression.ready(problem, count) else _CHUNK
+        for k in range(0, count, chunk):
+            columns = evaluation(problem, times[k : k + chunk])
+            # Each row is contiguous, for the results are processed row by row.
+            results = results or (columns if chunk >= count else [np.empty((len(column), count)) for column in columns])
+            for result, part in zip(results, columns, strict=True):
+                result[:, k : k + chunk] = part
+            if progress is not None:
+                progress(min(k + chunk, count) - 1, count - 1)
+        states, counts, residuals, *looked = results
+        good = np.isfinite(residuals[0])
+        if not good.all():
+            states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
+        iterations, factorizations = counts[:, kept].sum(axis=1).round()
+        worst = float(np.max(residuals[0, good], initial=0.0))
+        return Run(program, times, states, int(iterations), int(factorizations), worst, tuple(looked))
 
 
 @made_once
@@ -128,26 +139,12 @@ _ASIDE = 1e-7  # relative
 
 def _perturbed(problem: Problem, times: Array) -> Solution:
     """Return the inputs again, from guesses beside the exact answers: the change is what Newton's method left."""
-    states, array = exact_motion(problem, times).states, problem.array
+    motion, array = Pointwise(Reduced()).run(problem, times).motion, problem.array
+    states = motion.states[:, np.isin(motion.t, times)]
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
     inputs = problem.system.inputs
     places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
     return Solution(times, inputs, unknowns_from(problem, times, aside)[places].T, "the exact inversion, solved again")
-
-
-def exact_motion(problem: Problem, t: Array) -> Motion:
-    """Return the exact motion of a flat problem at instants; raises `IntegrationFailed` as `motion_of`."""
-    if not problem.follow_branch:
-        return motion_of(problem, t)
-    return motion_of(problem, t, run_steps(problem, program_of(problem, Reduced()), t).states)
-
-
-def observed_motion(problem: Problem, t: Array) -> Motion:
-    """Return the exact motion of a flat problem at instants, with all observed quantities."""
-    motion, program = exact_motion(problem, t), program_of(problem, Reduced())
-    values = along_path(problem, program.observe, t, motion.states)[0]
-    continuous_angles(motion, program, values)
-    return replace(motion, values=values)
 
 
 def prepared_motion(problem: Problem) -> Motion:
@@ -160,64 +157,10 @@ def prepared_motion(problem: Problem) -> Motion:
     """
     motion = motion_of(problem)
     if problem.resolved.holds(KINKS):
-        from servocore.checks.impulses import jumps  # noqa: PLC0415 - few models have kinks
+        from servocore.checks.along_motion import jumps  # noqa: PLC0415 - few models have kinks
 
         told(problem.system.name, "", jumps(motion))
     return motion
-
-
-def _at_every_instant(
-    problem: Problem,
-    program: Program,
-    times: Array,
-    evaluation: ExactEvaluation | None,
-    progress: Progress | None,
-    kept: slice,
-) -> tuple[Run, list[Array]]:
-    """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking` if known.
-
-    The counts are those of the instants that are kept.
-    """
-    require_derivatives(problem, program)
-    results = _all_results(problem, program, times, evaluation, progress)
-    states, counts, residuals, *looked = results
-    good = np.isfinite(residuals[0])
-    if not good.all():
-        states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
-    iterations, factorizations = counts[:, kept].sum(axis=1).round()
-    worst = float(np.max(residuals[0, good], initial=0.0))
-    return Run(states, int(iterations), int(factorizations), worst), looked
-
-
-def _all_results(
-    problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
-) -> list[Array]:
-    """Return states, counts and residuals, and observed values if they are known, shape (rows, N) each."""
-    count, p = len(times), problem.p
-    if evaluation is not None and evaluation.by_expression.ready(problem, count):
-        results = evaluation(problem, times)
-        if progress is not None:
-            progress(count - 1, count - 1)
-        return results
-    results = []
-    for k in range(0, count, _CHUNK):
-        t = times[k : k + _CHUNK]
-        if evaluation is not None:
-            columns = evaluation(problem, t)
-        else:
-            size = len(t)
-            jets = side_by_side(problem.reference.jet(t, program.order))
-            stepped = mapped(program.step, size)(
-                np.zeros((program.state_size, size)), jets, np.zeros(size), np.tile(p, size)
-            )
-            columns = [array.reshape(-1, size, order="F") for array in stepped]
-        # Each row is contiguous, for the results are processed row by row.
-        results = results or [np.empty((len(column), count)) for column in columns]
-        for result, part in zip(results, columns, strict=True):
-            result[:, k : k + len(t)] = part
-        if progress is not None:
-            progress(min(k + _CHUNK, count) - 1, count - 1)
-    return results
 
 
 class ExactInversion:
@@ -265,7 +208,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
-        from servocore.checks.away_from_home import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
+        from servocore.checks.along_motion import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
         from servocore.checks.failure_causes import explained  # noqa: PLC0415
         from servocore.checks.motion_limits import require_limits  # noqa: PLC0415
 
@@ -363,10 +306,3 @@ def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:
     system = problem.system
     names = *(channel.name for channel in system.inputs), *(each.name for each in system.observables if each.positive)
     return exact_quantities(problem.resolved, names, native)
-
-
-def exact_values(_: Problem) -> BetterSolver:
-    """Return the exact inversion as the reference for other solutions of a problem without internal dynamics."""
-    from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-
-    return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")

@@ -7,38 +7,41 @@ there, and continued with other states from the same values.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from servocore.checks.before_run import internal_dynamics
 from servocore.checks.better_solutions import (
+    NOTICED,
     BetterSolver,
+    Comparison,
     compared_closely,
-    compared_with,
     is_smooth,
     stated_branch,
 )
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
-from servocore.errors import InconsistentStart
+from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.problem import Problem
+from servocore.references.base import subdivided
 from servocore.solution import Solution
-from servocore.solvers.exact_inversion import exact_values
-from servocore.solvers.fixed_step_loop import (
+from servocore.solvers.exact_inversion import Pointwise
+from servocore.solvers.route import Adaptive, JudgedRoute
+from servocore.solvers.runs import (
     Progress,
+    Run,
     advance_chunk,
     chunk_length,
     first_state,
     run_steps,
+    solution_of,
     step_failure,
     step_of,
 )
-from servocore.solvers.results import Segment, solution_of
-from servocore.solvers.route import JudgedRoute
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program, program_of
@@ -46,6 +49,7 @@ from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import inversion, system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
+_EVERY, _GOOD = 4, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
@@ -70,8 +74,8 @@ class Stepped(JudgedRoute):
     def better(self, problem: Problem) -> BetterSolver:
         """Return the exact inversion, the bounded one, or a method of high order; see `JudgedRoute`."""
         if problem.flat:
-            return exact_values(problem)
-        if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+            return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
+        if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
         run = StateSelection(form, _BETTER_METHOD).run
@@ -85,9 +89,9 @@ class Stepped(JudgedRoute):
             if motion is not None and motion.values is not None:
                 parts = (len(motion.t) - 1) // (len(solution.t) - 1)
                 exact = motion.values[:, ::parts].T
-                comparison = compared_with(problem.system.inputs, solution, exact, "the exact inversion")
+                comparison = Comparison(problem.system.inputs, solution, exact, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
-        elif internal_dynamics(problem).kind != NON_MINIMUM_PHASE and self.is_doubtful(problem, solution):
+        elif not internal_dynamics(problem).grows and self.is_doubtful(problem, solution):
             comparison = compared_closely(problem, self.better(problem), solution)
         return stated_branch(problem, solution, (self.formulation, self.method), comparison)
 
@@ -102,7 +106,7 @@ class FixedStep(Stepped):
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, progress))])
+        return solution_of(problem, [run_steps(problem, program, times, progress)])
 
 
 class StateSelection(Stepped):
@@ -130,11 +134,11 @@ class StateSelection(Stepped):
             formulation = _states_at_start(problem, formulation)
             program = program_of(problem, formulation, self.method, self.native, len(times))
             state, _ = first_state(problem, program, step)
-        length, segments = chunk_length(count), list[Segment]()
+        length, segments = chunk_length(count), list[Run]()
         at, restarted_at = 0, -1
         while at < count:
             part, complete = advance_chunk(problem, program, times[at : at + length + 1], step, state, length)
-            array = formulation.array(problem.system)
+            array = program.array
             values = _array_values(array, part.states)
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
             if better is None and not complete:
@@ -142,8 +146,7 @@ class StateSelection(Stepped):
                 # Without this a run would restart at the same instant without end.
                 if better == array.states or restarted_at == at:
                     raise step_failure(problem, program, part.states[:, good], times[at + good], step)
-            reached = replace(part, states=part.states[:, : good + 1])
-            segments.append(Segment(program, times[at : at + good + 1], reached))
+            segments.append(part.at(slice(good + 1)))
             at, state = at + good, part.states[:, good]
             if better is not None and at < count:
                 restarted_at = at
@@ -170,13 +173,17 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
+    last = values.shape[1] - 1
+    some = np.append(np.arange(0, last, _EVERY), last)
+    if (_quality(array, _system_jacobians(problem, t[some], values[:, some])) > _GOOD).all():
+        return last, None
     J = _system_jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
         # A change at the first instant of a chunk would gain no step.
         if k > 0 and better != array.states:
             return int(k), better
-    return values.shape[1] - 1, None
+    return last, None
 
 
 def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
@@ -216,3 +223,83 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
             )
             worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst
+
+
+# Error control --------------------------------------------------------------------------------------------------------
+
+# On projected forms (index 3) the local error of the inputs scales like tolerance / h^2, so that a test of it rejects
+# steps without end, and steps that vary add an error that does not fall with the step. So whole runs at constant step
+# are repeated with half the step until the inputs agree.
+
+_STAGNATION = 1.3  # a halved step that improves the inputs by less has met a floor
+_MOST_HALVINGS = 14
+
+
+@dataclass(frozen=True)
+class ToTolerance(Stepped):
+    """So accurate that every input meets a tolerance at the instants.
+
+    Parameters
+    ----------
+    control : Adaptive
+        The accuracy wanted.
+    """
+
+    control: Adaptive = field(default_factory=Adaptive)
+
+    def is_doubtful(self, _: Problem, solution: Solution) -> bool:
+        """Whether the tolerance was too loose to prove that inputs are right."""
+        return not (solution.statistics.error_estimate or np.inf) <= NOTICED
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Solve to the tolerance; see `Route`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If the tolerance cannot be met, with the accuracy that was reached and the reason.
+        """
+        program = program_of(problem, self.formulation, self.method, self.native, len(times))
+        control, order = self.control, self.method.orders(program.index).forces
+        inputs, coarse, last_change, total = len(problem.system.inputs), None, None, 0
+        for halvings in range(_MOST_HALVINGS):
+            division = 2**halvings
+            count = (len(times) - 1) * division
+            if total + count > control.max_steps:
+                raise IntegrationFailed(f"{program.name}: {control.max_steps} steps are not enough")
+            total += count
+            done = run_steps(problem, program, subdivided(times, division), progress)
+            fine = solution_of(problem, [done.at(slice(None, None, division))], refuse_turns=False, steps=total)
+            if coarse is not None:
+                peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
+                change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
+                ratio = None if last_change is None else last_change / np.maximum(change, 1e-300)
+                # Richardson: with order p the difference of two runs is (2^p - 1) times the error of the finer one.
+                estimate = change / (2.0 ** _observed_order(ratio, order) - 1.0)
+                unmet, relative = estimate > control.allowed(peaks), estimate / np.maximum(peaks, 1e-300)
+                if not unmet.any():
+                    summary = replace(fine.statistics, error_estimate=float(relative.max()))
+                    return replace(fine, statistics=summary)
+                # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
+                if ratio is not None and ratio[unmet].min() < _STAGNATION:
+                    raise IntegrationFailed(_stagnation(problem, program, control, relative, count))
+                last_change = change
+            coarse = fine
+        raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
+
+
+def _observed_order(ratio: Array | None, order: int) -> Array | float:
+    """Order by which a difference of two runs is turned into an error; cautious while only one is known."""
+    if ratio is None:
+        return 1.0
+    clipped: Array = np.clip(np.log2(np.maximum(ratio, 1e-300)), 0.5, max(1, order))
+    return clipped
+
+
+def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:
+    worst = int(relative.argmax())
+    return (
+        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
+        f" after {count} steps, but rtol is {control.rtol:g}; likely causes: round-off, which grows like 1/h^2 on"
+        f" this form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
+    )

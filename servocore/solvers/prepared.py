@@ -12,13 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -28,7 +28,6 @@ from servocore.errors import (
     require_formulation,
     require_kind,
     require_method,
-    require_real,
 )
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -42,7 +41,8 @@ from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
 from servocore.solvers.fixed_step import FixedStep
-from servocore.solvers.fixed_step_loop import first_state
+from servocore.solvers.route import require_inside, require_stable, require_tolerance
+from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of
@@ -124,14 +124,11 @@ def prepare(
         if tolerance is not None or not 0 < elements <= _MOST:
             raise InvalidSetting(f"prepare takes a tolerance, or 1 to {_MOST} elements: not {tolerance} and {elements}")
     tolerance = 1e-6 if tolerance is None else tolerance
-    require_real(tolerance, "the tolerance", "a number", InvalidSetting)
-    if not 0.0 < tolerance < 1.0:
-        raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {tolerance}")
+    require_tolerance(tolerance)
     problem = Problem.of(scene, model, start)
     if not problem.dae(formulation).x.numel():
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
-    if not problem.flat and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-        raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with StableInversion bounds them")
+    require_stable(problem)
     exact = solve(scene, *_TRUTH, model=model, start=start)
     trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
     found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
@@ -180,23 +177,19 @@ class _Trial:
         return loose if loose.error <= tolerance else best
 
 
-@dataclass(frozen=True, eq=False)
-class _Whole:
-    """A whole run as one function: (state, gamma, h, p) -> entries of the states at both ends of every step."""
-
-    run: ca.Function
-
-
 @partial(made_once, most=_MOST_LOOPS)
-def _whole(program: Program, elements: int, newton: float) -> _Whole:
-    """Return so many steps as one function, NaN after a step that is not solved or ends with a wrong sign."""
+def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
+    """Return a whole run as one function, (state, gamma, h, p) -> entries of the states at both ends of every step.
+
+    They are NaN after a step that is not solved or ends with a wrong sign.
+    """
     step, (_, entries) = _bare_step(program, newton), _dense_output(program)
     state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
     gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
     after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
     verdict = _verdict(program).map(elements)(after, ca.repmat(p, 1, elements))
     solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
-    return _Whole(ca.Function("sc_run", [state, gamma, h, p], [solved]))
+    return SimpleNamespace(run=ca.Function("sc_run", [state, gamma, h, p], [solved]))
 
 
 @made_once
@@ -304,11 +297,7 @@ class PreparedInversion:
         if parameters or path is not None:
             posed = self._posed(self._changed(parameters or {}, path))
         reference = posed.problem.reference
-        if times.size and not (times.min() >= reference.start_time and times.max() <= reference.end_time):
-            raise InvalidReference(
-                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
-                f" {reference.end_time:g} s, not from {times.min():g} s to {times.max():g} s"
-            )
+        require_inside(reference, times)
         found = self._read(posed, times.ravel())
         if not np.isfinite(found).all():
             self._route.run(posed.problem, time_grid(reference, posed.h))  # names instant, quantity and causes

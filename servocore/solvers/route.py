@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from servocore.errors import InvalidSetting, require_real
+from servocore.checks.before_run import internal_dynamics
+from servocore.checks.better_solutions import BetterSolver
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress
-
-if TYPE_CHECKING:
-    from servocore.checks.better_solutions import BetterSolver
+from servocore.solvers.runs import Progress
 
 
 @runtime_checkable
@@ -41,6 +41,28 @@ class Route(Protocol):
         ServocoreError
             If it cannot be solved; the sentence says where and why.
         """
+
+
+def require_tolerance(value: object, what: str = "the tolerance") -> None:
+    """Raise `InvalidSetting` unless a tolerance is a number between 0 and 1."""
+    require_real(value, what, "a number", InvalidSetting)
+    if not 0.0 < value < 1.0:  # type: ignore[operator]  # a number by now
+        raise InvalidSetting(f"{what} must lie between 0 and 1, not {value}")
+
+
+def require_inside(reference: Reference, t: Array) -> None:
+    """Raise `InvalidReference` if a time lies outside a path along which internal dynamics are integrated."""
+    if t.size and not (t.min() >= reference.start_time and t.max() <= reference.end_time):
+        raise InvalidReference(
+            f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
+            f" {reference.end_time:g} s, not from {t.min():g} s to {t.max():g} s"
+        )
+
+
+def require_stable(problem: Problem) -> None:
+    """Raise `InvalidModel` if internal dynamics cannot be integrated forward in time."""
+    if not problem.flat and internal_dynamics(problem).grows:
+        raise InvalidModel(f"{problem.name} has unstable internal dynamics: solve with StableInversion bounds them")
 
 
 @dataclass(frozen=True)
@@ -90,15 +112,7 @@ class Adaptive:
 
 
 class JudgedRoute(ABC):
-    """A route of the library: `solve` checks its results, and it estimates their accuracy itself.
-
-    Attributes
-    ----------
-    native : bool or None
-        Whether checks may use machine code; see `JustInTime`.
-    """
-
-    native: bool | None = False
+    """A route of the library: `solve` checks its results, and it estimates their accuracy itself."""
 
     @abstractmethod
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.away_from_home import left_out
+from servocore.checks.along_motion import left_out, steps_passed, with_switches
 from servocore.checks.before_run import require_smooth
 from servocore.checks.between_instants import Moments
 from servocore.checks.findings import told
-from servocore.checks.impulses import steps_passed, with_switches
 from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
@@ -24,7 +23,7 @@ from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
-from servocore.solvers.results import with_run_quantities
+from servocore.solvers.runs import with_run_quantities
 from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.checks.before_run import require_feasible, require_smooth, warn_before_run
+from servocore.checks.before_run import internal_dynamics, require_feasible, require_smooth, warn_before_run
+from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
-from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
-from servocore.checks.motion import Motion, enough, passed, poles_passed, unknowns_near
+from servocore.checks.motion import Motion, passed, poles_passed, unknowns_near
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -33,16 +32,12 @@ from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
-from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values, observed_motion
-from servocore.solvers.fixed_step_loop import Progress
-from servocore.solvers.results import with_run_quantities, without_run_quantities
+from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
+from servocore.solvers.runs import Progress, with_run_quantities, without_run_quantities
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.stepping.program import program_of
-
-if TYPE_CHECKING:
-    from servocore.checks.better_solutions import BetterSolver
 
 
 def solve(
@@ -113,7 +108,7 @@ def solve(
     is_route = route is method  # a user's route has no checks, and chooses its instants
     checked = checks or is_route
     if checked:
-        require_feasible(problem, None if is_route else times, _native_checks(route, times))
+        require_feasible(problem, None if is_route else times)
 
     try:
         solution = _run(problem, route, times, progress, checked)
@@ -132,16 +127,10 @@ def solve(
 
         require_run_limits(problem, solution)
     if certify:
-        from servocore.certificate.required import require_certified  # noqa: PLC0415 - few ask
-        from servocore.checks.wrong_inputs import LARGEST_UNWARNED  # noqa: PLC0415
+        from servocore.certificate.certify import require_certified  # noqa: PLC0415 - few ask
 
         require_certified(solution, 1e-8 if isinstance(route, Pointwise) else LARGEST_UNWARNED)
     return solution
-
-
-def _native_checks(route: Route, t: Array) -> bool | None:
-    """Whether checks may use machine code; see `Vectorized`."""
-    return route.native if isinstance(route, JudgedRoute) and len(t) > NATIVE_FROM else False
 
 
 def _run(problem: Problem, route: Route, times: Array, progress: Progress | None, checked: bool) -> Solution:
@@ -162,7 +151,7 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
     motion: Motion | None = solution.motion
     if motion is None and len(solution.t) > 1:
         try:
-            motion = observed_motion(problem, enough(solution.t)[0])
+            motion = Pointwise(Reduced()).run(problem, solution.t).motion
         except ServocoreError:
             if limits:
                 raise
@@ -196,15 +185,13 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
         q = np.stack([solution[name] for name in problem.system.coordinates.names])
     else:
         return  # a user's route reports what it will
-    if problem.resolved.redundant or problem.resolved.mass_varies:
-        from servocore.checks.away_from_home import left_out, negative_masses  # noqa: PLC0415 - many need neither
+    kinked = problem.resolved.holds(KINKS)
+    if kinked or problem.resolved.redundant or problem.resolved.mass_varies:
+        from servocore.checks.along_motion import jumps, left_out, negative_masses  # noqa: PLC0415 - many need none
 
         yield from negative_masses(problem, t, q)
         yield from left_out(problem, t, q)
-    kinked = problem.resolved.holds(KINKS)
     if not problem.flat:
-        from servocore.checks.wrong_inputs import steps_that_stand_out  # noqa: PLC0415 - of runs by steps
-
         inputs = solution.values[:, : len(problem.system.inputs)]
         odd = steps_that_stand_out(inputs)
         if kinked or len(odd):
@@ -213,8 +200,6 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
     if motion is None:
         return
     if kinked:
-        from servocore.checks.impulses import jumps  # noqa: PLC0415 - few models have kinks
-
         yield from jumps(motion)
     if motion.values is not None:
         yield from passed(motion)
@@ -278,7 +263,7 @@ def chosen_route(
     if method is None or not stepped:
         return Pointwise(formulation, native)
     if isinstance(step, Adaptive):
-        from servocore.solvers.adaptive import ToTolerance  # noqa: PLC0415 - a flat scene takes no steps
+        from servocore.solvers.fixed_step import ToTolerance  # noqa: PLC0415 - a flat scene takes no steps
 
         return ToTolerance(formulation, method, native, step)
     from servocore.solvers.fixed_step import FixedStep, StateSelection  # noqa: PLC0415 - a flat scene takes no steps
@@ -288,12 +273,10 @@ def chosen_route(
 
 def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
     """Return the solver that the solutions of a route are compared with, to estimate the errors of inputs."""
-    from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
-
     if isinstance(route, JudgedRoute):
         return route.better(problem)
     if problem.flat:
-        return exact_values(problem)
+        return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
     return BetterSolver(None, False, f"no more accurate solver of {problem.system.name} is known for this route")
 
 
@@ -329,14 +312,13 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
 
 def recommended(problem: Problem) -> tuple[Method | Route | None, str]:
     """Return the method that the analysis recommends for the reduced form, None if it needs none, and its advice."""
-    kind = internal_dynamics(problem).kind
-    advice = f"{kind}: {ADVICE[kind]}"
+    dynamics = internal_dynamics(problem)
     if problem.flat:
-        return None, advice  # without differential states all methods are one
-    if kind != NON_MINIMUM_PHASE:
+        return None, dynamics.advice  # without differential states all methods are one
+    if not dynamics.grows:
         from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
 
-        return RadauIIA(3), advice
+        return RadauIIA(3), dynamics.advice
     from servocore.solvers.stable_inversion import StableInversion  # noqa: PLC0415 - few scenes need it
 
-    return StableInversion(), advice
+    return StableInversion(), dynamics.advice

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.better_solutions import LOOSE_TOLERANCE, BetterSolver, compared_closely, stated_branch
+from servocore.checks.better_solutions import NOTICED, BetterSolver, compared_closely, stated_branch
 from servocore.checks.findings import ROUND_OFF
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
@@ -26,10 +26,10 @@ from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import subdivided
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, step_of
-from servocore.solvers.results import Run, Segment, solution_of
-from servocore.solvers.route import JudgedRoute
+from servocore.solvers.route import JudgedRoute, require_tolerance
+from servocore.solvers.runs import Progress, Run, solution_of, step_of
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.stepping.program import program_of
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
@@ -70,8 +70,7 @@ class StableInversion(JudgedRoute):
         for name in ("tolerance", "stages", "pre", "post"):
             require_real(getattr(self, name) or 0, f"{name} of a stable inversion", "a number", InvalidSetting)
         Gauss(self.stages)
-        if not 0.0 < self.tolerance < 1.0:
-            raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {self.tolerance}")
+        require_tolerance(self.tolerance)
         for name, value in (("pre", self.pre), ("post", self.post)):
             if value is not None and not 0.0 <= value < float("inf"):
                 raise InvalidSetting(f"{name} must be a time in s, zero or more, not {value}")
@@ -103,7 +102,7 @@ class StableInversion(JudgedRoute):
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Judge a solution whose tolerance is loose, or whose horizon was given; see `JudgedRoute`."""
-        doubtful = self.tolerance > LOOSE_TOLERANCE or self.pre is not None or self.post is not None
+        doubtful = self.tolerance > NOTICED or self.pre is not None or self.post is not None
         comparison = compared_closely(problem, self.better(problem), solution) if doubtful else None
         return stated_branch(problem, solution, (Reduced(), None), comparison)
 
@@ -124,7 +123,7 @@ class StableInversion(JudgedRoute):
         last: Solution | None = None
         for halvings in range(_MOST_HALVINGS):
             parts = 2**halvings
-            mesh = np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
+            mesh = subdivided(t, parts)
             states, iterations = _solve_on(bounded, mesh)
             now = _report(bounded, t, states[:, ::parts], iterations, self)
             if progress is not None:
@@ -366,5 +365,5 @@ def _report(bounded: _Bounded, t: Array, unknowns: Array, iterations: int, route
     program = program_of(bounded.problem, Reduced(), RadauIIA(1))
     states = np.zeros((program.state_size, len(t)))
     states[: len(unknowns)] = unknowns
-    segment = Segment(program, t, Run(states, iterations, iterations, 0.0))
-    return solution_of(bounded.problem, [segment], f"{bounded.dae.name}, {route.name}")
+    run = Run(program, t, states, iterations, iterations)
+    return solution_of(bounded.problem, [run], f"{bounded.dae.name}, {route.name}")

@@ -15,8 +15,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
-from servocore.solvers.results import Run, Segment, solution_of
+from servocore.solvers.runs import Progress, Run, first_state, solution_of, step_of
 from servocore.stepping.exact_evaluation import unknowns_from
 from servocore.stepping.program import program_of
 
@@ -96,8 +95,7 @@ class Sundials:
         columns[: len(rows)] = unknowns[rows]
         if progress is not None:
             progress(count, count)
-        done = Segment(program, times, Run(columns, 0, 0, 0.0))
-        return solution_of(problem, [done], f"{problem.system.name}, reduced, {self.name}")
+        return solution_of(problem, [Run(program, times, columns)], f"{problem.system.name}, reduced, {self.name}")
 
 
 @made_once

@@ -153,12 +153,6 @@ class Program:
         return compile_guess_residual(self.discretization)
 
     @cached_property
-    def rescale(self) -> ca.Function:
-        """(state, ratio) -> the state for a new step size, `ratio` times the old."""
-        step = self.discretization
-        return ca.Function("sc_rescale", [step.state, step.ratio], [ca.densify(step.rescaled)])
-
-    @cached_property
     def between(self) -> ca.Function:
         """(state, fraction, h) -> the state moved to a fraction of the last step."""
         step = self.discretization
@@ -211,24 +205,6 @@ class Program:
             The state after the step, and a report.
         """
         return _outcome(*call_of(self.step)(state, self._at_nodes(gamma), h, p))
-
-    def rescaled(self, state: Array, ratio: float) -> Array:
-        """Return the state for a new step size; for forms of index one and less.
-
-        Parameters
-        ----------
-        state : ndarray, shape (state_size,)
-            State after a step of the old size.
-        ratio : float
-            New size divided by the old one.
-
-        Returns
-        -------
-        ndarray, shape (state_size,)
-            The state for steps of the new size.
-        """
-        # Interpolation at the instants of the history would only add round-off.
-        return state if ratio == 1.0 else call_of(self.rescale)(state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
         """Move a state to a fraction of its last step, for `values` there: dense output.

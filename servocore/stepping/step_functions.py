@@ -13,7 +13,7 @@ import casadi as ca
 
 from servocore.dae import Dae
 from servocore.methods.base import Discretization
-from servocore.numerics.square_systems import compile_bare_solver, compile_solver
+from servocore.numerics.square_systems import compile_solver
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, inversion
 
@@ -36,7 +36,8 @@ def compile_step(step: Discretization) -> ca.Function:
 
 def compile_bare_step(step: Discretization, tolerance: float) -> ca.Function:
     """Compile (state, gamma, h, p) -> state, NaN where the step is not solved; `tolerance` is Newton's."""
-    solver = compile_bare_solver("sc_bare", replace(step.equations, tolerance=tolerance), [step.next_state])
+    equations = replace(step.equations, tolerance=tolerance)
+    solver = compile_solver("sc_bare", equations, [step.next_state], checked=False)
     return _with_step_arguments("sc_bare_step", step, lambda givens: [solver(givens)])
 
 

@@ -173,9 +173,11 @@ def choose_states(structure: Signature, J: Array) -> tuple[tuple[int, int], ...]
     """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
 
     At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
-    column pivoting on the system Jacobian `J` and nested from level to level; the others are states.
+    column pivoting on the system Jacobian `J` and nested from level to level; the others are states. Columns are scaled
+    by nominal values: a small strain, computed as the difference of large coordinates, would be a poor choice.
     """
-    c, d = structure.equation_offsets, structure.variable_offsets
+    c, d, nominal_values = structure.equation_offsets, structure.variable_offsets, structure.equations.home.nominal
+    J = J * np.array([*nominal_values, *[1.0] * (len(d) - len(nominal_values))])
     chosen = list(range(len(d)))
     states: list[tuple[int, int]] = []
     for level in range(1, max(d) + 1):
@@ -233,7 +235,7 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     residual = ca.vertcat(system.momentum_balance(y[:n, 2]), system.output - system.path[:, 0], system.constraints)
     return SecondOrderEquations(
         name=system.name,
-        residual=_in_variables(system, residual, y),
+        residual=in_variables(system, residual, y),
         y=y,
         names=(
             *(f"q.{name}" for name in system.coordinates.names),
@@ -250,7 +252,8 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     )
 
 
-def _in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.SX:
+def in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.SX:
+    """Return an expression of q, v, lam and u in the variables y = (q, lam, u), derivatives in columns."""
     n = len(system.coordinates)
     old = ca.vertcat(system.q, system.lam, system.u, system.v)
     return ca.substitute(expression, old, ca.vertcat(y[:, 0], y[:n, 1]))
@@ -290,7 +293,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     taken = ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)
-    parts = [residual[unactuated], -_in_variables(system, taken, y)]
+    parts = [residual[unactuated], -in_variables(system, taken, y)]
     residual[unactuated], special, _ = without_vanishing(equations, parts)
     names = (
         f"{name} less servo accelerations" if k in unactuated else name for k, name in enumerate(equations.equations)

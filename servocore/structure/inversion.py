@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import Part, parts_of
+from servocore.numerics.components import Part, parts_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
@@ -132,19 +131,7 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
 @made_once
 def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
     """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is."""
-    pattern = _system_jacobian(array)[1].sparsity()
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
-    _, row_order, column_order, row_ends, column_ends, *_ = pattern.btf()
-    blocks = []
-    for (a, b), (c, d) in zip(pairwise(row_ends), pairwise(column_ends), strict=True):
-        own_rows, own_columns = np.array(row_order[a:b], dtype=np.intp), np.array(column_order[c:d], dtype=np.intp)
-        entries = np.flatnonzero(np.isin(rows, own_rows) & np.isin(columns, own_columns))
-        row_places, column_places = (
-            np.argsort(own)[np.searchsorted(np.sort(own), at[entries])]
-            for own, at in ((own_rows, rows), (own_columns, columns))
-        )
-        blocks.append(Part(own_rows, own_columns, entries, (row_places, column_places)))
-    return tuple(blocks)
+    return triangular_blocks(_system_jacobian(array)[1].sparsity())
 
 
 def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
@@ -190,9 +177,15 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
-    most = 0 if array.states else _most_operations(array)  # states are integrated from step to step
-    if not most:
+    if array.states:  # they are integrated from step to step
         return None
+    most, share = _MOST_OPERATIONS, _largest_share(array)
+    length = share * ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
+    # Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
+    if length > 2 * most:
+        most = _MOST_EXPLICIT
+        if length > 2 * most or compile_explicit(array) is None:
+            return None
     unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
         return None
@@ -200,20 +193,15 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
-    return function if _longest(function, array) <= most else None
+    return function if share * function.n_instructions() <= most else None
 
 
-def _most_operations(array: DerivativeArray) -> int:
-    """Return how many operations one expression may take; 0 if the equations alone are so long that it takes more.
-
-    Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
-    """
-    length: int = ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
-    if length <= 2 * _MOST_OPERATIONS:
-        return _MOST_OPERATIONS
-    if len(parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))) > 1:
-        return _MOST_OPERATIONS
-    return _MOST_EXPLICIT if length <= 2 * _MOST_EXPLICIT and compile_explicit(array) is not None else 0
+def _largest_share(array: DerivativeArray) -> float:
+    """Return the share of the largest independent part in the equations, from the numbers of entries."""
+    parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
+    # One test of exactness joins all parts, so that operations cannot be counted by part.
+    entries = [len(part.entries) for part in parts]
+    return max(entries) / sum(entries)
 
 
 @made_once
@@ -231,20 +219,6 @@ def compile_explicit(array: DerivativeArray) -> ca.Function | None:
     guess[array.places(array.states)] = states
     unknowns = formula(ca.vertcat(ca.vec(gamma), p, guess))
     return ca.Function("sc_explicit", [gamma, p, states], [ca.densify(unknowns)], {"cse": True})
-
-
-def _longest(function: ca.Function, array: DerivativeArray) -> int:
-    """Return about how many operations the longest of the independent parts of an inversion takes."""
-    total: int = function.n_instructions()
-    if total <= _MOST_OPERATIONS:
-        return total
-    parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
-    if len(parts) == 1:
-        return total
-    # One test of exactness joins all parts, so that operations cannot be counted by part: they are taken as
-    # proportional to the entries of the equations.
-    entries = [len(part.entries) for part in parts]
-    return total * max(entries) // sum(entries)
 
 
 @made_once

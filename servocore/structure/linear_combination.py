@@ -48,7 +48,18 @@ _COMBINED = ", combined"
 
 @dataclass(frozen=True, eq=False)
 class _Traced:
-    """An expression with its values at the points, and bounds of their errors."""
+    """Expressions with their values at the points, and bounds of the errors of these.
+
+    CasADi evaluates products of constants at once, so that expressions do not show which constants are round-off. The
+    last point is home, with its symmetries. A linear combination of equations has 2 N columns: the factors of the
+    equations, and the combined row of the system Jacobian.
+
+    Attributes
+    ----------
+    expression : casadi.SX
+        Shape (1, columns).
+    values, errors : ndarray, shape (points, columns)
+    """
 
     expression: ca.SX
     values: Array
@@ -62,7 +73,7 @@ class _Traced:
     def __add__(self, other: _Traced) -> _Traced:
         values = self.values + other.values
         errors = self.errors + other.errors + UNIT * np.abs(values)
-        return _Traced(self.expression + other.expression, values, errors)
+        return _Traced(self.expression + other.expression, values, errors).without_round_off()
 
     def __neg__(self) -> _Traced:
         return _Traced(-self.expression, -self.values, self.errors)
@@ -71,28 +82,43 @@ class _Traced:
         values = 1.0 / self.values
         return _Traced(1 / self.expression, values, self.errors * values**2 + UNIT * np.abs(values))
 
-    def times(self, number: float) -> _Traced:
-        return _Traced(self.expression * number, self.values * number, self.errors * number)
-
-    @property
-    def vanishes(self) -> bool:
-        return bool((np.abs(self.values) <= self.errors)[:-1].all())  # the last one is home, with its symmetries
-
     @property
     def constant(self) -> bool:
         return bool(np.ptp(self.values[:-1]) <= _CONSTANT * np.abs(self.values[:-1]).max())
 
     @property
-    def at_home(self) -> float:
-        return float(np.nan_to_num(np.abs(self.values[-1])))
+    def equations(self) -> list[int]:
+        """The equations that are combined."""
+        return [j for j in self.expression.sparsity().get_col() if j < self._size]
 
+    @property
+    def columns(self) -> list[int]:
+        """Columns of the system Jacobian with an entry."""
+        return [j - self._size for j in self.expression.sparsity().get_col() if j >= self._size]
 
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """A linear combination of equations: factors by equation, entries of its row of the system Jacobian by column."""
+    @property
+    def _size(self) -> int:
+        return self.expression.size2() // 2
 
-    factors: dict[int, _Traced]
-    entries: dict[int, _Traced]
+    def entry(self, column: int) -> _Traced:
+        """Return an entry of the row of the system Jacobian."""
+        k = self._size + column
+        return _Traced(self.expression[k], self.values[:, [k]], self.errors[:, [k]])
+
+    def without_round_off(self) -> _Traced:
+        """Return the combination without entries that are round-off at all points but home."""
+        kept = np.asarray(~(np.abs(self.values) <= self.errors)[:-1].all(axis=0))
+        kept[: self._size] = True
+        columns = [j for j in self.expression.sparsity().get_col() if kept[j]]
+        pattern = ca.Sparsity.triplet(1, len(kept), [0] * len(columns), columns)
+        values, errors = (np.where(kept, each, 0.0) for each in (self.values, self.errors))
+        return _Traced(ca.project(self.expression, pattern), values, errors)
+
+    def scaled(self) -> _Traced:
+        """Divide by a power of two, so that products of products do not grow."""
+        size = float(np.abs(self.values[0, : self._size]).max())
+        power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
+        return _Traced(self.expression * power, self.values * power, self.errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +126,7 @@ class _Combination:
     """Combinations that replace equations of the least offset; `null` is the one free of highest derivatives."""
 
     null: int
-    rows: dict[int, _Row]
+    rows: dict[int, _Traced]
 
 
 def convert(equations: SecondOrderEquations) -> Signature:
@@ -126,8 +152,9 @@ def _combination(structure: Signature) -> _Combination:
     """Find a combination of equations that is free of the highest derivatives."""
     refusal = "round-off hides their linear dependence"
     home = _at_home(structure)
+    points = [*probe_points(structure.equations, jacobian_function(structure)), home]
     for taking_part in _dependent_rows(structure, home):
-        combination = _eliminate(structure, _traced_jacobian(structure, taking_part, home))
+        combination = _eliminate(structure, taking_part, points)
         if combination is not None:
             obstacle = _obstacle(structure, combination)
             if not obstacle:
@@ -175,102 +202,74 @@ def _rank(matrices: list[Array], rows: list[int]) -> int:
     return max((int(np.linalg.matrix_rank(J[rows], tol=_DEPENDENT)) for J in matrices), default=0)
 
 
-def _traced_jacobian(structure: Signature, rows: list[int], home: Point) -> dict[int, _Row]:
-    """Return rows of the system Jacobian, with their values at the probes and at home."""
-    J, function = structure.jacobian[rows, :], jacobian_function(structure)
-    points = [*probe_points(structure.equations, function), home]
-    values, errors = (of_matrix[:, rows] for of_matrix in evaluate(function, points))
-    one = _Traced(ca.SX(1), np.ones(len(points)), np.zeros(len(points)))
-    entries: list[dict[int, _Traced]] = [{} for _ in rows]
-    for k, j in zip(*J.sparsity().get_triplet(), strict=True):
-        entries[k][j] = _Traced(J[k, j], values[:, k, j], errors[:, k, j])
-    return {row: _Row({row: one}, _present(row_entries)) for row, row_entries in zip(rows, entries, strict=True)}
+def _rows(structure: Signature, taking_part: list[int], points: list[Point]) -> dict[int, _Traced]:
+    """Return rows of the system Jacobian as combinations of one equation each."""
+    values, errors = evaluate(jacobian_function(structure), points)
+    both = ca.horzcat(ca.SX.eye(len(structure.equation_offsets)), structure.jacobian)
+    ones = np.broadcast_to(np.eye(values.shape[1]), values.shape)
+    values, errors = np.concatenate([ones, values], axis=2), np.concatenate([0.0 * ones, errors], axis=2)
+    return {i: _Traced(both[i, :], values[:, i], errors[:, i]).without_round_off() for i in taking_part}
 
 
-def _present(entries: dict[int, _Traced]) -> dict[int, _Traced]:
-    return {j: entry for j, entry in entries.items() if not entry.vanishes}
-
-
-def _eliminate(structure: Signature, rows: dict[int, _Row]) -> _Combination | None:
+def _eliminate(structure: Signature, taking_part: list[int], points: list[Point]) -> _Combination | None:
     """Eliminate until a row of the system Jacobian vanishes; None if round-off hides it.
 
     Equations of higher offset are eliminated first: the replaced one has the least.
     """
     c = structure.equation_offsets
-    least = min(c[i] for i in rows)
-    turned: dict[int, _Row] = {}
-    left = dict(rows)
-    while all(row.entries for row in left.values()):
+    least = min(c[i] for i in taking_part)
+    left = _rows(structure, taking_part, points)
+    turned: dict[int, _Traced] = {}
+    while all(row.columns for row in left.values()):
         chosen = _pivot(c, least, left)
         if chosen is None:
             return None
         pivot, column = chosen
-        for other in [i for i in left if i != pivot and column in left[i].entries]:
-            a, b = left[pivot].entries[column], left[other].entries[column]
+        for other in [i for i in left if i != pivot and column in left[i].columns]:
+            first, second = left[pivot], left[other]
+            a, b = first.entry(column), second.entry(column)
             if a.constant:
-                left[other] = _sum((None, left[other]), (-b * a.inverse(), left[pivot]))
+                left[other] = second + (-b * a.inverse()) * first
             elif c[other] == c[pivot]:
-                both = left[pivot], left[other]
-                left[pivot], left[other] = (_scaled(_sum((f, both[0]), (g, both[1]))) for f, g in ((a, b), (b, -a)))
+                left[pivot], left[other] = (a * first + b * second).scaled(), (b * first + -a * second).scaled()
                 turned |= {pivot: left[pivot], other: left[other]} if c[pivot] == least else {}
             else:
-                left[other] = _scaled(_sum((a, left[other]), (-b, left[pivot])))
+                left[other] = (a * second + -b * first).scaled()
         turned |= {i: left[i] for i in turned if i in left}
         del left[pivot]
-    null = next(i for i, row in left.items() if not row.entries)
+    null = next(i for i, row in left.items() if not row.columns)
     return _Combination(null, {null: left[null], **turned}) if c[null] == least else None
 
 
-def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Row]) -> tuple[int, int] | None:
+def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Traced]) -> tuple[int, int] | None:
     """Choose the row and column of the next pivot: constant if possible, not weak at home, and of few neighbours."""
     last = sum(c[i] == least for i in left) == 1
     best: tuple[tuple[bool, bool, int, float], tuple[int, int]] | None = None
-    for column in sorted({j for row in left.values() for j in row.entries}):
-        involved = {i: row.entries[column] for i, row in left.items() if column in row.entries}
-        highest, largest = max(c[i] for i in involved), max(entry.at_home for entry in involved.values())
-        for i, entry in involved.items():
+    for column in sorted({j for row in left.values() for j in row.columns}):
+        involved = {i: np.abs(row.entry(column).values[:, 0]) for i, row in left.items() if column in row.columns}
+        highest, largest = max(c[i] for i in involved), max(np.nan_to_num(size[-1]) for size in involved.values())
+        for i, size in involved.items():
             if c[i] < highest or (last and c[i] == least):
                 continue
-            sure = entry.constant or len(involved) == 1
-            weak = not sure and not entry.at_home > _WEAK * largest
-            neighbours = (len(involved) - 1) * (len(left[i].entries) - 1)
-            cost = (not sure, weak, neighbours, -abs(float(entry.values[0])))
+            sure = left[i].entry(column).constant or len(involved) == 1
+            weak = not sure and not np.nan_to_num(size[-1]) > _WEAK * largest
+            neighbours = (len(involved) - 1) * (len(left[i].columns) - 1)
+            cost = (not sure, weak, neighbours, -float(size[0]))
             if best is None or cost < best[0]:
                 best = cost, (i, column)
     return None if best is None else best[1]
-
-
-def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
-    """Return the sum of rows times factors, None for one."""
-    factors: dict[int, _Traced] = {}
-    entries: dict[int, _Traced] = {}
-    for factor, row in parts:
-        for total, share in ((factors, row.factors), (entries, row.entries)):
-            for k, term in share.items():
-                product = term if factor is None else factor * term
-                total[k] = total[k] + product if k in total else product
-    return _Row(factors, _present(entries))
-
-
-def _scaled(row: _Row) -> _Row:
-    """Divide by a power of two, so that products of products do not grow."""
-    size = max((float(np.abs(factor.values[0])) for factor in row.factors.values()), default=1.0)
-    power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
-    factors, entries = ({k: term.times(power) for k, term in terms.items()} for terms in (row.factors, row.entries))
-    return _Row(factors, entries)
 
 
 def _obstacle(structure: Signature, combination: _Combination) -> str:
     """Return, as a sentence, on which of the cancelling derivatives the factors depend; empty if on none."""
     y, names = structure.equations.y, structure.equations.names
     least = structure.equation_offsets[combination.null]
-    factors = ca.vertcat(
-        *[coefficient.expression for row in combination.rows.values() for coefficient in row.factors.values()]
-    )
+    factors = ca.vertcat(*[row.expression[row.equations].T for row in combination.rows.values()])
     for order in range(y.size2()):
         for j in ca.jacobian_sparsity(factors, y[:, order]).get_col():
             if order >= structure.variable_offsets[j] - least:
-                where = ", ".join(structure.equations.equations[i] for i in combination.rows[combination.null].factors)
+                combined = combination.rows[combination.null].equations
+                where = ", ".join(structure.equations.equations[i] for i in combined)
                 return (
                     f"combining {where} needs factors that depend on a derivative that should cancel,"
                     f" {names[j]}{chr(39) * order}, which structural analysis cannot treat"
@@ -282,21 +281,21 @@ def _replaced(structure: Signature, combination: _Combination) -> SecondOrderEqu
     """Return the equations with the combination in place of the equations that it replaces."""
     equations, c, d = structure.equations, structure.equation_offsets, structure.variable_offsets
     least = c[combination.null]
-    most = max(c[i] - least for row in combination.rows.values() for i in row.factors)
+    most = max(c[i] - least for row in combination.rows.values() for i in row.equations)
     size, orders = equations.y.shape
     y = ca.horzcat(equations.y, ca.SX.sym("y", size, most))
     residual, embedded, names = ca.SX(equations.residual), list(equations.embedded), list(equations.equations)
     special = equations.special
     for row, combined in combination.rows.items():
         terms = []
-        for i, factor in combined.factors.items():
+        for i in combined.equations:
             term = equations.residual[i]
             for _ in range(c[i] - least):
                 term = time_derivative(term, y, equations.home.gamma)
-            terms.append(factor.expression * term)
+            terms.append(combined.expression[i] * term)
         residual[row], only_here, _ = without_vanishing(replace(equations, y=y), terms)
         special = special or only_here
-        embedded[row] = max(c[i] - least + equations.embedded[i] for i in combined.factors)
+        embedded[row] = max(c[i] - least + equations.embedded[i] for i in combined.equations)
         names[row] = names[row].removesuffix(_COMBINED) + _COMBINED
     length = ca.Function("sc_size", [y, *equations.arguments[1:]], [residual]).n_instructions()
     if length > _MOST_OPERATIONS:

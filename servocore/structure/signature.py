@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import equilibrated, filled, has_full_rank, largest_assignment, parts_of
+from servocore.numerics.components import are_regular, equilibrated, filled, parts_of
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
@@ -147,39 +147,54 @@ def signature(equations: SecondOrderEquations) -> Signature:
     InvalidModel
         If no transversal exists: the equations are structurally singular.
     """
-    sigma = np.full((len(equations.names),) * 2, ABSENT)
+    size = len(equations.names)
+    sigma = np.full((size, size), ABSENT)
     for order in range(equations.y.size2()):
         sigma[ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()] = order
-    size = len(sigma)
-    weights = np.where(sigma == ABSENT, -4 * (size + 1), sigma)
-    columns = largest_assignment(weights)
-    missing = [(equations.equations[i], equations.names[j]) for i, j in enumerate(columns) if sigma[i, j] == ABSENT]
-    if missing:
-        equation, variable = missing[0]
-        raise InvalidModel(
-            f"{equations.name}: structurally singular: no equation determines {variable}, and {equation} determines no"
-            " variable; check for inputs that move nothing, and for outputs that no input moves or that follow from"
-            " others"
-        )
+    if ca.sprank(ca.DM(_pattern(size, *np.nonzero(sigma != ABSENT)), 1)) < size:
+        raise InvalidModel(_no_transversal(equations, sigma))
     # Velocities are unknowns too, also of a coordinate that no equation differentiates.
     floor = np.array([int(name.startswith("q.")) for name in equations.names])
-    c, d = _smallest_offsets(sigma, columns, floor)
+    c, d = _smallest_offsets(sigma, floor)
     return Signature(equations, sigma, c, d, _system_jacobian(equations, c, d))
 
 
+def _pattern(size: int, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> ca.Sparsity:
+    return ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
+
+
+def _no_transversal(equations: SecondOrderEquations, sigma: npt.NDArray[np.int64]) -> str:
+    """Name, in a sentence, an equation and a variable that a transversal of most entries leaves out."""
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - its import takes longer than an analysis
+
+    columns = linear_sum_assignment(np.where(sigma == ABSENT, -4 * (len(sigma) + 1), sigma), maximize=True)[1]
+    i = int((sigma[np.arange(len(sigma)), columns] == ABSENT).argmax())
+    return (
+        f"{equations.name}: structurally singular: no equation determines {equations.names[columns[i]]}, and"
+        f" {equations.equations[i]} determines no variable; check for inputs that move nothing, and for outputs that"
+        " no input moves or that follow from others"
+    )
+
+
 def _smallest_offsets(
-    sigma: npt.NDArray[np.int64], transversal: npt.NDArray[np.intp], floor: npt.NDArray[np.int64]
+    sigma: npt.NDArray[np.int64], floor: npt.NDArray[np.int64]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the smallest c >= 0, d >= floor with d_j - c_i >= sigma_ij, equality on the transversal."""
-    rows = np.arange(len(sigma))
-    c = np.zeros(len(sigma), dtype=np.int64)
+    """Return the smallest c >= 0, d >= floor with d_j - c_i >= sigma_ij, equality on a transversal.
+
+    Rows that compete for too few columns with equality have to be differentiated once more each, since c and d are a
+    lower bound so far: so an ascending auction (Demange, Gale and Sotomayor, J. Polit. Econ. 94 (1986) 863) finds the
+    smallest pair. These rows are the overdetermined block of the decomposition of Dulmage and Mendelsohn.
+    """
+    size, (rows, columns) = len(sigma), np.nonzero(sigma != ABSENT)
+    orders, c = sigma[rows, columns], np.zeros(len(sigma), dtype=np.int64)
     while True:
-        # Pryce's fixed point iteration: c and d only grow, and reach the smallest pair after finitely many rounds.
-        d = np.maximum(floor, np.where(sigma == ABSENT, ABSENT, sigma + c[:, None]).max(axis=0))
-        new = d[transversal] - sigma[rows, transversal]
-        if (new == c).all():
-            return tuple(int(k) for k in c), tuple(int(k) for k in d)
-        c = new
+        d = floor.copy()
+        np.maximum.at(d, columns, orders + c[rows])
+        equal = d[columns] - c[rows] == orders
+        _, order, _, _, _, coarse, _ = _pattern(size, rows[equal], columns[equal]).btf()
+        if not coarse[2]:
+            return tuple(c.tolist()), tuple(d.tolist())
+        c[order[: coarse[2]]] += 1
 
 
 def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tuple[int, ...]) -> ca.SX:
@@ -258,23 +273,20 @@ def jacobian_function(structure: Signature) -> ca.Function:
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian at points, zero where an entry is round-off."""
     matrices = [filled(function(*point)) for point in points]
-    if not any(_has_suspicious(matrix) for matrix in matrices):
+    sizes = np.abs(matrices)
+    # An entry that is so small beside others may be round-off.
+    if not ((sizes > 0.0) & (sizes < _SUSPICIOUS * sizes.max(axis=(1, 2), keepdims=True))).any():
         return matrices
     values, errors = evaluate(function, points)
     return list(np.where(np.abs(values) <= errors, 0.0, values))
 
 
-def _has_suspicious(matrix: Array) -> bool:
-    """Whether an entry is so small beside others that it may be round-off."""
-    size = np.abs(matrix)
-    return bool(((size > 0.0) & (size < _SUSPICIOUS * size.max())).any())
-
-
 def is_regular(structure: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
-    finite = (J for J in jacobian_at_probes(structure, p) if np.isfinite(J).all())
-    parts = parts_of(structure.jacobian.sparsity())
-    return any(all(has_full_rank(J[np.ix_(part.rows, part.columns)]) for part in parts) for J in finite)
+    pattern = structure.jacobian.sparsity()
+    places = tuple(np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    finite = [J[places] for J in jacobian_at_probes(structure, p) if np.isfinite(J).all()]
+    return bool(finite) and bool(are_regular(parts_of(pattern), np.stack(finite, axis=1)).any())
 
 
 def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:

@@ -18,7 +18,7 @@ from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.drawing import picture_of
 from servocore.model.limits import Named
-from servocore.model.quantity import Quantity, RunQuantity, run_quantities
+from servocore.model.quantity import Quantity, run_quantities
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -217,7 +217,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     points = written("points", [picture.reported, system.p], [picture.coordinates])
     names = [quantity.name for quantity in quantities]
     added_up = run_quantities(quantities)
-    of_run = {each.quantity.name: _added_up(each, times, rows[each.of]) for each in added_up}
+    of_run = {each.quantity.name: each.course(times, rows[each.of]) for each in added_up}
     rows |= of_run
     source = {"points": points, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, names)
@@ -246,14 +246,6 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         **picture.about(),
     }  # fmt: skip
     return about, source
-
-
-def _added_up(of_run: RunQuantity, t: Array, values: Array) -> Array:
-    """Return an energy or effective torque at instants, by the trapezoidal rule as in the page's own computation."""
-    integrand = of_run.integrand(values)
-    sums = np.append(0.0, np.cumsum(np.diff(t) * (integrand[1:] + integrand[:-1]) / 2.0))
-    found: Array = np.append(abs(values[0]) if of_run.rms else 0.0, of_run.of_sum(sums[1:], t[1:] - t[0]))
-    return found
 
 
 def _thinned(t: Array) -> npt.NDArray[np.intp]:

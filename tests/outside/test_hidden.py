@@ -106,22 +106,3 @@ def test_a_large_force_that_is_no_peak_is_left_alone() -> None:
     far = scene.with_reference(sc.rest_to_rest((0.0,), (1e9,), 2.0))
     for how in ((), (sc.Projected(), sc.BDF(2))):
         assert np.abs(sc.solve(far, *how, step=0.01)["F"]).max() > 1e9
-
-
-def test_arguments_that_are_of_the_wrong_kind_are_refused_in_our_words() -> None:
-    scene = mass_on_a_rail(lambda _: ca.SX(2), lambda _: ca.SX(0))
-    found = sc.solve(scene)
-    shuffled = type(found)(found.t[::-1].copy(), found.channels, found.values, found.route)
-    twice = type(found)(np.r_[0.0, found.t[:-1]], found.channels, found.values, found.route)
-    cases: list[tuple[Callable[[], object], str]] = [
-        (lambda: sc.simulate(scene, shuffled), "must rise, but 1.99 s follows 2 s"),
-        (lambda: sc.simulate(scene, twice), "the inputs are given twice at t = 0 s"),
-        (lambda: sc.solve(scene, start=[0.1]), "a start must be values by name"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.simulate(scene, found, start=[0.1]), "a start must be values by name"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.solve(scene, step=np.array([0.1])), "the step must be a time in s"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.Limit("x", "m", 0.0, "", "x"), "needs a function that returns an expression"),  # type: ignore[arg-type]  # wrong on purpose
-        (lambda: sc.Parameter("m", "3", "kg"), "the default of parameter m must be a number"),  # type: ignore[arg-type]  # wrong on purpose
-    ]
-    for call, said in cases:
-        with pytest.raises(sc.ServocoreError, match=said):
-            call()

@@ -16,7 +16,7 @@ import pytest
 from outside.random_mechanisms import Mechanism
 
 import servocore as sc
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE
+from servocore.checks.before_run import NON_MINIMUM_PHASE
 
 COUNT = int(os.environ.get("SERVOCORE_MECHANISMS", "30"))
 STEPS = (200, 1600)

@@ -14,7 +14,7 @@ from outside.test_random_mechanisms import BATCH, COUNT, DIFFERENCE
 from robots import mujoco_model, peer
 
 import servocore as sc
-from servocore.checks.internal_stability import FLAT, NON_MINIMUM_PHASE
+from servocore.checks.before_run import FLAT, NON_MINIMUM_PHASE
 
 STEP = 0.005
 RIGHT = 1e-6  # of the largest force: differences of order eight, and Radau where internal dynamics remain

@@ -22,6 +22,7 @@ FRICTION, SPRING_ARM, SPRING_X, SPRING_Z = 0.12, 0.19, 6400.0, 6400.0
 CONE, GAUGE, RAIL = 0.0262, 0.1506, 0.06
 ELLIPSE_E, ELLIPSE_G, POISSON, SHEAR = 1.3537956, 0.7115218, 0.28, 7.92e10
 KALKER = (4.72772197, 4.27526987, 1.97203505)
+PI = 3.1415926  # as the set's program has it: of the size of the contacts, and so of all creep forces
 SCALE, DURATION = 1e4, 10.0
 NAMES = (
     "x", "y", "z", "theta", "phi", "x'", "y'", "z'", "theta'", "phi'", "beta'",
@@ -37,7 +38,7 @@ END = np.array([
     -0.24421377661131, -0.33666751972196e-3, -0.15949425684022, 0.37839614386969e-3, 0.14173214964613,
     -0.10124044903201e-1, -0.56285630573753e-2,
 ])  # fmt: skip
-"""The 17 values at t = 10 s that the set publishes, by DASSL at 1e-9 (multipliers 1e-10)."""
+"""The 17 values at t = 10 s that the set publishes, by DASSL at 1e-9, the multipliers without error control."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +105,7 @@ def _creep(contact: _Contact, normal: ca.SX, q: ca.SX, v: ca.SX, spin: ca.SX, ps
     sideways = (c_t * c_d * slip[0] + s_d * slip[1] - s_t * c_d * slip[2]) / pace
     turn = (-s_d * spin + c_d * turning) / pace
     curve = 0.5 / (radius * ca.sqrt(1 + contact.slope**2)) - 0.5 * contact.bend / (1 + contact.rail**2) ** 1.5
-    size = (3 * ca.fabs(normal) * (1 - POISSON) * ELLIPSE_E / (2 * np.pi * curve * SHEAR * np.sqrt(ELLIPSE_G))) ** (
-        1 / 3
-    )
+    size = (3 * ca.fabs(normal) * (1 - POISSON) * ELLIPSE_E / (2 * PI * curve * SHEAR * np.sqrt(ELLIPSE_G))) ** (1 / 3)
     most = FRICTION * normal
     t_x = -most * ca.tanh(SHEAR * size**2 * KALKER[0] * along / most)
     t_y = -most * ca.tanh((SHEAR * size**2 * KALKER[1] * sideways + SHEAR * size**3 * KALKER[2] * turn) / most)

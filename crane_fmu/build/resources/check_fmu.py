@@ -1,7 +1,7 @@
-"""Load and run a built FMU in a process of its own: ``python -I check_fmu.py FILE RUNS REST``, both as JSON.
+"""Load and run a built FMU in a process of its own: ``python -I check_fmu.py FILE RUNS``.
 
-RUNS are start values for one short run each, REST the expected outputs at the end of each. The process imports nothing
-of the project, so that missing parts of the FMU cause a failure.
+RUNS are start values for one short run each, as JSON. The process imports nothing of the project, so that missing parts
+of the FMU cause a failure.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from fmpy.validation import validate_fmu
 
 STEPS = 5
 FOREIGN = ("servocore", "crane_fmu", "pythonfmu", "scipy")
-TOLERANCE = 1e-6
 
 
-def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
+def run(file: str, settings: dict[str, object]) -> None:
     """Take a few steps with nothing connected."""
     messages: list[str] = []
     settable = (each for each in read_model_description(file).modelVariables if each.causality != "output")
@@ -39,19 +38,16 @@ def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
         )
     except Exception as error:
         raise AssertionError(f"{label}: {error}: {'; '.join(messages) or 'no message'}") from error
-    said = f"{label}: {'; '.join(messages) or 'no message'}"
-    assert len(result) == STEPS + 1, f"stopped after {len(result) - 1} of {STEPS} steps: {said}"
-    for name, value in rest.items():
-        found = result[name][-1]
-        assert abs(found - value) < TOLERANCE, f"{name} is {found:g}, not {value:g}: {said}"
+    stopped = f"stopped after {len(result) - 1} of {STEPS} steps: {label}: {'; '.join(messages) or 'no message'}"
+    assert len(result) == STEPS + 1, stopped
 
 
-def main(file: str, runs: str, rest: str) -> None:
+def main(file: str, runs: str) -> None:
     """Raise AssertionError with a sentence if anything is wrong."""
     problems = validate_fmu(file)
     assert not problems, "; ".join(problems)
     for settings in json.loads(runs):
-        run(file, settings, json.loads(rest))
+        run(file, settings)
     foreign = [name for name in FOREIGN if name in sys.modules]
     assert not foreign, f"the FMU imports {', '.join(foreign)} from its host"
 

@@ -186,27 +186,18 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2Value
     return STATUS[outcome];
 }
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
-                                       const fmi2Integer orders[], const fmi2Real values[])
-{
-    REQUIRE(ANY, "fmi2SetRealInputDerivatives");
-    (void)references;
-    (void)orders;
-    (void)values;
-    if (count == 0) return fmi2OK;
-    return STATUS[say(instance, ERROR, "derivatives of the path are inputs of their own")];
-}
-
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
-                                        const fmi2Integer orders[], fmi2Real values[])
-{
-    REQUIRE(ANY, "fmi2GetRealOutputDerivatives");
-    (void)references;
-    (void)orders;
-    (void)values;
-    if (count == 0) return fmi2OK;
-    return STATUS[say(instance, ERROR, "derivatives of outputs by time are not computed")];
-}
+#define NO_DERIVATIVES(name, values_type, sentence) \
+    fmi2Status fmi2##name(fmi2Component component, const fmi2ValueReference references[], size_t count, \
+                          const fmi2Integer orders[], values_type values[]) \
+    { \
+        REQUIRE(ANY, "fmi2" #name); \
+        (void)references; \
+        (void)orders; \
+        (void)values; \
+        return count == 0 ? fmi2OK : STATUS[say(instance, ERROR, sentence)]; \
+    }
+NO_DERIVATIVES(SetRealInputDerivatives, const fmi2Real, "derivatives of the path are inputs of their own")
+NO_DERIVATIVES(GetRealOutputDerivatives, fmi2Real, "derivatives of outputs by time are not computed")
 
 fmi2Status fmi2CancelStep(fmi2Component component)
 {

@@ -157,23 +157,16 @@ fmi3Status fmi3SetInt64(fmi3Instance component, const fmi3ValueReference referen
     return fmi3OK;
 }
 
-#define NO_SUCH_VARIABLES(type) \
-    fmi3Status fmi3Get##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
-                             fmi3##type values[], size_t valueCount) \
+#define NO_SUCH_CALL(what, type, values_type) \
+    fmi3Status fmi3##what##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
+                                values_type values[], size_t valueCount) \
     { \
-        REQUIRE(ANY, "fmi3Get" #type); \
-        (void)values; \
-        (void)valueCount; \
-        return count == 0 ? fmi3OK : unknown_reference(instance, references[0], #type); \
-    } \
-    fmi3Status fmi3Set##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
-                             const fmi3##type values[], size_t valueCount) \
-    { \
-        REQUIRE(ANY, "fmi3Set" #type); \
+        REQUIRE(ANY, "fmi3" #what #type); \
         (void)values; \
         (void)valueCount; \
         return count == 0 ? fmi3OK : unknown_reference(instance, references[0], #type); \
     }
+#define NO_SUCH_VARIABLES(type) NO_SUCH_CALL(Get, type, fmi3##type) NO_SUCH_CALL(Set, type, const fmi3##type)
 NO_SUCH_VARIABLES(Float32)
 NO_SUCH_VARIABLES(Int8)
 NO_SUCH_VARIABLES(UInt8)

@@ -118,15 +118,17 @@ struct Instance {
 static Outcome first_moment(Instance *instance);
 /* Advance instance->work by h seconds. */
 static Outcome move(Instance *instance, double time, double h);
-/* Warn of doubtful inputs of a computed step, or refuse it. */
+/* Warn of doubtful inputs of a computed step, or refuse it; a kernel without doubts has a macro. */
+#ifndef remark_step
 static Outcome remark_step(Instance *instance, double time);
+#endif
 /* Number of inputs, the first ones, that keep their values at the start while the first step has zeros. */
 static size_t awaited(const State *state);
 /* Directional derivatives of the present outputs with respect to inputs and parameters. */
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
 
 /* Call one of the generated functions. */
-static inline int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
+static inline int call(Instance *instance, Compiled *function)
 {
     return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
 }
@@ -354,6 +356,22 @@ static Outcome require_item(const Instance *instance, const Choice *choice, int6
 {
     if (value < 1 || value > choice->count)
         return say(instance, ERROR, "%s = %lld is unknown; it may be %s", choice->name, (long long)value, choice->items);
+    return GOOD;
+}
+
+/* Whether a limit is exceeded; a rate without direction is NaN. */
+static inline int breaks(const Limit *limit, double margin)
+{
+    return !(margin > 0.0) && !(limit->rate && isnan(margin));
+}
+
+static inline Outcome require_limits(const Instance *instance, double time, const Limit *limits, int count, const double *margins)
+{
+    for (int k = 0; k < count; k++)
+        if (breaks(&limits[k], margins[k]))
+            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time, limits[k].reason,
+                       *limits[k].reason ? ": " : "", limits[k].quantity, limits[k].bound + limits[k].side * margins[k],
+                       limits[k].unit, limits[k].side > 0.0 ? "above" : "below", limits[k].bound, limits[k].unit);
     return GOOD;
 }
 

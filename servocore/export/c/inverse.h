@@ -80,9 +80,6 @@ static int solve_instant(Instance *instance, Moment *moment)
     results[1] = moment->outputs;
     MATHEMATICS(quick)(arguments, results, instance->integers, instance->numbers, 0);
     if (all_finite(moment->outputs, N_OUTPUTS)) return 1;
-    arguments[0] = moment->path;
-    arguments[1] = instance->state.parameters;
-    arguments[2] = &moment->time;
 #endif
     arguments[3] = instance->state.parameters + PLACE_STARTS;
     results[0] = moment->state;
@@ -117,28 +114,11 @@ static int solve_step(Instance *instance, Moment *moment, double h)
 
 /* Checks, each with its sentence ------------------------------------------------------------------------------------- */
 
-/* Whether a limit is exceeded; a rate without direction is NaN. */
-static int breaks(const Instance *instance, int k)
-{
-    return !(instance->scratch.margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->scratch.margins[k]));
-}
-
 static inline int outside(const Instance *instance)
 {
     for (int k = 0; k < N_LIMITS; k++)
-        if (breaks(instance, k)) return 1;
+        if (breaks(&LIMITS[k], instance->scratch.margins[k])) return 1;
     return 0;
-}
-
-static Outcome require_limits(const Instance *instance, double time)
-{
-    for (int k = 0; k < N_LIMITS; k++)
-        if (breaks(instance, k))
-            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time,
-                       LIMITS[k].reason, *LIMITS[k].reason ? ": " : "", LIMITS[k].quantity,
-                       LIMITS[k].bound + LIMITS[k].side * instance->scratch.margins[k], LIMITS[k].unit,
-                       LIMITS[k].side > 0.0 ? "above" : "below", LIMITS[k].bound, LIMITS[k].unit);
-    return GOOD;
 }
 
 static Outcome require_branch(const Instance *instance, const Moment *moment, double time)
@@ -153,7 +133,7 @@ static Outcome require_branch(const Instance *instance, const Moment *moment, do
 
 static Outcome checked_moment(const Instance *instance, const Moment *moment, int solved, double time)
 {
-    const Outcome outcome = require_limits(instance, time);
+    const Outcome outcome = require_limits(instance, time, LIMITS, N_LIMITS, instance->scratch.margins);
     if (outcome != GOOD) return outcome;
     if (!solved)
         return say(instance, DISCARD, "the equations were not solved at t = %.6g s; likely causes: a path that the model"
@@ -363,11 +343,7 @@ static Outcome with_feedback(Instance *instance, const double *given, double tim
     if (judged[2] > LARGEST_TURN)
         return left_out(instance, 2, "at t = %.6g s the step of %g s is too long for the feedback: " TOO_LONG " may be %.3g s at"
                         " most; the " FOLLOWER " is left to the feedforward", time, h, LARGEST_TURN / judged[2] * h);
-    if (!work->remembers) {
-        instance->arguments[0] = before;
-        instance->arguments[1] = measured;
-        instance->arguments[2] = p;
-        instance->arguments[3] = &h;
+    if (!work->remembers) { /* of the same arguments */
         instance->results[0] = work->memory;
         call(instance, at_end ? MATHEMATICS(begin_end) : MATHEMATICS(begin_start));
     }

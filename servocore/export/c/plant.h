@@ -24,6 +24,7 @@ typedef struct {
 } Work;
 
 #define INTERNAL(moment, k) (moment).state[k]
+#define remark_step(instance, time) GOOD
 
 #include "instance.h"
 
@@ -134,18 +135,6 @@ static void observe(Instance *instance, const Moment *moment, double *outputs, c
 
 /* Steps -------------------------------------------------------------------------------------------------------------- */
 
-/* Refuse negative margins of limits. */
-static Outcome within(const Instance *instance, double time, const Limit *limits, int count)
-{
-    const double *margins = instance->scratch.margins;
-    for (int k = 0; k < count; k++)
-        if (!(margins[k] > 0.0))
-            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay above %g %s", time,
-                       limits[k].reason, *limits[k].reason ? ": " : "", limits[k].quantity, limits[k].bound + margins[k],
-                       limits[k].unit, limits[k].bound, limits[k].unit);
-    return GOOD;
-}
-
 static Outcome checked_moment(Instance *instance, Moment *moment, double h)
 {
     if (!all_finite(moment->state, N_STATE))
@@ -156,7 +145,7 @@ static Outcome checked_moment(Instance *instance, Moment *moment, double h)
         if (!all_finite(&moment->outputs[k], 1))
             return say(instance, DISCARD, "at t = %.6g s %s is %g, not a finite number", moment->time,
                        VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k]);
-    if (within(instance, moment->time, LIMITS, N_LIMITS) != GOOD) return DISCARD;
+    if (require_limits(instance, moment->time, LIMITS, N_LIMITS, instance->scratch.margins) != GOOD) return DISCARD;
     for (size_t k = 0; k < N_OUTPUTS; k++)
         if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
             return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g%s, it must stay above 0%s", moment->time, REASONS[k],
@@ -174,7 +163,7 @@ static Outcome first_moment(Instance *instance)
     instance->arguments[1] = instance->scratch.parameters;
     instance->results[0] = instance->scratch.margins;
     call(instance, MATHEMATICS(start_margins));
-    if (within(instance, work->time, START_LIMITS, N_START_LIMITS) != GOOD) return DISCARD;
+    if (require_limits(instance, work->time, START_LIMITS, N_START_LIMITS, instance->scratch.margins) != GOOD) return DISCARD;
     instance->arguments[0] = parameters + PLACE_MOTION;
     instance->arguments[1] = parameters + PLACE_OFFSETS;
     instance->arguments[2] = instance->scratch.parameters;
@@ -261,13 +250,6 @@ static Outcome move(Instance *instance, double time, double h)
 
 /* With brakes, zeros before the first other value are no inputs. */
 static size_t awaited(const State *state) { return state->choices[BRAKES] == UNTIL_INPUTS ? N_INPUTS : 0; }
-
-static Outcome remark_step(Instance *instance, double time)
-{
-    (void)instance;
-    (void)time;
-    return GOOD;
-}
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
 

@@ -33,7 +33,7 @@ static Outcome require_path(Instance *instance, const double *path, double time)
     instance->arguments[1] = instance->state.parameters;
     instance->results[0] = instance->scratch.margins;
     call(instance, MATHEMATICS(margins));
-    return require_limits(instance, time);
+    return require_limits(instance, time, LIMITS, N_LIMITS, instance->scratch.margins);
 }
 
 /* Compute exact values at moment->path. */

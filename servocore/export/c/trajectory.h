@@ -21,6 +21,7 @@ typedef struct {
 } Work;
 
 #define INTERNAL(moment, k) 0.0
+#define remark_step(instance, time) GOOD
 
 #include "instance.h"
 
@@ -98,7 +99,7 @@ static Outcome followed(Instance *instance, Moment *moment)
     instance->arguments[4] = &settings[PLACE_RAMP];
     instance->arguments[5] = &moment->time;
     instance->results[0] = moment->outputs;
-    LAWS[law - 1](instance->arguments, instance->results, instance->integers, instance->numbers, 0);
+    call(instance, LAWS[law - 1]);
     if (!all_finite(moment->outputs, N_OUTPUTS))
         return say(instance, DISCARD, "at t = %.6g s the path is not finite", moment->time);
     return GOOD;
@@ -155,13 +156,6 @@ static size_t awaited(const State *state)
 {
     (void)state;
     return 0;
-}
-
-static Outcome remark_step(Instance *instance, double time)
-{
-    (void)instance;
-    (void)time;
-    return GOOD;
 }
 
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found)

@@ -5,23 +5,22 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, described, require_kind
+from servocore.model.model_validation import equal_at_a_point
 from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
-from servocore.model.rotationless.flexible import Beam, ElasticRope, Flexible
+from servocore.model.rotationless.flexible import Line
 from servocore.model.rotationless.joints import Distance
-from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
+from servocore.model.rotationless.parts import Augmented, Frame, Part, Place, PointMass, RigidBody, Scalar
 from servocore.model.symbols import Coordinates, Parameters, require_unique
 from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.expressions import as_expression
-
-Part: TypeAlias = RigidBody | PointMass | Flexible | Quantity
-"""A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
 
 Named = TypeVar("Named")
 
@@ -59,7 +58,7 @@ class Assembly:
         Six constraints of every rigid body and node, in the order of the parts.
     """
 
-    parts: Sequence[Part]
+    parts: Sequence[Part | Quantity]
     parameters: Parameters
     gravity: Sequence[Scalar]
     coordinates: Coordinates = field(init=False)
@@ -69,40 +68,39 @@ class Assembly:
 
     def __post_init__(self) -> None:
         require_kind(self.parts, (list, tuple), "the parts of an assembly", "a sequence of them", InvalidModel)
-        kinds = (RigidBody, PointMass, Beam, ElasticRope, Quantity)
         for part in self.parts:
-            require_kind(part, kinds, "a part", "a RigidBody, PointMass, Beam, ElasticRope or Quantity", InvalidModel)
+            wanted = "a RigidBody, PointMass, Beam, ElasticRope or Quantity"
+            require_kind(part, (Part, Quantity), "a part", wanted, InvalidModel)
         require_kind(self.parameters, Parameters, "the parameters of an assembly", "Parameters(...)", InvalidModel)
-        require_unique(self._names, "parts")
-        for part in self.parts:
-            if not isinstance(part, Quantity):
-                part.check(self.parameters)
-        object.__setattr__(
-            self, "coordinates", Coordinates(*(quantity for part in self.parts for quantity in _quantities(part)))
-        )
-        blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
-        object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*blocks)))
+        require_unique([part.name for part in self.parts], "parts")
+        for part in self._parts:
+            part.check(self.parameters)
+        coordinates = Coordinates(*(quantity for part in self._parts for quantity in part.quantities))
+        object.__setattr__(self, "coordinates", coordinates)
+        object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*[part.mass_matrix for part in self._parts])))
         gravity = ca.sparsify(as_expression(self.gravity, "gravity"))
         constants = [float(entry) for entry in ca.vertsplit(ca.densify(gravity)) if entry.is_constant()]
         if gravity.shape != (3, 1) or not np.isfinite(constants).all():
             raise InvalidModel(f"gravity must be three finite numbers, not {self.gravity}")
-        potential, rows, stored = ca.SX(0), ca.SX(0, 1), []
-        for part, q in zip(self.parts, self._slices, strict=True):
-            if not isinstance(part, Quantity):
-                potential -= part.mass * ca.dot(gravity, part.weight_centre(q))
-                rows = ca.vertcat(rows, part.internal_constraints(q))
-            if isinstance(part, Flexible):
-                stored += part.stored(q)
+        placed = list(zip(self._parts, self._slices, strict=True))
+        potential = -sum((ca.dot(gravity, part.first_moment(q)) for part, q in placed), ca.SX(0))
+        stored = [energy for part, q in placed for energy in part.stored(q)]
+        rows = ca.vertcat(ca.SX(0, 1), *[part.internal_constraints(q) for part, q in placed])
         object.__setattr__(self, "potential", Potential(potential, stored) if stored else potential)
         object.__setattr__(self, "orthonormality", rows)
 
+    @cached_property
+    def _parts(self) -> list[Part]:
+        """The parts, with a part for every augmented coordinate."""
+        return [Augmented(part) if isinstance(part, Quantity) else part for part in self.parts]
+
     def body(self, name: str) -> Frame:
         """Return the frame of a rigid body, for its joints."""
-        return frame_of(self._coordinates_of(name, RigidBody, "body"))
+        return self._frames_of(name, RigidBody, "body")[0]
 
     def point(self, name: str) -> Place:
         """Return the place of a point mass; its triad is that of the ground."""
-        return Frame(self._coordinates_of(name, PointMass, "point mass"), GROUND.directors).at()
+        return self._frames_of(name, PointMass, "point mass")[0].at()
 
     def node(self, name: str, node: int) -> Frame:
         """Return the frame of a node of a beam, or of a point of a rope (its directors the ground's); -1 is the last.
@@ -112,15 +110,14 @@ class Assembly:
         InvalidModel
             If there is no such beam or rope, or no such node.
         """
-        q = self._coordinates_of(name, Flexible, "beam or rope")
-        (part,) = (part for part in self.parts if part.name == name)
-        if not isinstance(part, Flexible) or not -part.elements - 1 <= node <= part.elements:
+        frames = self._frames_of(name, Line, "beam or rope")
+        if not -len(frames) <= node < len(frames):
             raise InvalidModel(f"{name} has no node {node}")
-        return part.frame(q, node) if isinstance(part, Beam) else Frame(part.points(q)[node], GROUND.directors)
+        return frames[node]
 
     def augmented(self, name: str) -> ca.SX:
         """Return the symbol of an augmented coordinate."""
-        return self._coordinates_of(name, Quantity, "augmented coordinate")
+        return self._found(name, Augmented, "augmented coordinate")[1]
 
     def configuration(self, values: Configuration) -> ca.SX:
         """Return q, shape (n,), from (position, directors) of bodies, positions of points, augmented values.
@@ -131,22 +128,22 @@ class Assembly:
             If a part is missing or unknown, or a value has the wrong size.
         """
         require_kind(values, Mapping, "a configuration", "values by name of the part", InvalidModel)
-        if sorted(values) != sorted(self._names):
-            raise InvalidModel(
-                f"a configuration must give {', '.join(self._names)}, not {', '.join(values) or 'nothing'}"
-            )
+        names = [part.name for part in self._parts]
+        if sorted(values) != sorted(names):
+            raise InvalidModel(f"a configuration must give {', '.join(names)}, not {', '.join(values) or 'nothing'}")
         columns = []
-        for part in self.parts:
-            value = values[part.name]
-            what = f"the configuration of {part.name}"
-            if isinstance(part, Flexible):
-                require_kind(value, (list, tuple), what, "a list of its nodes", InvalidModel)
-            pieces = (value,) if isinstance(part, Quantity) else part.pieces(value)
-            require_kind(pieces, (list, tuple), what, "(position, directors)", InvalidModel)
+        for part in self._parts:
+            what, needed = f"the configuration of {part.name}", len(part.quantities)
+            if part.many:
+                require_kind(values[part.name], (list, tuple), what, "a list of its nodes", InvalidModel)
+            pieces = list(values[part.name]) if part.many else [values[part.name]]
+            if part.directed:
+                for node in pieces:
+                    require_kind(node, (list, tuple), what, "(position, directors)", InvalidModel)
+                pieces = [piece for node in pieces for piece in node]
             column = ca.vertcat(*[ca.vec(as_expression(piece, what)) for piece in pieces])
-            if column.numel() != len(_quantities(part)):
-                needed = len(_quantities(part))
-                raise InvalidModel(f"the configuration of {part.name} needs {needed} values, not {column.numel()}")
+            if column.numel() != needed:
+                raise InvalidModel(f"{what} needs {needed} values, not {column.numel()}")
             columns.append(column)
         return ca.densify(ca.vertcat(ca.SX(0, 1), *columns))
 
@@ -230,25 +227,15 @@ class Assembly:
             if not (isinstance(row, Distance) and row.is_rope(self.coordinates.q)):
                 continue
             tension = row.tension(lam[name])
-            same = [quantity for quantity, value in with_tensions.items() if self._equal(value, tension, lam)]
+            same = [quantity for quantity, value in with_tensions.items() if equal_at_a_point(value, tension)]
             with_tensions = {replace(k, tension=True) if k in same else k: value for k, value in with_tensions.items()}
             if not same:
                 with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)] = tension
         return with_tensions
 
-    def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:
-        """Whether two expressions have the same value at a point without symmetry."""
-        symbols = [self.coordinates.q, ca.vertcat(*lam.values()), self.parameters.p]
-        compare = ca.Function("sc_compare", symbols, [one, other], {"allow_free": True})
-        if compare.get_free():
-            return False
-        point = [np.sin(1.0 + 7 * k + np.arange(symbol.numel())) for k, symbol in enumerate(symbols[:2])]
-        first, second = (float(value) for value in compare(*point, self.parameters.values()))
-        return abs(first - second) <= 1e-9 * max(abs(first), abs(second))
-
     def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
         """Name every row by its joint, with a number where that has several."""
-        bodies = [name for part in self.parts if not isinstance(part, Quantity) for name in part.nodes]
+        bodies = [name for part in self._parts if part.directed for name in part.nodes]
         directors = ("d1.d1", "d2.d2", "d3.d3", "d2.d3", "d3.d1", "d1.d2")
         joints = [
             name if rows.numel() == 1 else f"{name} {k + 1}"
@@ -258,25 +245,23 @@ class Assembly:
         return (*(f"{name} {pair}" for name in bodies for pair in directors), *joints)
 
     @property
-    def _names(self) -> list[str]:
-        return [part.name for part in self.parts]
-
-    @property
     def _slices(self) -> list[ca.SX]:
         """Return the coordinates of every part."""
-        ends = itertools.accumulate((len(_quantities(part)) for part in self.parts), initial=0)
+        ends = itertools.accumulate((len(part.quantities) for part in self._parts), initial=0)
         return [self.coordinates.q[a:b] for a, b in itertools.pairwise(ends)]
 
-    def _coordinates_of(self, name: str, kind: Any, what: str) -> ca.SX:
-        for part, q in zip(self.parts, self._slices, strict=True):
-            if part.name == name and isinstance(part, kind):
-                return q
-        there_are = [part.name for part in self.parts if isinstance(part, kind)]
-        raise InvalidModel(f"no {what} is called {name}; there are {', '.join(there_are) or 'none'}")
+    def _frames_of(self, name: str, kind: Any, what: str) -> list[Frame]:
+        part, q = self._found(name, kind, what)
+        return part.frames(q)
 
-
-def _quantities(part: Part) -> tuple[Quantity, ...]:
-    return (part,) if isinstance(part, Quantity) else part.quantities
+    def _found(self, name: str, kind: Any, what: str) -> tuple[Part, ca.SX]:
+        """Return a part of a kind and its coordinates."""
+        listed = [each for each in zip(self._parts, self._slices, strict=True) if isinstance(each[0], kind)]
+        for part, q in listed:
+            if part.name == name:
+                return part, q
+        there_are = ", ".join(part.name for part, _ in listed) or "none"
+        raise InvalidModel(f"no {what} is called {name}; there are {there_are}")
 
 
 def _expressions(values: Mapping[Named, Any], what: str) -> dict[Named, ca.SX]:

@@ -6,28 +6,16 @@ Steinmann 2002), and their energies are those of quadratic invariants, which `En
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import ClassVar
 
 import casadi as ca
 
 from servocore.errors import InvalidModel, require_count, require_kind
 from servocore.model.potentials import Energy
-from servocore.model.quantity import Quantity
-from servocore.model.rotationless.parts import (
-    Frame,
-    Scalar,
-    frame_of,
-    frame_quantities,
-    number,
-    orthonormality,
-    position_quantities,
-)
+from servocore.model.rotationless.parts import Part, Scalar, number
 from servocore.model.symbols import Parameters
-
-_NODE = 12  # coordinates of a node with directors
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +46,33 @@ class Section:
     inertias: tuple[Scalar, Scalar] = (0.0, 0.0)
 
 
+class Line(Part):
+    """A flexible part of N elements of equal length, with nodes ``name.0``, ..., ``name.N``."""
+
+    length: Scalar
+    elements: int
+    many: ClassVar[bool] = True
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the nodes."""
+        return tuple(f"{self.name}.{k}" for k in range(self.elements + 1))
+
+    @property
+    def _shared(self) -> ca.SX:
+        """Integrals of the products of linear shape functions, shape (N + 1, N + 1), m."""
+        masses = ca.SX(self.elements + 1, self.elements + 1)
+        for k in range(self.elements):
+            masses[k : k + 2, k : k + 2] += ca.SX([[2, 1], [1, 2]]) * (self.length / self.elements / 6)
+        return masses
+
+    def _require_length(self, what: str, parameters: Parameters) -> None:
+        require_elements(what, self.elements)
+        _positive(f"{what}: its length", self.length, parameters)
+
+
 @dataclass(frozen=True, eq=False)
-class Beam:
+class Beam(Line):
     """A beam after Simo and Reissner, along its third directors.
 
     Node k has twelve coordinates, position and directors, as a rigid body has: ``name.k.x``, ..., ``name.k.d3_z``.
@@ -86,47 +99,23 @@ class Beam:
     elements: int
     section: Section
     curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Names of the nodes."""
-        return tuple(f"{self.name}.{k}" for k in range(self.elements + 1))
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """All coordinates, node by node."""
-        return tuple(quantity for node in self.nodes for quantity in frame_quantities(node))
-
-    @property
-    def mass(self) -> Scalar:
-        """In kg."""
-        return self.section.line_mass * self.length
+    directed: ClassVar[bool] = True
 
     @property
     def mass_matrix(self) -> ca.SX:
         """Constant mass matrix: of positions and of the first two directors; the third have none."""
         weights = ca.diag(ca.vertcat(ca.SX(self.section.line_mass), *self.section.inertias, 0))
-        return ca.sparsify(ca.kron(_shared(self.elements, self.length), ca.kron(weights, ca.SX.eye(3))))
+        return ca.sparsify(ca.kron(self._shared, ca.kron(weights, ca.SX.eye(3))))
 
-    def frame(self, q: ca.SX, node: int) -> Frame:
-        """Return the frame of a node; -1 is the last one."""
-        first = _NODE * range(self.elements + 1)[node]
-        return frame_of(q[first : first + _NODE])
-
-    def weight_centre(self, q: ca.SX) -> ca.SX:
-        """Return the centre of mass, shape (3,)."""
-        return _centre([self.frame(q, k).origin for k in range(self.elements + 1)])
-
-    def internal_constraints(self, q: ca.SX) -> ca.SX:
-        """Return the orthonormality of the directors of all nodes, shape (6 (N + 1),)."""
-        return ca.vertcat(*[orthonormality(entry) for entry in ca.vertsplit(q, _NODE)])
+    def first_moment(self, q: ca.SX) -> ca.SX:
+        """Return mass times position of the centre of mass, shape (3,)."""
+        return self.section.line_mass * self.length * self.centre_of_mass(q)
 
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all strains: six an element."""
-        frames = [self.frame(q, k) for k in range(self.elements + 1)]
         size = self.length / self.elements
         section, energies = self.section, list[tuple[Energy, ca.SX]]()
-        for a, b in pairwise(frames):
+        for a, b in pairwise(self.frames(q)):
             stretch = (b.origin - a.origin) / size
             first, last = ca.horzsplit(a.directors), ca.horzsplit(b.directors)
             for k, stiffness in enumerate((*section.shear, section.axial)):
@@ -138,14 +127,10 @@ class Beam:
                 energies.append((_quadratic(stiffness * size, self.curvature[k]), turn))
         return energies
 
-    def pieces(self, value: Any) -> list[Any]:
-        """Return positions and directors of all nodes in a configuration, one after the other."""
-        return [piece for node in value for piece in node]
-
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
         section = self.section
-        _check(f"beam {self.name}", self.length, self.elements, parameters)
+        self._require_length(f"beam {self.name}", parameters)
         require_kind(section, Section, f"beam {self.name}: its section", "a Section", InvalidModel)
         for what, value in (
             ("axial stiffness", section.axial), ("torsional stiffness", section.torsion),
@@ -158,7 +143,7 @@ class Beam:
 
 
 @dataclass(frozen=True, eq=False)
-class ElasticRope:
+class ElasticRope(Line):
     """A rope of points with elastic pieces between them; node k has the coordinates ``name.k.x``, ``.y``, ``.z``.
 
     The energy of a piece of length h is h E A (|r'| - 1)^2 / 2; in compression it pushes.
@@ -184,16 +169,6 @@ class ElasticRope:
     line_mass: Scalar
 
     @property
-    def nodes(self) -> tuple[str, ...]:
-        """Names of the points; none of them has directors."""
-        return ()
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """All coordinates, point by point."""
-        return tuple(quantity for k in range(self.elements + 1) for quantity in position_quantities(f"{self.name}.{k}"))
-
-    @property
     def mass(self) -> Scalar:
         """In kg."""
         return self.line_mass * self.length
@@ -201,19 +176,11 @@ class ElasticRope:
     @property
     def mass_matrix(self) -> ca.SX:
         """Constant mass matrix of positions that change linearly between the points."""
-        return ca.sparsify(ca.kron(self.line_mass * _shared(self.elements, self.length), ca.SX.eye(3)))
+        return ca.sparsify(ca.kron(self.line_mass * self._shared, ca.SX.eye(3)))
 
-    def points(self, q: ca.SX) -> list[ca.SX]:
-        """Return the positions, shape (3,) each."""
-        return ca.vertsplit(q, 3)
-
-    def weight_centre(self, q: ca.SX) -> ca.SX:
-        """Return the centre of mass, shape (3,)."""
-        return _centre(self.points(q))
-
-    def internal_constraints(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - as for a body
-        """Return none, shape (0,)."""
-        return ca.SX(0, 1)
+    def first_moment(self, q: ca.SX) -> ca.SX:
+        """Return mass times position of the centre of mass, shape (3,)."""
+        return self.mass * self.centre_of_mass(q)
 
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all pieces, by the squares of their lengths."""
@@ -222,48 +189,22 @@ class ElasticRope:
         def energy(x: ca.SX) -> ca.SX:
             return self.axial * size / 2 * (ca.sqrt(x) - 1) ** 2
 
-        return [(energy, ca.sumsqr(b - a) / size**2) for a, b in pairwise(self.points(q))]
-
-    def pieces(self, value: Any) -> list[Any]:
-        """Return the positions of the points in a configuration."""
-        return list(value)
+        return [(energy, ca.sumsqr(b.origin - a.origin) / size**2) for a, b in pairwise(self.frames(q))]
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
-        _check(f"rope {self.name}", self.length, self.elements, parameters)
+        self._require_length(f"rope {self.name}", parameters)
         _positive(f"rope {self.name}: its axial stiffness", self.axial, parameters)
         _positive(f"rope {self.name}: its line mass", self.line_mass, parameters, or_zero=True)
-
-
-Flexible = Beam | ElasticRope
 
 
 def _quadratic(stiffness: Scalar, free: float) -> Energy:
     return lambda x: stiffness / 2 * (x - free) ** 2
 
 
-def _shared(elements: int, length: Scalar) -> ca.SX:
-    """Return integrals of the products of linear shape functions, shape (N + 1, N + 1), m."""
-    masses = ca.SX(elements + 1, elements + 1)
-    for k in range(elements):
-        masses[k : k + 2, k : k + 2] += ca.SX([[2, 1], [1, 2]]) * (length / elements / 6)
-    return masses
-
-
-def _centre(places: Sequence[ca.SX]) -> ca.SX:
-    """Return the mean of places joined by straight lines of equal mass."""
-    middles = [(a + b) / 2 for a, b in pairwise(places)]
-    return sum(middles[1:], middles[0]) / len(middles)
-
-
 def require_elements(what: str, elements: object) -> None:
     """Raise `InvalidModel` unless `elements` is a positive integer."""
     require_count(elements, 1, f"{what}: its number of elements", InvalidModel)
-
-
-def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> None:
-    require_elements(what, elements)
-    _positive(f"{what}: its length", length, parameters)
 
 
 def _positive(what: str, value: Scalar, parameters: Parameters, *, or_zero: bool = False) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from itertools import pairwise
+from typing import Any, ClassVar, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, described, require_kind
+from servocore.model.potentials import Energy
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.numerics.compiled_calls import Array
@@ -19,11 +21,96 @@ Scalar: TypeAlias = "float | ca.SX"
 """A number, or an expression of parameters."""
 
 _AXES = ("x", "y", "z")
+_DIRECTED = 12  # coordinates of a node with directors
 _ROUND_OFF = 1e-9  # relative: an inertia is physical within this
 
 
+class Part:
+    """A part of a mechanism: one node, or several, each a position or a position with three directors.
+
+    Attributes
+    ----------
+    name : str
+        Of the part.
+    directed : bool
+        Whether the nodes have directors.
+    many : bool
+        Whether a configuration lists nodes.
+    """
+
+    name: str
+    directed: ClassVar[bool] = False
+    many: ClassVar[bool] = False
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the nodes."""
+        return (self.name,)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All coordinates, node by node: x, y, z and d1_x, ..., d3_z behind the name of the node."""
+        entries = ("", *(f"d{k}_" for k in (1, 2, 3))) if self.directed else ("",)
+        return tuple(
+            Quantity(f"{node}.{entry}{axis}", "1" if entry else "m")
+            for node in self.nodes
+            for entry in entries
+            for axis in _AXES
+        )
+
+    @property
+    def mass_matrix(self) -> ca.SX:
+        """Constant mass matrix of the coordinates; zero of a part without mass."""
+        return ca.SX(len(self.quantities), len(self.quantities))
+
+    def first_moment(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - of the coordinates of a part with mass
+        """Return mass times position of the centre of mass, shape (3,), kg m."""
+        return ca.SX(3, 1)
+
+    def check(self, parameters: Parameters) -> None:
+        """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
+
+    def frames(self, q: ca.SX) -> list[Frame]:
+        """Return the frames of all nodes for the coordinates `q`; without directors they have those of the ground."""
+        if self.directed:
+            return [Frame(each[:3], ca.reshape(each[3:], 3, 3)) for each in ca.vertsplit(q, _DIRECTED)]
+        return [Frame(each, GROUND.directors) for each in ca.vertsplit(q, len(_AXES))]
+
+    def centre_of_mass(self, q: ca.SX) -> ca.SX:
+        """Return the mean of the places of nodes joined by straight lines of equal mass."""
+        places = [frame.origin for frame in self.frames(q)]
+        middles = [(a + b) / 2 for a, b in pairwise(places)] or places
+        return sum(middles[1:], middles[0]) / len(middles)
+
+    def internal_constraints(self, q: ca.SX) -> ca.SX:
+        """Return d_i . d_j - delta_ij of all nodes with directors, six each."""
+        rows = [_orthonormality(frame) for frame in self.frames(q)] if self.directed else []
+        return ca.vertcat(ca.SX(0, 1), *rows)
+
+    def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:  # noqa: ARG002 - of the coordinates of flexible parts
+        """Return the elastic energies, none of a rigid part."""
+        return []
+
+
 @dataclass(frozen=True, eq=False)
-class RigidBody:
+class Augmented(Part):
+    """A coordinate without mass, defined by a constraint."""
+
+    quantity: Quantity
+
+    @property
+    def name(self) -> str:  # type: ignore[override]  # never assigned: that of its quantity
+        """Name of the coordinate."""
+        return self.quantity.name
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The coordinate."""
+        return (self.quantity,)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody(Part):
     """A rigid body with twelve coordinates: its reference point r and its directors d1, d2, d3.
 
     The material point with body coordinates (a, b, c) is at r + a d1 + b d2 + c d3. Thus the kinetic energy
@@ -47,11 +134,7 @@ class RigidBody:
     mass: Scalar
     inertia: Sequence[Any]
     centre: Sequence[Scalar] = (0.0, 0.0, 0.0)
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """The twelve coordinates."""
-        return frame_quantities(self.name)
+    directed: ClassVar[bool] = True
 
     @property
     def mass_matrix(self) -> ca.SX:
@@ -76,22 +159,10 @@ class RigidBody:
             raise InvalidModel(f"body {self.name}: inertia needs three principal values or three rows of three numbers")
         return ca.diag(tensor) if tensor.size2() == 1 else tensor
 
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Name of the body, which has directors."""
-        return (self.name,)
-
-    def pieces(self, value: Any) -> Any:
-        """Return position and directors in a configuration."""
-        return value
-
-    def weight_centre(self, q: ca.SX) -> ca.SX:
-        """Return the position of the centre of mass, shape (3,), for the twelve coordinates `q`."""
-        return frame_of(q).point(self.centre)
-
-    def internal_constraints(self, q: ca.SX) -> ca.SX:
-        """Return d_i . d_j = delta_ij, shape (6,)."""
-        return orthonormality(q)
+    def first_moment(self, q: ca.SX) -> ca.SX:
+        """Return mass times position of the centre of mass, shape (3,), for the twelve coordinates `q`."""
+        (frame,) = self.frames(q)
+        return self.mass * frame.point(self.centre)
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if no distribution of mass has these moments at default parameters."""
@@ -118,38 +189,20 @@ class RigidBody:
 
 
 @dataclass(frozen=True, eq=False)
-class PointMass:
+class PointMass(Part):
     """A particle with three coordinates ``name.x``, ``name.y``, ``name.z``; `mass` in kg, not negative."""
 
     name: str
     mass: Scalar
 
     @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """The three coordinates."""
-        return position_quantities(self.name)
-
-    @property
     def mass_matrix(self) -> ca.SX:
         """Constant mass matrix, shape (3, 3)."""
         return self.mass * ca.SX.eye(3)
 
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Empty: a point mass has no directors."""
-        return ()
-
-    def pieces(self, value: Any) -> Any:
-        """Return the position in a configuration, as a tuple."""
-        return (value,)
-
-    def weight_centre(self, q: ca.SX) -> ca.SX:
-        """Return `q`, its position."""
-        return q
-
-    def internal_constraints(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - as for a body
-        """Return none, shape (0,)."""
-        return ca.SX(0, 1)
+    def first_moment(self, q: ca.SX) -> ca.SX:
+        """Return mass times position."""
+        return self.mass * q
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if the mass is negative at default parameters."""
@@ -221,21 +274,15 @@ GROUND = Frame(ca.SX.zeros(3), ca.SX.eye(3))
 """The inertial frame; `gravity` of the assembly decides which axis is vertical."""
 
 
-def frame_of(q: ca.SX) -> Frame:
-    """Return the frame of a body with the twelve coordinates `q`."""
-    return Frame(q[:3], ca.reshape(q[3:], 3, 3))
-
-
-def orthonormality(q: ca.SX) -> ca.SX:
-    """Return d_i . d_j - delta_ij, shape (6,), of the directors among twelve coordinates `q`."""
-    d1, d2, d3 = ca.horzsplit(frame_of(q).directors)
+def _orthonormality(frame: Frame) -> ca.SX:
+    d1, d2, d3 = ca.horzsplit(frame.directors)
     return ca.vertcat(
         ca.dot(d1, d1) - 1, ca.dot(d2, d2) - 1, ca.dot(d3, d3) - 1,
         ca.dot(d2, d3), ca.dot(d3, d1), ca.dot(d1, d2),
     )  # fmt: skip
 
 
-def turned(axis: Sequence[float], angle: Scalar) -> ca.SX:
+def turned(axis: Sequence[float] | Array, angle: Scalar) -> ca.SX:
     """Return directors turned by `angle` (rad) about `axis`, which must not be zero, shape (3, 3)."""
     e, angle = _unit(axis, "axis"), as_expression(angle, "the angle")
     cross = ca.SX(ca.sparsify(ca.skew(ca.DM(e))))
@@ -254,7 +301,7 @@ def _triad(axis: Sequence[float], normal: Sequence[float] | None) -> tuple[Array
     return n, np.cross(e, n), e
 
 
-def _unit(direction: Sequence[float], what: str) -> Array:
+def _unit(direction: Sequence[float] | Array, what: str) -> Array:
     try:
         values = np.array([float(entry) for entry in direction])
     except (TypeError, ValueError, RuntimeError):
@@ -270,17 +317,6 @@ def _vector(components: Sequence[Scalar]) -> ca.SX:
     if column.shape != (3, 1):
         raise InvalidModel(f"a vector in space has 3 components, not {column.numel()}")
     return ca.sparsify(column)
-
-
-def position_quantities(name: str) -> tuple[Quantity, ...]:
-    """Return the three coordinates of a position."""
-    return tuple(Quantity(f"{name}.{axis}", "m") for axis in _AXES)
-
-
-def frame_quantities(name: str) -> tuple[Quantity, ...]:
-    """Return the twelve coordinates of a frame: a position and three directors."""
-    directors = (Quantity(f"{name}.d{k}_{axis}") for k in (1, 2, 3) for axis in _AXES)
-    return (*position_quantities(name), *directors)
 
 
 def number(expression: Any, parameters: Parameters) -> Array:

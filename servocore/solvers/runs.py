@@ -1,0 +1,339 @@
+"""Runs at constant step, in compiled chunks, and solutions from their states: observed, judged and summed up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from servocore.checks.between_instants import require_less_than_half_a_turn
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
+from servocore.model.quantity import run_quantities
+from servocore.numerics.compiled_calls import Array, chained, side_by_side
+from servocore.numerics.step_operations import JUMPS
+from servocore.problem import Problem
+from servocore.solution import Solution, Statistics
+from servocore.stepping.exact_evaluation import along_path
+from servocore.stepping.prescribed_initial_values import prescribed_start
+from servocore.stepping.program import Program
+
+_DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
+_NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
+
+
+def require_derivatives(problem: Problem, program: Program) -> None:
+    """Raise `InvalidReference` if the path lacks derivatives that a program needs."""
+    most = problem.reference.max_order
+    if most < program.start_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {most}, {program.name} needs order {program.start_order}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """States of a program at instants, and the totals of the run.
+
+    Attributes
+    ----------
+    program : Program
+        It stepped, and observes.
+    t : ndarray, shape (N,)
+        Instants in s.
+    states : ndarray, shape (size, N)
+        The first column is the consistent start.
+    newton_iterations, factorizations : int
+        Totals.
+    worst_residual : float
+        Largest of all steps.
+    observed : tuple of ndarray
+        Values (channels, N), violations (4, N) and whatever was evaluated with them; empty where they are not known.
+    """
+
+    program: Program
+    t: Array
+    states: Array
+    newton_iterations: int = 0
+    factorizations: int = 0
+    worst_residual: float = 0.0
+    observed: tuple[Array, ...] = ()
+
+    def at(self, chosen: slice) -> Run:
+        """Return the run at some of its instants."""
+        return replace(self, t=self.t[chosen], states=self.states[:, chosen])
+
+
+def joined_runs(parts: list[Run]) -> Run:
+    """Put runs of the same program one after the other."""
+    return Run(
+        parts[0].program,
+        np.concatenate([part.t for part in parts]),
+        np.hstack([part.states for part in parts]),
+        sum(part.newton_iterations for part in parts),
+        sum(part.factorizations for part in parts),
+        max(part.worst_residual for part in parts),
+    )
+
+
+def solution_of(
+    problem: Problem, segments: list[Run], route: str = "", *, refuse_turns: bool = True, **statistics: Any
+) -> Solution:
+    """Observe the states of a run, each part by its own program, and sum the run up.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem that was solved.
+    segments : list of Run
+        Parts that follow one another; the instant that two have in common is taken from the later one.
+    route : str
+        How it was solved, if the name of the last program does not say it.
+    refuse_turns : bool
+        Whether an angle that turns by half a turn within a step is refused, since its direction is ambiguous.
+    **statistics
+        Entries of `Statistics` that do not follow from the states.
+
+    Raises
+    ------
+    IntegrationFailed
+        If the states have left the branch of the equations that is wanted, or an angle turns so far between two
+        instants that its direction is ambiguous.
+    """
+    tables, violations = [], []
+    for segment in segments:
+        table, violation = _observed(problem, segment, refuse_turns)
+        tables.append(table if segment is segments[-1] else table[:-1])
+        violations.append(violation)
+    program = segments[-1].program
+    if len(segments) == 1:  # without copies, which take as long as a check where there are many instants
+        t, values, violation = segments[0].t, tables[0], violations[0]
+    else:
+        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), segments[-1].t])
+        values, violation = np.vstack(tables), np.hstack(violations)
+        for k, channel in enumerate(program.channels):
+            if channel.wraps:
+                values[:, k] = np.unwrap(values[:, k])
+    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], violation)
+    return Solution(
+        t, program.channels, values, route or program.name, replace(summary, **statistics), problem.reference.fit_error
+    )
+
+
+def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
+    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
+    program, t, states = segment.program, segment.t, segment.states
+    observed, violations, *_ = segment.observed or along_path(problem, program.observe, t, states)
+    table = observed.T
+    _require_numbers(problem, program, t, table)
+    if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
+        require_less_than_half_a_turn(problem, program, t, table)
+    for k, channel in enumerate(program.channels):
+        if channel.wraps and (np.abs(np.diff(table[:, k])) >= np.pi).any():
+            table[:, k] = np.unwrap(table[:, k])
+        if channel.positive and not (table[:, k] > 0.0).all():
+            first = int((~(table[:, k] > 0.0)).argmax())
+            program.require_branch(table[first], float(t[first]))
+    return table, violations
+
+
+def _require_numbers(problem: Problem, program: Program, t: Array, table: Array) -> None:
+    """Raise `IntegrationFailed` if an input is not finite: no equation of the derivative array may show that."""
+    finite = np.isfinite(table[:, : len(problem.system.inputs)])
+    if not finite.all():
+        k, j = np.argwhere(~finite)[0]
+        raise IntegrationFailed(
+            f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
+            " no finite number there, as v/|v| is none at rest"
+        )
+
+
+def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
+    servo, servo_rate, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
+    return Statistics(
+        steps=len(inputs) - 1,
+        newton_iterations=sum(segment.newton_iterations for segment in segments),
+        factorizations=sum(segment.factorizations for segment in segments),
+        worst_residual=max(segment.worst_residual for segment in segments),
+        servo_violation=servo,
+        servo_rate_violation=servo_rate,
+        constraint_violation=constraint,
+        constraint_rate_violation=constraint_rate,
+        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
+        input_noise=input_noise(inputs),
+    )
+
+
+def input_noise(inputs: Array) -> float | None:
+    """Estimate the noise of trajectories (N, m) relative to their peaks, from differences of order eight.
+
+    Of white noise they keep sqrt(16 over 8) times the deviation; of a smooth trajectory they leave h^8 times its eighth
+    derivative. The median of their magnitudes passes over kinks.
+    """
+    if len(inputs) < _FEWEST_FOR_NOISE:
+        return None
+    deviations = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
+    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
+    return float((deviations / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
+
+
+def with_run_quantities(solution: Solution) -> Solution:
+    """Return a solution with energies of powers and effective torques of motors up to every instant."""
+    found, t = run_quantities(solution.channels), solution.t
+    if not found or len(t) < 2:
+        return solution
+    table = np.column_stack([solution.values, *(each.course(t, solution[each.of]) for each in found)])
+    return replace(solution, channels=(*solution.channels, *(each.quantity for each in found)), values=table)
+
+
+def without_run_quantities(solution: Solution) -> Solution:
+    """Return a solution with the quantities of its instants alone, for comparisons with other runs."""
+    added = [each.quantity for each in run_quantities(solution.channels)]
+    own = [k for k, channel in enumerate(solution.channels) if channel not in added]
+    return replace(solution, channels=tuple(solution.channels[k] for k in own), values=solution.values[:, own])
+
+
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+CHUNK = 512
+"""Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
+
+
+def first_state(problem: Problem, program: Program, step: float) -> tuple[Array, float]:
+    """Return the consistent first state of a form and method, and its residual.
+
+    Raises
+    ------
+    InvalidReference
+        If the reference lacks derivatives.
+    InconsistentStart
+        If no consistent initial values are found.
+    InvalidSetting
+        If the start of the problem does not name the states of its internal dynamics.
+    """
+    require_derivatives(problem, program)
+    reference = problem.reference
+    time = reference.start_time
+    past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
+    if problem.start:
+        return prescribed_start(problem, program.restart, past, step)
+    state, report = program.begin(past, problem.p, step)
+    if not report.converged:
+        raise InconsistentStart(
+            f"{program.name}: no consistent initial values at t = {time:.6g} s were found from the guess of the model"
+        )
+    return state, report.residual
+
+
+def run_steps(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
+    """Step a form by a method from the start through the instants `t`, evenly apart.
+
+    Raises
+    ------
+    InvalidReference, InconsistentStart
+        As `first_state`.
+    IntegrationFailed
+        If a step is not solved.
+    """
+    step, length = step_of(t), chunk_length(len(t) - 1)
+    state, first_residual = first_state(problem, program, step)
+    run, complete = _advanced(problem, program, t, step, state, length, progress)
+    if not complete:
+        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
+    return replace(run, worst_residual=max(run.worst_residual, first_residual))
+
+
+def _advanced(
+    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
+) -> tuple[Run, bool]:
+    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
+    parts, complete, count = [Run(program, t[:1], state[:, None])], True, len(t) - 1
+    for done in range(0, count, length):
+        now = parts[-1].states[:, -1]
+        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, now, length)
+        parts.append(part.at(slice(1, None)))
+        if not complete:
+            break
+        if progress is not None:
+            progress(min(done + length, count), count)
+    return joined_runs(parts), complete
+
+
+def step_of(t: Array) -> float:
+    """Return the step between instants evenly apart."""
+    return float(t[-1] - t[0]) / (len(t) - 1)
+
+
+def chunk_length(count: int) -> int:
+    """Return how many of `count` steps go into one compiled loop, so that all loops are of one length."""
+    return -(-count // -(-count // CHUNK))
+
+
+def advance_chunk(
+    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int
+) -> tuple[Run, bool]:
+    """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
+
+    Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
+    not full is padded with the final instant; its results there are dropped.
+    """
+    used = len(t) - 1
+    # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
+    ends = t[np.minimum(np.arange(1, length + 1), used)]
+    nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
+    states_after, counts, worst = chained(program.step, length)(
+        state,
+        side_by_side(problem.reference.jet(nodes, program.order)),
+        np.full((1, length), step),
+        np.tile(problem.p[:, None], length),
+    )
+    states_after, counts = (array.reshape(-1, length, order="F")[:, :used] for array in (states_after, counts))
+    worst = worst.ravel()[:used]
+    # CasADi reports no failure from within a loop: a step that is not solved answers NaN.
+    failed = ~np.isfinite(states_after).all(axis=0) | ~np.isfinite(worst)
+    good = int(failed.argmax()) if failed.any() else used
+    if good == 0 and length > 1:
+        # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
+        return _advanced(problem, program, t, step, state, 1, None)
+    iterations, factorizations = counts[:, :good].sum(axis=1)
+    states = np.hstack([state[:, None], states_after[:, :good]])
+    worst_residual = float(worst[:good].max(initial=0.0))
+    return Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual), good == used
+
+
+_STICKS = (
+    ", or a force that jumps, as dry friction does: where the body sticks, no step has a solution; use a smooth"
+    " form such as tanh(v/e) for sign(v)"
+)
+
+
+def step_failure(problem: Problem, program: Program, state: Array, time: float, step: float) -> IntegrationFailed:
+    """Return the error that says where a step failed and why that may be."""
+    nodes = np.array([time + c * step for c in program.nodes])
+    worst = program.worst_equation(state, problem.reference.jet(nodes, program.order), step, problem.p)
+    return IntegrationFailed(
+        f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
+        f" the worst equation is the {worst}. Likely causes: {_likely_causes(program)}"
+        + (_STICKS if problem.resolved.holds(JUMPS) else "")
+    )
+
+
+def _likely_causes(program: Program) -> str:
+    """Say why a step may have failed. A smaller step is no cure where there is none, or where errors grow with it."""
+    if program.index == 0:
+        return "a configuration close to a singular one, or a guess of the model far from the answer"
+    if program.index > 3:
+        return (
+            f"errors that this form of index {program.index} amplifies from step to step, more so the smaller the step,"
+            " or a configuration close to a singular one"
+        )
+    if not program.smaller_steps_help:
+        return (
+            f"errors that this method does not damp on a form of index {program.index}, or a configuration close to a"
+            " singular one"
+        )
+    return "a step too large for the path, or a configuration close to a singular one"
