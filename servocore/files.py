@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -89,6 +90,14 @@ def _cells(name: str, values: npt.NDArray[np.float64]) -> list[str]:
     """Return the cells of a variable's column, its name first."""
     size = 1 if values.ndim == 1 else values.shape[1]
     return [f'"{name}"', *(line.replace(",", " ") for line in csv_text([""] * size, [values]).splitlines()[1:])]
+
+
+def figure_file(figure: Any, suffix: str) -> bytes:
+    """Return a figure of Matplotlib as the content of a file that ends so, the same bytes in every run."""
+    stream = io.BytesIO()
+    metadata = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}[suffix]
+    figure.savefig(stream, format=suffix[1:], metadata={metadata: None})
+    return stream.getvalue()
 
 
 def require_picture(file: Path | None) -> None:

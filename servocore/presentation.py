@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +77,7 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
 
     rows = "".join(
         f"<tr><th>{escape(curve.name)}</th><td>{escape(curve.unit)}</td>"
-        + "".join(f"<td>{value:.6g}</td>" for value in _ends_and_extremes(curve.values))
+        + "".join(f"<td>{value:.6g}</td>" for v in (curve.values,) for value in (v[0], v[-1], v.min(), v.max()))
         + f"<td style='text-align:left'>{escape(curve.description)}</td></tr>"
         for curve in curves
     )
@@ -85,10 +85,6 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
     head = "".join(f"<th>{column}</th>" for column in columns)
     text = "<br>".join(escape(line) for line in heading if line)
     return f"<p>{text}</p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-
-
-def _ends_and_extremes(values: Array) -> tuple[float, float, float, float]:
-    return float(values[0]), float(values[-1]), float(values.min()), float(values.max())
 
 
 def data_frame(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
@@ -185,8 +181,8 @@ _KINDS: dict[str, dict[str, Any]] = {
 _MOST_NAMES = 6
 
 
-def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAnimation:
-    """Return an animation of at most `most` frames, each at an instant of the motion.
+def drawing_of(motion: Motion) -> tuple[Figure, Callable[[int], list[Any]]]:
+    """Return a figure of the parts and of the path, and the function that moves the parts to an instant.
 
     Raises
     ------
@@ -194,21 +190,14 @@ def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAni
         If matplotlib is missing.
     """
     with refused_if_missing():
-        from matplotlib import animation, pyplot  # noqa: PLC0415
-
-    class Shown(animation.FuncAnimation):
-        """An animation that a notebook displays."""
-
-        def _repr_html_(self) -> str:
-            return str(self.to_jshtml())
-
-    axes_shown = [0, 2] if motion.flat else [0, 1, 2]
+        from matplotlib import pyplot  # noqa: PLC0415
+    shown = [0, 2] if motion.flat else [0, 1, 2]
     figure = pyplot.figure(figsize=(6.4, 4.8), layout=None)
     figure.subplots_adjust(bottom=0.18)
     axes: Any = figure.add_subplot(projection=None if motion.flat else "3d")
-    _framed(axes, motion, axes_shown)
+    _framed(axes, motion, shown)
     if motion.tracked is not None:
-        axes.plot(*motion.places[:, motion.tracked, axes_shown].T, color=_PATH, ls="--", lw=1.2, label="path")
+        axes.plot(*motion.places[:, motion.tracked, shown].T, color=_PATH, ls="--", lw=1.2, label="path")
     named = [part["name"] for part in motion.parts if part["name"]]
     lines = [
         axes.plot([], [], *([] if motion.flat else [[]]), **_KINDS[part["kind"]],
@@ -217,17 +206,35 @@ def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAni
     ]  # fmt: skip
     if axes.get_legend_handles_labels()[1]:
         figure.legend(loc="lower center", ncols=4, frameon=False)
+
+    def draw(k: int) -> list[Any]:
+        for number, (part, line) in enumerate(zip(motion.parts, lines, strict=True)):
+            coordinates = motion.line(part, k)[:, shown].T
+            (line.set_data if motion.flat else line.set_data_3d)(*coordinates)
+            if number in motion.colours:
+                line.set_color(_shade(motion.colours[number], k))
+        return lines
+
+    return figure, draw
+
+
+def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAnimation:
+    """Return an animation of at most `most` frames, each at an instant of the motion; raises as `drawing_of`."""
+    figure, draw_parts = drawing_of(motion)
+    from matplotlib import animation  # noqa: PLC0415
+
+    class Shown(animation.FuncAnimation):
+        """An animation that a notebook displays."""
+
+        def _repr_html_(self) -> str:
+            return str(self.to_jshtml())
+
     text = figure.suptitle("")
     instants = np.unique(np.searchsorted(motion.t, np.linspace(motion.t[0], motion.t[-1], min(most, len(motion.t)))))
 
     def draw(k: int) -> list[Any]:
-        for number, (part, line) in enumerate(zip(motion.parts, lines, strict=True)):
-            coordinates = motion.line(part, k)[:, axes_shown].T
-            (line.set_data if motion.flat else line.set_data_3d)(*coordinates)
-            if number in motion.colours:
-                line.set_color(_shade(motion.colours[number], k))
         text.set_text(f"{title}, t = {motion.t[k]:.2f} s")
-        return [*lines, text]
+        return [*draw_parts(k), text]
 
     pause = 1e3 * (motion.t[-1] - motion.t[0]) / speed / max(len(instants) - 1, 1)
     return Shown(figure, draw, [int(instant) for instant in instants], interval=pause, blit=False)

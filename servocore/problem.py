@@ -272,7 +272,7 @@ class Problem:
         left_out = system.listed_constraints(resolved.redundant)
         reference = scene.reference
         if system.time.numel() and reference.dimension == len(system.outputs):
-            from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415 - few hold the time
+            from servocore.references.timed_path import TimeAugmented  # noqa: PLC0415 - few hold the time
 
             reference = TimeAugmented.of(reference)
         limits, run_limits = (

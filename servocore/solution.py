@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, lock_arrays
-from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, figure_of, html_table
+from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, drawing_of, figure_of, html_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -179,11 +179,7 @@ class Solution:
     motion: Any = field(default=None, repr=False)  # a `Motion`, of a higher layer
 
     def __post_init__(self) -> None:
-        self._lock()
-
-    def _lock(self) -> None:
-        """Make the arrays read-only: `error` and others are computed from them."""
-        lock_arrays(self, "t", "values")
+        lock_arrays(self, "t", "values")  # `error` and others are computed from them
 
     @cached_property  # it may take longer than the solution
     def error(self) -> ErrorEstimate:
@@ -206,7 +202,7 @@ class Solution:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._lock()
+        lock_arrays(self, "t", "values")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -270,10 +266,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If matplotlib is missing; it is part of the extra ``report``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if matplotlib is missing, which is part of the extra ``report``.
         """
         return figure_of(self.t, self._curves(names), self.route)
 
@@ -299,21 +293,37 @@ class Solution:
             matplotlib is missing; it is part of the extra ``report``.
         InvalidModel
             If the drawing of the scene cannot be drawn, or there is nothing to draw.
-
-        Examples
-        --------
-        >>> import servocore as sc
-        >>> solution = sc.solve(sc.scenes.cars(), step=0.1)
-        >>> solution.animate(frames=5).save("cars.gif", writer="pillow")
         """
         for value, kind, what in ((speed, Real, "a positive speed"), (frames, Integral, "a whole number of frames")):
             if not isinstance(value, kind) or not value > 0:
                 raise InvalidSetting(f"an animation needs {what}, not {value!r}")
-        if self.origin is None:
-            raise InvalidSetting("this solution lacks its problem, as from a file, so that it cannot be drawn")
         return animation_of(self._motion(), self.origin.name.replace("_", " "), speed, frames)
 
+    def draw(self, time: float) -> Figure:
+        """Draw the system in space at the instant that is next to a time, as `animate` does.
+
+        Parameters
+        ----------
+        time : float
+            In s.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Made by pyplot.
+
+        Raises
+        ------
+        InvalidSetting, InvalidModel
+            As `animate`.
+        """
+        figure, draw = drawing_of(self._motion())
+        draw(min(range(len(self.t)), key=lambda k: abs(float(self.t[k]) - time)))
+        return figure
+
     def _motion(self) -> Motion:
+        if self.origin is None:
+            raise InvalidSetting("this solution lacks its problem, as from a file, so that it cannot be drawn")
         import casadi as ca  # noqa: PLC0415 - for animations only
 
         from servocore.model.drawing import picture_of  # noqa: PLC0415
@@ -343,10 +353,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If pandas is missing; it is part of the extra ``sweep``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if pandas is missing, which is part of the extra ``sweep``.
         """
         return data_frame(self.t, self._curves(names), {"route": self.route})
 
@@ -365,10 +373,8 @@ class Solution:
 
         Raises
         ------
-        KeyError
-            If there is no trajectory of a name.
-        InvalidSetting
-            If xarray is missing; it is part of the extra ``sweep``.
+        KeyError, InvalidSetting
+            If there is no trajectory of a name; if xarray is missing, which is part of the extra ``sweep``.
         """
         return dataset(self.t, self._curves(names), {"route": self.route})
 

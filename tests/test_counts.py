@@ -122,6 +122,6 @@ print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if
 
 
 def test_functions_keep_their_names_whatever_package_is_imported_first() -> None:
-    script = "import servocore.cli.effects, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
+    script = "import servocore.cli.studies, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=600)
     assert done.stdout.count("<function") == 2

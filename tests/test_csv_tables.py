@@ -86,6 +86,7 @@ CLEAR = {
     ),
     "a line for spreadsheets above": ("sep=;\r\n" + text(ROWS, "time;x;y;z", ";"), "semicolons between cells"),
     "the Greek letter for micro": (text(ROWS * [1e6, 1, 1, 1], "time [\u03bcs],x,y,z"), "time in µs"),
+    "a time called t": (text(ROWS, "t,x,y,z"), "t,x,y,z as time,x,y,z"),
     "capitals": (text(ROWS, "Time,X,Y,Z"), "Time,X,Y,Z as time,x,y,z"),
     "tabs and no more cells": (
         text(ROWS).replace(",", "\t").rstrip() + "\n\t\t\t\n", "tabs between cells"
@@ -104,7 +105,7 @@ def test_what_is_clear_is_read_and_told_in_one_line(content: str | bytes, note: 
     "content",
     [
         text(ROWS, "time [s],x [m],y [m],z (m)"),
-        "\ufeff" + text(ROWS),
+        "\ufeff" + text(ROWS, "time, x, y, z"),
         text(ROWS).replace("\n", "\r\n"),
         text(ROWS).replace("\n5.0,", '\n"5.0",'),
     ],

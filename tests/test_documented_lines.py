@@ -14,10 +14,10 @@ from test_command_lines import COMMANDS, ROOT, argument_of
 
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.command import Command
-from servocore.cli.effects import Question
 from servocore.cli.kinds import Kind
 from servocore.cli.options import Computation, GivenPath
 from servocore.cli.plan import Freedom
+from servocore.cli.studies import Question
 from servocore.cli.sweep import Cases
 from servocore.references.profiles import TIME_LAWS
 

@@ -85,14 +85,6 @@ def test_a_way_through_a_body_is_never_handed_out(monkeypatch: pytest.MonkeyPatc
         sc.fastest(OVERHEAD, LEVEL, LIMITS, free=space, intervals=COARSE)
 
 
-def test_a_rope_that_does_not_hang_from_height_zero_is_refused() -> None:
-    boom = sc.scenes.boom_crane()
-    limits: Mapping[str, Any] = {"M_s": 3000, "M_l": (-2e4, 2e4), "M_w": (-150, -50)}
-    space = sc.Space((sc.Sphere((2.0, 2.0, 0.2), 0.3),))
-    with pytest.raises(sc.InvalidSetting, match="no rope that is known to hang from a trolley at height zero"):
-        sc.fastest(boom, [(5, 0, 1), (4, 3, 1)], limits, free=space)
-
-
 BODIES = [sc.Sphere((0.2, -0.3, 0.1), 0.4), sc.Box((0.2, -0.3, 0.1), (0.4, 0.02, 0.3))]
 each_body = pytest.mark.parametrize("body", BODIES, ids=["sphere", "box"])
 

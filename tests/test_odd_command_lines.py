@@ -13,25 +13,19 @@ pytestmark = pytest.mark.usefixtures("empty_folder")
 FILES = {
     "bad.csv": "time,a,b\n0,1,2\n",
     "empty.csv": "",
-    "nohead.csv": "0,1,2,3\n1,2,3,4\n",
     "one.csv": "time,x,y,z\n0,5,0,-5\n",
-    "text.csv": "time,x,y,z\n0,5,0,-5\n1,five,0,-5\n",
-    "back.csv": "time,x,y,z\n0,5,0,-5\n2,5,0,-4\n1,5,0,-3\n",
-    "nanrow.csv": "time,x,y,z\n0,5,0,-5\n1,nan,0,-5\n",
     "unit.csv": "time (ms),x (mm),y (mm),z (kg)\n0,5,0,-5\n1,5,0,-4\n",
     "way.csv": "time,x,y,z\n0,5,0,-5\n20,-2,2,-2\n",
     "binary.csv": "".join(map(chr, range(256))),
     "bad.toml": "load_mass 80",
     "unknown.toml": "nothing = 3\n",
     "neg.toml": "load_mass = -3\n",
-    "texts.toml": "load_mass = 'x'\nF = 'y'\n",
     "afile": "hello",
     "broken.py": "1/0\n",
 }
 
 TABLE = """
 crane-fmu feedforward {CRANE} --duration 0 -> the duration of a path must be a positive time, not 0.0 s
-crane-fmu feedforward {CRANE} --duration -5 -> the duration of a path must be a positive time, not -5.0 s
 crane-fmu feedforward {CRANE} --duration inf -> write it as in --duration 20
 crane-fmu feedforward {CRANE} --duration 1e12 -> the duration of 1e+12 s is longer than the limit of 1e+09 s
 crane-fmu feedforward {CRANE} --duration 1e-12 -> the rope goes slack: g + z'' is
@@ -43,37 +37,26 @@ crane-fmu feedforward --from 5 0 -5 --from 4 0 -5 --to 3 0 -5 --duration 20 --st
 crane-fmu feedforward {CRANE} --duration 20 --step inf -> write it as in --step 0.1
 crane-fmu feedforward {CRANE} --duration 20 --step 30 -> the step of 30 s is larger than the duration of 20 s
 crane-fmu feedforward {CRANE} --duration 20 --rtol 0 -> tolerances must be finite and not negative, one of them
-crane-fmu feedforward {CRANE} --duration 20 --rtol -1 -> tolerances must be finite and not negative, one of them
 crane-fmu feedforward {CRANE} --duration 20 --rtol 1e-3 --output-step 0.7 -> the step of 0.7 s does not divide the
 crane-fmu feedforward {CRANE} --duration 20 --profile '' -> write it as in --profile degree9
 crane-fmu feedforward {CRANE} --duration 20 --profile three-phase --ramp 0 -> the ramp of a three-phase profile must
 crane-fmu feedforward --columns '' -> write it as in --columns F,swing
 crane-fmu feedforward --columns , -> --columns: there is no ''; there are M_b, F, M_w, phi, s, l
-crane-fmu feedforward --columns time -> --columns: there is no 'time'; there are M_b, F, M_w, phi, s
 crane-fmu feedforward --plot .png -> cannot draw .png: the name must end in .png, .svg, .pdf
 crane-fmu feedforward --output / -> cannot write /: it is a folder; name a file
 crane-fmu feedforward --reference . -> . cannot be read: Is a directory
 crane-fmu feedforward --reference bad.csv -> bad.csv, line 1: the header time,x,y,z, optionally followed
 crane-fmu feedforward --reference empty.csv -> empty.csv, line 1: the file is empty, but a header time,x,y,z
-crane-fmu feedforward --reference nohead.csv -> nohead.csv, line 1: the header time,x,y,z, optionally
 crane-fmu feedforward --reference one.csv -> one.csv, line 2: the file ends after 1 rows of data, but such
-crane-fmu feedforward --reference text.csv -> text.csv, line 3, column x: 'five' is not a finite number
 crane-fmu feedforward --reference binary.csv -> binary.csv cannot be read as a table
-crane-fmu feedforward --reference back.csv -> back.csv, line 4, column time: 1 s does not come after 2 s of
-crane-fmu feedforward --reference nanrow.csv -> nanrow.csv, line 3, column x: 'nan' is not a finite number
 crane-fmu feedforward --reference unit.csv -> unit.csv, line 1, column z: its unit must be one of m, mm
 crane-fmu feedforward --reference way.csv --tolerance 0 -> way.csv, line 3: the file ends after 2 rows of data, but
 crane-fmu feedforward --reference way.csv --tolerance inf -> write it as in --tolerance 1mm
 crane-fmu feedforward --waypoints one.csv -> one.csv, line 2: the file ends after 1 rows of data, but such
 crane-fmu feedforward --waypoints way.csv --tolerance 1mm -> --tolerance belongs to --reference: it bounds the
-crane-fmu feedforward --parameters bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
-crane-fmu feedforward --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there are
-crane-fmu feedforward --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
-crane-fmu feedforward --parameters texts.toml -> texts.toml: parameter load_mass must be a number, not a text
 crane-fmu feedforward --limits bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu feedforward --limits unknown.toml -> rotary crane, points reports nothing called nothing that
 crane-fmu feedforward --limit F= -> --limit F= is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
-crane-fmu feedforward --limit F=.. -> --limit F=.. is no NAME=NUMBER or NAME=LOW..HIGH: write it as in
 crane-fmu feedforward --limit F=60.. -> rotary_crane: at t = 0 s F goes beyond its lower limit of 60
 crane-fmu feedforward --limit F=0 -> the limit of F is '0': one number is the largest magnitude
 crane-fmu feedforward --limit F=inf -> the limit of F is given as 'inf', which is no number with a
@@ -83,10 +66,8 @@ crane-fmu feedforward --model '' -> write it as in --model points
 crane-fmu feedforward -ox/y.csv -> cannot write x/y.csv: there is no folder x; make it first
 servocore feedforward '' -> no scene is called ''; there are rotary_crane
 servocore feedforward rotary_crane: -> rotary_crane:: there is no module rotary_crane
-servocore feedforward :rotary_crane -> :rotary_crane: there is no module ''
 servocore feedforward os:getcwd -> os:getcwd returns str, not a Scene
 servocore feedforward os:nothing -> os:nothing: the module os has no function 'nothing'
-servocore feedforward no_such_module:scene -> no_such_module:scene: there is no module no_such_module
 servocore feedforward a..b:scene -> a..b:scene: there is no module a..b
 servocore feedforward broken:scene -> broken:scene: the module cannot be imported
 servocore feedforward cars --from 0 --to 1 0 --duration 2 -> --to 1 0: it needs 1 number, y: write it as --to Y
@@ -101,7 +82,6 @@ crane-fmu plan {CRANE} --limit F=60 --robust load_mass=-1..1 -> parameter load_m
 crane-fmu plan {CRANE} --limit F=60 --robust nothing=0.9..1.1 -> rotary_crane has no parameter nothing
 crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9..1.1 --robust load_mass=0.8..1.2 -> --robust gives
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2' -> --keep-out 'sphere 1 2' is neither 'sphere'
-crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'cone 1 2 3 4' -> --keep-out 'cone 1 2 3 4' is neither 'sphere'
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 3 -4' -> the radius of a sphere must be positive
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 1' --clearance-of hook -> 'hook' is no part that
 crane-fmu plan {CRANE} --limit F=60 --free --keep-out 'sphere 1 2 -3 1' --clearance-of '' -> in --clearance-of load,rope
@@ -122,7 +102,6 @@ crane-fmu drive afile -> cannot read afile as an FMU: File is not a zip file
 crane-fmu drive afile --map =x -> write it as in --map F=trolley.force
 crane-fmu drive afile --map G=x -> there is no signal 'G' to map
 crane-fmu drive afile --map none.toml -> none.toml cannot be read: No such file or directory
-crane-fmu drive afile --map bad.toml -> bad.toml is not a TOML file: Expected '=' after a key in a
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
 crane-fmu drive afile {CRANE} --duration 20 -o afile -> cannot write afile: it is read as well
 crane-fmu demo out -> see crane-fmu demo --help
@@ -133,10 +112,8 @@ servocore sensitivities cars --wrt '' -> write it as in --wrt load_mass
 servocore sensitivities cars --from 0 --to 1 -> a straight line also needs --duration
 servocore sensitivities cars --output x.svg --plot x.svg -> --output and --plot both name x.svg
 servocore sweep cars -o s --vary '' -> write it as in --vary load_mass=50..150:100
-servocore sweep cars -o s --vary =1..2:3 -> --vary =1..2:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs a count of at least 1: write it as in
-servocore sweep cars -o s --vary load=1..2:2.5 -> --vary load=1..2:2.5 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
 servocore sweep cars -o s --vary none=1..2:3 -> cars has no parameter none
 servocore sweep cars -o s --vary duration=-1..2:3 -> durations must be positive, not -1 s
@@ -149,12 +126,8 @@ servocore sweep cars -o s --vary duration=1..2:3 --scheduler nowhere -> no Dask 
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler '' -> write it as in --scheduler tcp://localhost:8786
 servocore sweep cars -o s --vary duration=1..2:100000000000 -> more than 1e+07 values or instants fill the memory
 servocore effects overhead_crane --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
-servocore effects overhead_crane --bandwidth -2 -> the bandwidth of position loops must be positive and finite, not -2
-servocore effects overhead_crane --bandwidth inf -> the bandwidth of position loops must be positive and finite, not inf
 servocore effects overhead_crane --deviation 0mm -> the tolerance must be positive and finite, not 0
-servocore effects overhead_crane --deviation inf -> write it as in --deviation 5mm
 servocore effects overhead_crane --parameters unknown.toml -> unknown.toml: no parameter is called 'nothing'; there
-servocore effects overhead_crane --open-loop --bandwidth 6 -> --open-loop excludes --bandwidth: there are no position
 servocore export cars -o x -> cannot write x: the name of an FMU ends with .fmu, or tools
 servocore export cars -o x.fmu --plant --cross-check -> --cross-check is for inverse models: not with --plant
 servocore export cars -o x.fmu --trajectory --wasm x.wasm -> --wasm is for inverse models: not with --trajectory

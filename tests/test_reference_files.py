@@ -20,7 +20,7 @@ from servocore import (
 )
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
-from servocore.references.hermite import hermite
+from servocore.references.piecewise import hermite
 from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -68,11 +68,6 @@ def test_columns_are_those_of_the_scene(scene: sc.Scene, groups: int, tmp_path: 
     np.testing.assert_allclose(path.jet(t, 0), scene.reference.jet(t, 0), atol=1e-11)
     with pytest.raises(InvalidReference, match=r"header time,x,y,z.* was expected"):
         from_csv(file)
-
-
-def test_waypoints_have_the_columns_that_are_asked_for(tmp_path: Path) -> None:
-    file = write(tmp_path / "way.csv", np.array([[0.0, 1.0, 2.0], [3.0, 2.0, 2.0]]), 1, columns=["x", "z"])
-    assert waypoints_from_csv(file, ["x", "z"]).jet(3.0, 0)[0] == pytest.approx([2.0, 2.0])
 
 
 @pytest.mark.parametrize("columns", [[], ["x", "x"], ["time"]])
@@ -184,22 +179,6 @@ def test_a_file_that_is_no_path_is_refused_by_name_line_and_column(text: str, se
         from_csv(file)
 
 
-def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(InvalidReference, match=r"nowhere\.csv cannot be read: No such file"):
-        from_csv(tmp_path / "nowhere.csv")
-    with pytest.raises(InvalidReference, match="cannot be read"):
-        from_csv(tmp_path)
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InvalidReference, match=r"binary\.csv cannot be read"):
-        waypoints_from_csv(tmp_path / "binary.csv")
-
-
-def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path: Path) -> None:
-    file = tmp_path / "path.csv"
-    file.write_bytes("\ufefftime, x, y, z\r\n0, 5, 0, -5\r\n20, -2, 2, -2\r\n\r\n".encode())
-    assert relative_errors(waypoints_from_csv(file), LINE, 4).max() < 1e-13
-
-
 def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match="header time,x,y,z, optionally followed by vx,vy,vz, then stop was exp"):
         waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 3), 3))
@@ -242,13 +221,3 @@ def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go() 
     trolley = np.linalg.norm(position[:, :2] + lever[:, None] * acceleration[:, :2], axis=1)
     assert trolley.min() > 3.8
     assert trolley.max() < 6.1
-
-
-def test_a_header_t_is_the_time(tmp_path: Path) -> None:
-    text = sc.path_to_csv(sc.scenes.rotary_crane().reference)
-    (tmp_path / "time.csv").write_text(text, encoding="utf-8")
-    (tmp_path / "t.csv").write_text(text.replace("time,", "t,", 1), encoding="utf-8")
-    with pytest.warns(sc.ServocoreWarning, match="as time,x,y,z"):
-        read = sc.from_csv(tmp_path / "t.csv")
-    t = np.linspace(0.0, read.duration, 11)
-    np.testing.assert_array_equal(read.jet(t, 4), sc.from_csv(tmp_path / "time.csv").jet(t, 4))

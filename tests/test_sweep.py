@@ -457,7 +457,7 @@ def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: 
     for package, extra in (("matplotlib.axes", "report"), ("xarray", "sweep"), ("zarr", "sweep")):
         with monkeypatch.context() as without:
             without.setitem(sys.modules, package, None)
-            without.delitem(sys.modules, "servocore.cli.sweep_figure", raising=False)
+            without.delitem(sys.modules, "servocore.cli.pictures", raising=False)
             run = line("sweep", "rotary_crane", "--vary", "load_mass=50..150:3", "-o", "study")
         line.assert_refused(run, f"pip install '.[{extra}]'")
         assert list(tmp_path.iterdir()) == []

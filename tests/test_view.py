@@ -148,23 +148,6 @@ def test_a_function_that_calls_others_is_refused_with_a_sentence() -> None:
         javascript(ca.Function("f", [x], [x]))
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"), [("crane.htm.txt", "ends with .html"), ("none/crane.html", "there is no folder")]
-)
-def test_a_page_that_cannot_be_written_is_refused_with_a_sentence(tmp_path: Path, name: str, sentence: str) -> None:
-    scene = sc.scenes.cars()
-    with pytest.raises(sc.InvalidSetting, match=re.escape(sentence)):
-        sc.view(sc.solve(scene), tmp_path / name)
-    assert not any(tmp_path.iterdir())
-
-
-def test_without_a_path_the_page_has_the_name_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    scene = sc.scenes.cars()
-    assert sc.view(sc.solve(scene)) == Path(f"{scene.name}.html")
-    assert [file.name for file in tmp_path.iterdir()] == [f"{scene.name}.html"]
-
-
 def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: Path) -> None:
     scene = sc.scenes.cars()
     solution = sc.solve(scene)

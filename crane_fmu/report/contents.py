@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from crane_fmu.report import figures
 from crane_fmu.report.page import UNITS, Fact, Illustration, Part, Table, number, parameter_table
-from crane_fmu.report.study import DEFAULT, INPUTS, MOTION, PAPER, STEPS, Cycle, Errors, LoadRun, Study, largest
-from crane_fmu.report.style import Array
+from crane_fmu.report.study import DEFAULT, INPUTS, MOTION, PAPER, STEPS, Array, Cycle, Errors, LoadRun, Study, largest
 
 _PERCENT = tuple(f"{name} (%)" for name in INPUTS)
 _MOTION = ("φ (rad)", "s (m)", "l (m)")
 _FMUS = f"FMUs with their defaults: {DEFAULT.replace('instant', 'communication step')}"
-_CLOSED_FORM = "closed form, nothing is solved"
 TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
 
 
@@ -95,11 +93,11 @@ def _introduction(study: Study) -> list[Part]:
         Illustration(
             "crane",
             "The crane and its coordinates",
-            _CLOSED_FORM,
+            DEFAULT,
             "Bridge angle φ, trolley position s, rope length l; the trolley runs in the plane z = 0 and the load"
             " hangs below. Each input is positive in the direction of its coordinate; the winch torque pays out"
             " rope, so it is negative at rest.",
-            figures.sketch(study.scene),
+            figures.sketch(study.base),
         ),
     ]
 

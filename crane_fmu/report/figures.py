@@ -1,33 +1,108 @@
-"""Figures of the report: motion and inputs over time, errors over the step, the crane in space."""
+"""Figures of the report: motion and inputs over time, errors over the step, the crane in space.
+
+Fonts and line styles remain distinct in grey. No global setting is changed, and no window system is needed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MultipleLocator, NullFormatter, NullLocator
+from matplotlib.ticker import NullFormatter, NullLocator
 
 import servocore as sc
-from crane_fmu.report.study import INPUTS, Errors, LoadRun
-from crane_fmu.report.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    LABELS,
-    PURPLE,
-    VERMILLION,
-    WIDTH,
-    Array,
-    Trajectories,
-    panels,
-    styled,
-)
+from crane_fmu.report.study import Array, Errors, LoadRun
+from servocore.files import figure_file
+
+BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
+"""Colours that remain distinct with colour blindness (Okabe and Ito): exact inversion blue, the paper's vermillion."""
+
+PURPLE = "#7b4fa3"
+
+FAINT = "#5c5c5c"
+"""Of remarks."""
+
+WIDTH = 6.7
+"""Width of a figure in inches: the text width of an A4 page."""
+
+_REMARK = 100
+"""Most characters of a line below a figure."""
+
+_RC: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "mathtext.fontset": "dejavusans",
+    "savefig.dpi": 200,
+    "svg.hashsalt": "crane-fmu",
+}
+
+LABELS = {
+    "M_b": "slewing torque $M_b$ (N m)",
+    "F": "trolley force $F$ (N)",
+    "M_w": "winch torque $M_w$ (N m)",
+}
+"""Axis labels of the inputs."""
+
+styled = mpl.rc_context(_RC)
+"""Decorates functions that make or save figures in this style."""
+
+
+def panels(labels: Sequence[str], height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure of labelled panels above each other that share their time axis.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Quantity of each panel, with its unit.
+    height : float
+        Height of a panel in inches.
+    """
+    figure = Figure(figsize=(WIDTH, height * len(labels) + 0.35), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(len(labels), sharex=True, squeeze=False)[:, 0])
+    for axis, label in zip(axes, labels, strict=True):
+        axis.set_ylabel(label)
+    axes[-1].set_xlabel("time (s)")
+    figure.align_ylabels()
+    return figure, axes
+
+
+@styled
+def picture(figure: Figure, suffix: str, by: str) -> bytes:
+    """Return the figure as the content of a file, the same every time.
+
+    Parameters
+    ----------
+    figure : Figure
+        The drawing.
+    suffix : str
+        .png, .svg or .pdf.
+    by : str
+        Form and method of the results, written at the edge: pictures are used without their captions.
+    """
+    edge = figure.suptitle if figure.get_layout_engine() is None else figure.supxlabel
+    edge(fill(by, _REMARK), x=0.99, horizontalalignment="right", fontsize=8.0, color=FAINT)
+    return figure_file(figure, suffix)
+
 
 Look = Mapping[str, Any]
 """Arguments of `Axes.plot`; curves on top of each other differ in more than colour."""
@@ -60,38 +135,6 @@ LEAST_ERROR = 1e-3
 """In mm; a smaller distance is a numerical residual, and is drawn as this one."""
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Trajectories by name over time, and their look."""
-
-    label: str
-    t: Array
-    values: Trajectories
-    look: Look
-
-
-def _keep_rounding_flat(axes: Axes) -> None:
-    """Widen the axis of a quantity that is constant up to round-off."""
-    low, high = axes.dataLim.intervaly
-    slightest = 1e-6 * max(1.0, abs(low), abs(high))
-    if high - low < slightest:
-        axes.set_ylim((low + high) / 2 - 1e4 * slightest, (low + high) / 2 + 1e4 * slightest)
-
-
-@styled
-def stack(names: Sequence[str], curves: Sequence[Curve], height: float = 1.75) -> Figure:
-    """Return a figure with one panel a quantity, angles in degrees."""
-    figure, axes = panels([LABELS[name] for name in names], height)
-    for axis, name in zip(axes, names, strict=True):
-        for curve in curves:
-            values = np.degrees(curve.values[name]) if name == "phi" else curve.values[name]
-            axis.plot(curve.t, values, label=curve.label, markevery=max(1, len(values) // 25), **curve.look)
-        axis.margins(x=0.01)
-        _keep_rounding_flat(axis)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
-    return figure
-
-
 @styled
 def reference_function(reference: sc.Reference) -> Figure:
     """Return the share of a straight line that the load has travelled, and its second derivative.
@@ -113,14 +156,21 @@ def reference_function(reference: sc.Reference) -> Figure:
     return figure
 
 
+@styled
 def inputs_compared(redundant: sc.Solution, generalized: sc.Solution, default: sc.Solution) -> Figure:
     """Return the inputs of both sets of coordinates on top of each other, by one scheme, with those by the default."""
     curves = (
-        Curve("default: exact inversion", default.t, default, DEFAULT_LINE),
-        Curve("generalized coordinates (GEN)", generalized.t, generalized, PAPER_LINE),
-        Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
+        ("default: exact inversion", default, DEFAULT_LINE),
+        ("generalized coordinates (GEN)", generalized, PAPER_LINE),
+        ("redundant coordinates (RED)", redundant, REDUNDANT),
     )
-    return stack(INPUTS, curves, height=2.1)
+    figure, axes = panels(list(LABELS.values()), height=2.1)
+    for axis, name in zip(axes, LABELS, strict=True):
+        for label, run, look in curves:
+            axis.plot(run.t, run[name], label=label, markevery=max(1, len(run.t) // 25), **look)
+        axis.margins(x=0.01)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
+    return figure
 
 
 @styled
@@ -204,81 +254,31 @@ def _slope_one(axes: Axes, steps: Array) -> None:
     axes.loglog(steps, middle, color=BLACK, linestyle=":", linewidth=1.4, label="slope 1")
 
 
-Axes3D = Any
-"""Axes in space: matplotlib has no type for them that a checker could read."""
-
-_OVERHANG = 1.15
-"""Length of the drawn girder as a multiple of the trolley's travel: the crane's data contain none."""
-
-
 _TURNED = np.radians(40.0)
 """Turn of the bridge in the labelled drawing, in rad."""
 
 
 @styled
-def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
-    """Return the crane at one instant of a run.
-
-    Parameters
-    ----------
-    run : Trajectories
-        With phi, s, x, y, z.
-    index : int
-        Which instant; negative ones count from the end.
-    labelled : bool
-        Whether phi, s and l are labelled in the drawing.
-    """
-    figure = Figure(figsize=(WIDTH, 4.5))
-    axes = figure.add_axes((0.02, 0.09, 0.92, 1.0), projection="3d")
-    path = np.column_stack([run[name] for name in "xyz"])
-    reach = _OVERHANG * float(run["s"].max())
-    ground = float(np.floor(path[:, 2].min() - 0.5))
-    _draw_path(axes, path, ground)
-    _draw_crane(axes, path[index], run["phi"][index], run["s"][index], reach, ground)
+def posture(run: sc.Solution, index: int, labelled: bool = False) -> Figure:
+    """Return the crane at one instant of a run; with `labelled`, phi, s and l are named in the drawing."""
+    figure = run.draw(float(run.t[index]))
     if labelled:
-        _write_names(axes, path[index], run["phi"][index], run["s"][index], reach)
-    tips = reach * np.column_stack([np.cos(run["phi"]), np.sin(run["phi"]), 0.0 * run["phi"]])
-    _frame(axes, np.vstack([path, tips, [[-0.5, -0.5, ground], [0.5, 0.5, 0.9]]]))
-    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4)
+        load = np.array([run[name][index] for name in "xyz"])
+        _write_names(figure.axes[0], load, run["phi"][index], run["s"][index], 0.9 * float(run["s"].max()))
     return figure
 
 
-def sketch(scene: sc.Scene) -> Figure:
+def sketch(run: sc.Solution) -> Figure:
     """Return the crane on its manoeuvre, with phi, s and l labelled."""
-    path = scene.reference
-    t = np.linspace(path.start_time, path.end_time, 101)
-    run = scene.exact(t)
     # At an instant with the bridge turned, well before the load comes near the slewing axis.
     shown = int(np.searchsorted(np.abs(run["phi"] - run["phi"][0]), _TURNED))
-    return posture(run, min(shown, len(t) // 2), labelled=True)
+    return posture(run, min(shown, len(run.t) // 2), labelled=True)
 
 
-def _draw_path(axes: Axes3D, path: Array, ground: float) -> None:
-    x, y, z = path.T
-    axes.plot(x, y, z, color=VERMILLION, linestyle="--", linewidth=1.4, label="path of the load")
-    axes.plot(x, y, np.full_like(z, ground), color=GREY, linestyle=":", linewidth=1.0)
-    for k, name in ((0, "start"), (-1, "end")):
-        axes.plot(x[[k]], y[[k]], z[[k]], marker="+", markersize=8, color=VERMILLION, linestyle="none")
-        axes.text(x[k], y[k], z[k] - 0.35, name, color=BLACK, ha="center", va="top", fontsize=8.5)
-
-
-def _draw_crane(axes: Axes3D, load: Array, phi: float, s: float, reach: float, ground: float) -> None:
-    along = np.array([np.cos(phi), np.sin(phi), 0.0])
-    tip, trolley = reach * along, s * along
-    axes.plot([0, 0], [0, 0], [ground, 0.6], color=GREY, linewidth=2.0, linestyle="-.", label="slewing axis")
-    axes.plot(*zip(0 * tip, tip, strict=True), color=BLACK, linewidth=4.0, solid_capstyle="butt", label="bridge")
-    axes.plot(*zip(trolley, load, strict=True), color=BLACK, linewidth=1.0, label="rope")
-    part = {"linestyle": "none", "markeredgecolor": BLACK}
-    axes.plot(*trolley[:, None], marker="s", markersize=9, color=GREEN, label="trolley and winch", zorder=10, **part)
-    axes.plot(*load[:, None], marker="o", markersize=10, color=BLUE, label="load", zorder=11, **part)
-    axes.plot([load[0]] * 2, [load[1]] * 2, [load[2], ground], color=GREY, linewidth=0.8, linestyle=":")
-
-
-def _write_names(axes: Axes3D, load: Array, phi: float, s: float, reach: float) -> None:
+def _write_names(axes: Any, load: Array, phi: float, s: float, radius: float) -> None:
     along = np.array([np.cos(phi), np.sin(phi), 0.0])
     arc = np.linspace(0.0, phi, 40)
-    radius = 0.8 * reach
-    axes.plot([0, reach], [0, 0], [0, 0], color=BLACK, linewidth=0.9, linestyle=":")
+    axes.plot([0, 1.2 * radius], [0, 0], [0, 0], color=BLACK, linewidth=0.9, linestyle=":")
     axes.plot(radius * np.cos(arc), radius * np.sin(arc), 0 * arc, color=BLACK, linewidth=0.9)
     middle = 1.1 * radius * np.array([np.cos(phi / 2), np.sin(phi / 2), 0.0])
     for place, text, aside in (
@@ -287,13 +287,3 @@ def _write_names(axes: Axes3D, load: Array, phi: float, s: float, reach: float) 
         ((s * along + load) / 2 + [0.2, 0, 0], "$l$", {"ha": "left", "va": "center"}),
     ):
         axes.text(*place, text, fontsize=12, **aside)
-
-
-def _frame(axes: Axes3D, everything: Array) -> None:
-    """Set equal scales on all axes, and limits that contain girder and path."""
-    limits = np.column_stack([np.floor(everything.min(axis=0)), np.ceil(everything.max(axis=0))])
-    for name, (low, high) in zip("xyz", limits, strict=True):
-        axes.set(**{f"{name}lim": (low, high), f"{name}label": f"${name}$ (m)"})
-        getattr(axes, f"{name}axis").set_major_locator(MultipleLocator(2.0))
-    axes.set_box_aspect(np.diff(limits).ravel(), zoom=1.04)
-    axes.view_init(elev=24, azim=-62)

@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 import servocore as sc
-from crane_fmu.report.style import picture
+from crane_fmu.report.figures import picture
 
 MEANINGS = {
     "bridge_inertia": ("J_b", "moment of inertia of bridge, trolley and winch about the slewing axis at s = 0"),

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import numpy.typing as npt
 
 import servocore as sc
-from crane_fmu.report.style import Array, Trajectories
+
+Array = npt.NDArray[np.float64]
 
 INPUTS = ("M_b", "F", "M_w")
 MOTION = ("phi", "s", "l")
@@ -187,7 +189,7 @@ def error(scene: sc.Scene, solution: sc.Solution) -> Errors:
     return apart(solution, scene.exact(solution.t))
 
 
-def apart(run: Trajectories, judge: Trajectories) -> Errors:
+def apart(run: sc.Solution, judge: sc.Solution | Mapping[str, Array]) -> Errors:
     """Return the largest differences of a run from another that it is judged by."""
     relative = {name: largest(run[name] - judge[name]) / largest(judge[name]) for name in INPUTS}
     return relative | {name: largest(run[name] - judge[name]) for name in MOTION}

@@ -1,4 +1,4 @@
-"""The command ``servocore``: list, analyse, invert, plan and export scenes."""
+"""The command ``servocore``: list, import, analyse, invert, plan and export scenes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import rich.box
 import rich.table
@@ -13,26 +15,31 @@ from rich.markup import escape
 
 from servocore.analysis import analyse
 from servocore.cli import (
-    cache,
-    drives,
-    effects,
     export,
     feedforward,
     identification,
-    import_file,
     plan,
-    sensitivities,
-    ssp,
+    studies,
     sweep,
     view,
 )
-from servocore.cli.command import Command
+from servocore.cli.command import Command, option
 from servocore.cli.console import CommandLine, advised_here, table_console
+from servocore.cli.kinds import choice
 from servocore.cli.options import Subject
+from servocore.errors import InvalidSetting
+from servocore.importers.assembly import Mechanism
+from servocore.importers.from_file import SUFFIXES
 from servocore.model.scene import Scene
+from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 from servocore.scenes import REGISTRY
 
 NAME = "servocore"
+IMPORT_EXAMPLES = (
+    "ur5.urdf",
+    "ur5.urdf --servo-output tool0 --elastic 1e4 --motor-inertia 0.3",
+    "crane.xml --import settings.toml",
+)
 _INDENT = 22  # where the second column of a printed analysis begins
 
 
@@ -84,6 +91,71 @@ def hanging(line: str, width: int) -> str:
     return textwrap.fill(line, max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT, break_on_hyphens=False) or line
 
 
+def import_file(subject: Subject) -> None:
+    """Print what is read from a URDF, MJCF or SDF file, and the analysis of its problem.
+
+    Joints with limits, frames, inputs and outputs, limits that are kept, and the elements of the file that have no part
+    in the model. The analysis is that of servocore analyse, along a short line from the posture.
+    """
+    if Path(subject.scene).suffix.lower() not in SUFFIXES:
+        raise InvalidSetting(f"{subject.scene} is no robot file: its name ends in {', '.join(SUFFIXES)}")
+    scene = subject.chosen()
+    mechanism = scene.models[scene.default_model]
+    assert isinstance(mechanism, Mechanism)
+    console = table_console()
+    for label, text in listed(scene, mechanism):
+        console.print(f"  {label:<20}{text}", markup=False, highlight=False, soft_wrap=True)
+    report = advised_here(str(analyse(scene, model=subject.model)))
+    console.print(report, markup=False, highlight=False, soft_wrap=True)
+
+
+def listed(scene: Scene, mechanism: Mechanism) -> list[tuple[str, str]]:
+    """Return the contents of a file, as labels and texts."""
+    tree, options, system = mechanism.tree, mechanism.options, scene.model()
+    rows = list[tuple[str, str]]()
+    for joint in tree.joints.values():
+        marks = [mark for mark in ("locked", "passive", "elastic") if joint.name in getattr(options, mark)]
+        marks += [f"mimics {joint.mimic[0]}"] if joint.mimic else []
+        rows.append(("joint", f"{joint.name}: {' '.join([*marks, joint.kind])}"))
+    rows.append(("frames", ", ".join(tree.body)))
+    for label, quantities in (("inputs", system.inputs), ("outputs", system.outputs)):
+        rows.append((label, ", ".join(f"{each.name} ({each.unit})" for each in quantities)))
+    rows += [("limit", f"{each.quantity} {each.bound:.4g}..{each.upper:.4g} {each.unit}") for each in scene.limits]
+    return rows + [("left out", each) for each in mechanism.left_out]
+
+
+@dataclass(frozen=True)
+class Action:
+    """Action on the cache."""
+
+    title = "Cache"
+
+    clear: bool = option(
+        kind=choice("action", {"clear": True}), metavar="[clear]", default=False,
+        help="Clear the cache; without this word it is described.",
+    )  # fmt: skip
+
+
+def show_cache(action: Action) -> None:
+    """Print place and size of the compiled machine code, or remove it.
+
+    Removed code is compiled again when it is needed. The folder is the user's cache folder, or the one in the
+    environment variable SERVOCORE_CACHE.
+    """
+    kept = CodeCache.of_user()
+    if refusal := kept.refusal():
+        raise InvalidSetting(f"no machine code is kept: {refusal}; set {FOLDER} to another folder")
+    if action.clear:
+        count, size = kept.clear()
+        where = f"removed from {kept.folder}"
+    else:
+        found = kept.contents()
+        count, size = len(found), sum(file.stat().st_size for file in found)
+        where = f"of at most {MOST_BYTES / 1e6:.3g} MB in {kept.folder}"
+    libraries = "library" if count == 1 else "libraries"
+    table_console().print(f"{count} {libraries} of machine code with {size / 1e6:.3g} MB {where}", soft_wrap=True)
+
+
 app = CommandLine(
     NAME,
     "Inverse dynamics of underactuated mechanical systems by servo constraints.\n\nThe commands analyse scenes of the"
@@ -92,18 +164,18 @@ app = CommandLine(
     [
         Command("scenes", list_scenes),
         Command("analyse", analyse_scene, ("rotary_crane", "mass_on_car --model points --parameters heavy.toml")),
-        Command("import", import_file.import_file, import_file.EXAMPLES),
+        Command("import", import_file, IMPORT_EXAMPLES),
         Command("feedforward", feedforward.feed_forward, feedforward.EXAMPLES),
         Command("plan", plan.plan_motion, plan.EXAMPLES, plan.FIXED),
-        Command("sensitivities", sensitivities.show_sensitivities, sensitivities.EXAMPLES, sensitivities.FIXED),
+        Command("sensitivities", studies.show_sensitivities, studies.SENSITIVITIES_EXAMPLES, studies.FIXED),
         Command("sweep", sweep.sweep_scene, sweep.EXAMPLES),
-        Command("effects", effects.show_effects, effects.EXAMPLES, {"model": None}),
-        Command("drives", drives.show_drives, drives.EXAMPLES),
+        Command("effects", studies.show_effects, studies.EFFECTS_EXAMPLES, {"model": None}),
+        Command("drives", studies.show_drives, studies.DRIVES_EXAMPLES),
         Command("identify", identification.identify_scene, identification.EXAMPLES, {"model": None}),
         Command("excite", identification.excite_scene, identification.EXCITE_EXAMPLES, {"model": None}),
         Command("view", view.view_scene, view.EXAMPLES),
         Command("export", export.export_scene, export.EXAMPLES),
-        Command("ssp", ssp.export_system, ssp.EXAMPLES),
-        Command("cache", cache.show_cache, cache.EXAMPLES),
+        Command("ssp", export.export_system, export.SSP_EXAMPLES),
+        Command("cache", show_cache, ("", "clear")),
     ],
 )

@@ -153,7 +153,7 @@ class CommandLine(click.Group):
 def _held_notes() -> Iterator[list[str]]:
     """Collect the library's warnings as sentences; those of others stay as they are."""
     notes: list[str] = []
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="always", category=ServocoreWarning):
         others = warnings.showwarning
 
         def hold(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -163,7 +163,6 @@ def _held_notes() -> Iterator[list[str]]:
                 others(message, category, *place, **more)
 
         warnings.showwarning = hold
-        warnings.simplefilter("always", ServocoreWarning)
         yield notes
 
 

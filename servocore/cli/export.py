@@ -1,4 +1,4 @@
-"""The command ``servocore export``: the inverse model of a scene as native FMU, C source or WebAssembly."""
+"""The commands ``servocore export`` and ``servocore ssp``: native FMUs, C source, WebAssembly, systems of FMUs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,15 @@ from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
-from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_trajectory, require_built, require_version
+from servocore.export.fmu import (
+    VERSIONS,
+    export_fmu,
+    export_plant,
+    export_ssp,
+    export_trajectory,
+    require_built,
+    require_version,
+)
 from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import HostRules
 from servocore.export.targets import zig
@@ -38,6 +46,8 @@ EXAMPLES = (
     "rotary_crane --plant -o plant.fmu",
     "rotary_crane --trajectory --from 5 0 -5 --to -2 2 -2 --duration 15 -o line.fmu",
 )
+
+SSP_EXAMPLES = ("overhead_crane -o crane.ssp", "cars --from 1 --to 3 --duration 4 -o cars.ssp")
 
 NEWEST = VERSIONS[0]
 _FMI = Kind("version of FMI", str(NEWEST), lambda text: require_version(int(text)))
@@ -193,3 +203,38 @@ def _export_inverse(scene: Scene, products: Products, common: Mapping[str, Any])
 def _first(options: Mapping[str, object]) -> str:
     """Return the name of the first option that is given, empty without one."""
     return next((name for name, value in options.items() if value), "")
+
+
+@dataclass(frozen=True)
+class Results:
+    """The file to write."""
+
+    title = "Results"
+
+    output: Path | None = output("FILE.ssp", "The system to write. Default: SCENE.ssp.")
+
+
+def export_system(
+    subject: Subject, path: GivenPath, results: Results, component: Component, platforms: Platforms,
+    certified: Certified,
+) -> None:  # fmt: skip
+    """Export trajectory, inverse model and plant of a scene as FMUs that are connected: feedforward in one file.
+
+    FMUs are native, of FMI 2 in a system of SSP 1.0, or of FMI 3 in one of SSP 2.0. The object follows the given path,
+    or that of the scene; nothing has to be set in the tool. The verdict of the certificate, a proof that the inputs
+    hold at all times of the path, is printed on the error stream. Without --targets the FMUs have libraries for all
+    platforms if the package ziglang is installed, else for this machine. For the rotary crane with feedback use
+    crane-fmu ssp.
+    """
+    require_package("jinja2")
+    scene = path.along(subject.chosen(), subject.model)
+    file = results.output or Path(f"{scene.name}.ssp")
+    with PatientProgress("exporting") as shown:
+        export_ssp(
+            scene, file, fmi=component.fmi or 2, model=subject.model, targets=platforms.targets,
+            host=component.host(), about=component.told(), progress=shown.describe,
+        )  # fmt: skip
+        shown.describe("proving the inputs")
+        told = certified.line(scene, subject.model)
+    print(f"{file}: trajectory, inverse model and plant of {scene.name}")
+    print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)

@@ -30,7 +30,7 @@ from servocore.cli.kinds import (
 )
 from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
 from servocore.export.targets import HOST, TARGETS
-from servocore.files import PICTURES
+from servocore.files import PICTURES, figure_file
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.limits import Bounds
@@ -335,7 +335,7 @@ class Table:
         if self.plot is None:
             return {}
         pictures = import_module("servocore.cli.pictures")  # slow, for it imports Matplotlib
-        return {self.plot: pictures.saved_figure(draw(pictures), self.plot)}
+        return {self.plot: figure_file(draw(pictures), self.plot.suffix.lower())}
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: C
     input over the varied parameters.
     """
     extra("xarray")  # a missing package is refused before the work
-    from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
+    from servocore.cli.pictures import sweep_page  # noqa: PLC0415 - slow
 
     moved = path.along(subject.chosen(), subject.model)
     bounds, varied = limits.bounds(), cases.varied()

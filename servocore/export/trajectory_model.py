@@ -19,9 +19,8 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference, subdivided
-from servocore.references.hermite import hermite
 from servocore.references.periodic import Periodic
-from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.piecewise import PiecewisePolynomial, hermite
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
 from servocore.references.rest_to_rest import RestToRest, rest_to_rest
 

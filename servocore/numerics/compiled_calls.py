@@ -109,7 +109,8 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
     """
     along = (True,) * (function.n_in() - 1) + (False,)
     results = mapped(function, len(jets), along)(*columns, side_by_side(jets), p)
-    return tuple(result.reshape(function.size1_out(k), -1, order="F") for k, result in enumerate(results))
+    sizes = [(function.size1_out(k), function.size2_out(k) * len(jets)) for k in range(function.n_out())]
+    return tuple(result.reshape(size, order="F") for result, size in zip(results, sizes, strict=True))
 
 
 @made_once  # to build these costs more than to evaluate them, and runs of one length follow one another

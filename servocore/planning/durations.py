@@ -12,7 +12,7 @@ import numpy as np
 from servocore.checks.motion_limits import require_run_limits
 from servocore.errors import InvalidModel, LimitBroken, PlanningFailed, ServocoreError
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.time_laws import shortest_kept
 from servocore.problem import Problem
@@ -101,7 +101,7 @@ def _advice(scene: Scene, model: str | None) -> str:
 
 def _kept(rows: Rows, p: Array, jets: Array, original: float, duration: float) -> bool:
     stretched = jets * (original / duration) ** np.arange(jets.shape[1])[:, None]
-    (values,) = at_instants(rows.function, jets=stretched, p=p)
+    values, _ = rows.at(stretched, p)
     return bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())
 
 

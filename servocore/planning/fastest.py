@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
-from servocore.planning.report import KeptLimits, PlanReport, kept_limits
-from servocore.planning.search import EXCESS, SearchResult, planned
+from servocore.planning.integrator_chains import Law
+from servocore.planning.report import PlanReport, in_words, kept_limits
 from servocore.planning.space import Space
 from servocore.planning.tasks import (
     Way,
@@ -25,8 +25,8 @@ from servocore.planning.tasks import (
     task_free,
     with_a_formula,
 )
-from servocore.planning.time_laws import LONGEST, shape_of, shortest, shortest_three_phase, smooth_polynomial
-from servocore.planning.transcription import Task
+from servocore.planning.time_laws import LONGEST, shortest, shortest_three_phase, smooth_polynomial
+from servocore.planning.transcription import SOLVED, Outcome, Task, Transcription
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
@@ -117,101 +117,36 @@ def fastest(
         raise InvalidSetting(
             f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
         )
-    if progress is not None:
-        require_callable(progress, "progress", "a function of a text")
+    told = _told(progress)
     bounded = within_limits(scene, limits)
     if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
         scene.with_reference(path)  # which refuses units that are implausible for the scene
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
-    corners = tuple(corner_problems(bounded, model, robust or {}))
+    corners = corner_problems(bounded, model, robust or {})
     length = corners[0].array.reference_order + smooth
     quick = with_a_formula(bounded, corners, robust or {}, curve)
-
-    def judged(reference: Reference) -> KeptLimits:
-        planned_corners = [replace(corner, reference=reference) for corner in corners]
-        return kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
-
-    if free is not None:
-        return _free(bounded, curve, quick, judged, length, free, intervals, progress)
-    task = task_along(curve, quick, length)
-    if progress is not None:
-        progress("looking for a law to start from")
-    polynomial = shortest(task, shape_of(smooth_polynomial(length)))
-    if not np.isfinite(polynomial):
-        raise LimitBroken(
-            f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
-        )
-    result = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
-    reference = TimedPath.of(curve, result.outcome.law.path())
-    return reference, _reported(scene.name, reference, judged(reference), result, _compared(task, polynomial))
-
-
-def _free(
-    scene: Scene,
-    curve: PiecewisePolynomial,
-    corners: Sequence[Problem],
-    judged: Callable[[Reference], KeptLimits],
-    length: int,
-    space: Space,
-    intervals: int,
-    progress: Callable[[str], None] | None,
-) -> tuple[Reference, PlanReport]:
-    """Plan with the way free between the ends of a line."""
-    if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
-        raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
-    limited = {limit.quantity for limit in scene.limits}
-    for quantity in corners[0].system.inputs:
-        if quantity.name not in limited:
-            raise InvalidSetting(f"a plan with a free path needs a limit of every input; {quantity.name} has none")
-    start, end = curve.ends
-    space.require(corners[0].system, hangs=scene.tracked == "load" and rope_is_depth(corners[0], curve.ends))
-    thick = space.thickened(_THIN * float(np.linalg.norm(end - start)) / intervals)
-    for place in (start, end):
-        thick.require_rest(scene.name, place)
-    task = task_free(start, end, corners, length, thick)
-    if progress is not None:
-        progress("looking for ways to start from")
-    begun, scale = starts_free(task, corners, thick, intervals // 2)
-    result = planned(task, begun, 1.02 * scale, intervals, progress)
-    reference = result.outcome.law.path()
-    clearance = space.clearance(reference, gravity_of(corners[0]))
-    if clearance < 0.0:
+    task, begun, scale = _begun(bounded, curve, quick, length, free, intervals, told)
+    result = planned(task, begun, 1.02 * scale, intervals, told)
+    law = result.outcome.law.path()
+    reference = TimedPath.of(curve, law) if free is None else law
+    clearance = np.inf if free is None else free.clearance(law, gravity_of(quick[0]))
+    if free is not None and clearance < 0.0:
         raise PlanningFailed(
-            f"{scene.name}: on the path that was found {', '.join(space.clearance_of)} do not keep clear of the bodies"
+            f"{scene.name}: on the path that was found {', '.join(free.clearance_of)} do not keep clear of the bodies"
         )
-    try:
-        line = task_along(curve, corners, length)
-        compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
-    except LimitBroken:  # at rest on the line
-        compared = (np.inf, np.inf)
-    return reference, _reported(scene.name, reference, judged(reference), result, compared, clearance)
-
-
-def _compared(task: Task, polynomial: float) -> tuple[float, float]:
-    """Return the shortest durations of the polynomial and the best three-phase law."""
-    smooth_enough = task.length <= three_phase().smoothness and np.isfinite(polynomial)
-    return polynomial, shortest_three_phase(task, polynomial)[0] if smooth_enough else np.nan
-
-
-def _reported(
-    name: str,
-    reference: Reference,
-    kept: KeptLimits,
-    result: SearchResult,
-    compared: tuple[float, float],
-    clearance: float = np.inf,
-) -> PlanReport:
-    """Report a plan; raises `PlanningFailed` if it breaks a limit."""
+    planned_corners = [replace(corner, reference=reference) for corner in corners]
+    kept = kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
     if kept.violation > EXCESS:
         raise PlanningFailed(
-            f"{name}: the law that was found breaks the limit of {kept.worst} by"
+            f"{scene.name}: the law that was found breaks the limit of {kept.worst} by"
             f" {kept.violation:.2g} of half its range between the points of the solver's grid"
         )
-    return PlanReport(
+    polynomial, ramped = _compared(task, scale) if free is None else _on_the_line(curve, quick, length)
+    return reference, PlanReport(
         duration=reference.duration,
-        degree9=compared[0],
-        three_phase=compared[1],
-        degree=2 * result.outcome.law.length + 1,
+        degree9=polynomial,
+        three_phase=ramped,
+        degree=2 * length + 1,
         limits=kept,
         grid_error=result.coarse - reference.duration,
         status=result.outcome.status,
@@ -221,3 +156,175 @@ def _reported(
         deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )
+
+
+def _told(progress: Callable[[str], None] | None) -> Callable[[str], None]:
+    """Return what takes texts on the progress."""
+    if progress is None:
+        return lambda _: None
+    require_callable(progress, "progress", "a function of a text")
+    return progress
+
+
+def _begun(
+    scene: Scene,
+    curve: PiecewisePolynomial,
+    corners: Sequence[Problem],
+    length: int,
+    free: Space | None,
+    intervals: int,
+    told: Callable[[str], None],
+) -> tuple[Task, list[tuple[str, Law]], float]:
+    """Return the task of a plan, laws to start from, and a typical duration in s."""
+    if free is not None:
+        thick = _thickened(free, scene, curve, corners[0], intervals)
+        task = task_free(curve.ends, corners, length, thick)
+        told("looking for ways to start from")
+        return task, *starts_free(task, corners, thick, intervals // 2)
+    task = task_along(curve, corners, length)
+    told("looking for a law to start from")
+    scale = shortest(task, smooth_polynomial(length))
+    if not np.isfinite(scale):
+        raise LimitBroken(
+            f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
+        )
+    return task, starts_along(task, scale, intervals // 2), scale
+
+
+def _thickened(space: Space, scene: Scene, curve: PiecewisePolynomial, problem: Problem, intervals: int) -> Space:
+    """Return the obstacles as the solver sees them; raise unless a free path can be planned between a line's ends."""
+    if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
+        raise InvalidSetting("a plan with a free path runs from one point to another: give two points")
+    limited = {limit.quantity for limit in scene.limits}
+    for quantity in problem.system.inputs:
+        if quantity.name not in limited:
+            raise InvalidSetting(f"a plan with a free path needs a limit of every input; {quantity.name} has none")
+    space.require(problem.system, hangs=scene.tracked == "load" and rope_is_depth(problem, curve.ends))
+    thick = space.thickened(_THIN * float(np.linalg.norm(curve.ends[1] - curve.ends[0])) / intervals)
+    for place in curve.ends:
+        thick.require_rest(scene.name, place)
+    return thick
+
+
+def _compared(task: Task, polynomial: float) -> tuple[float, float]:
+    """Return the shortest durations of the polynomial and the best three-phase law."""
+    smooth_enough = task.length <= three_phase().smoothness and np.isfinite(polynomial)
+    return polynomial, shortest_three_phase(task, polynomial)[0] if smooth_enough else np.nan
+
+
+def _on_the_line(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> tuple[float, float]:
+    """Return the same on the line between the ends of a free path: infinite where a limit is broken at rest there."""
+    try:
+        line = task_along(curve, corners, length)
+        return _compared(line, shortest(line, smooth_polynomial(length)))
+    except LimitBroken:
+        return np.inf, np.inf
+
+
+# The search: from several starts, on a coarse and a fine grid, with bounds that are narrowed --------------------------
+
+EXCESS = 1e-4
+"""Of half its range: a limit broken by less counts as kept."""
+
+_ROUNDS = 8  # of solving and narrowing bounds, at the most
+_FINER, _FINEST = 10, 4800  # points of the finer grid between two of the program, and at least in all
+_CHECKS = 3  # points of an interval at which the program keeps the limits
+_REFINEMENTS = 2  # how often the grid is doubled
+_NARROWEST = 0.9  # of half the range
+_BETWEEN = "limits broken between the points of the grid"
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """A law that the solver and a finer grid agree about, and how it was found."""
+
+    outcome: Outcome
+    coarse: float
+    iterations: int
+    rounds: int
+    start: str
+
+
+def planned(
+    task: Task,
+    begun: Sequence[tuple[str, Law]],
+    scale: float,
+    intervals: int,
+    progress: Callable[[str], None],
+) -> SearchResult:
+    """Return the fastest law for a task.
+
+    Parameters
+    ----------
+    task : Task
+        Boundary conditions and limits of the law.
+    begun : sequence of (str, Law)
+        Laws on half as many intervals to start from, the best first.
+    scale : float
+        A typical duration in s.
+    intervals : int
+        Of the grid, even.
+    progress : callable
+        Called with a text on the progress.
+
+    Raises
+    ------
+    PlanningFailed
+        If no start leads to one, with the status of the solver from each.
+    """
+    half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
+    free = np.zeros((len(task.upper), half.intervals * _CHECKS)), np.full(len(task.totals), EXCESS)
+    failures = []
+    for doubled in (True, False):  # half as many intervals may be too few
+        for name, start in begun:
+            coarse = half.solve(start, *free, progress) if doubled else Outcome(start, SOLVED, 0)
+            outcome, iterations, rounds = coarse, 0, 0
+            if coarse.solved:
+                outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
+            if outcome.solved:
+                duration = coarse.law.duration if doubled else np.nan
+                return SearchResult(outcome, duration, coarse.iterations + iterations, rounds, name)
+            failures += [f"{in_words(outcome.status)}, from the {name}"] if doubled else []
+    raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
+
+
+def _refined(whole: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
+    """Solve, and go on on grids twice as fine where limits stay broken between the points."""
+    outcome, iterations, rounds = _tightened(whole, start, progress)
+    for doubled in range(1, _REFINEMENTS + 1):
+        if outcome.status != _BETWEEN:
+            break
+        program = Transcription.of(whole.task, whole.intervals * 2**doubled, whole.checks, whole.scale)
+        outcome, more, again = _tightened(program, outcome.law.refined(), progress)
+        iterations, rounds = iterations + more, rounds + again
+    return outcome, iterations, rounds
+
+
+def _tightened(program: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
+    """Solve, look on a finer grid, narrow bounds where something went beyond them, and solve again."""
+    task, m = program.task, program.checks
+    finer = max(_FINER, -(-_FINEST // (program.intervals * m)))
+    narrowed = np.zeros((len(task.upper), program.intervals * m))
+    less = np.full(len(task.totals), EXCESS)
+    iterations, outcome = 0, Outcome(start, "not run", 0)
+    for rounds in range(_ROUNDS):
+        outcome = program.solve(start, narrowed, less, progress)
+        iterations += outcome.iterations
+        if not outcome.solved:
+            return outcome, iterations, rounds
+        parts = np.linspace(0.0, 1.0, finer * m + 1)
+        jets = outcome.law.jets(parts)
+        over = task.excess(jets).reshape(len(task.upper), program.intervals, len(parts))
+        once = np.append(np.arange(jets.shape[2] - 1) % len(parts) < len(parts) - 1, True)  # ends of intervals
+        beyond = task.over_all(jets[:, :, once], outcome.law.duration)
+        if over.max(initial=0.0) <= EXCESS and beyond.max(initial=0.0) <= 0.0:
+            return outcome, iterations, rounds
+        spans = np.stack([over[:, :, finer * j : finer * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)
+        after = spans.reshape(len(task.upper), -1)
+        before = np.concatenate([np.zeros((len(task.upper), 1)), after[:, :-1]], axis=1)
+        worst = np.maximum(after, before)
+        # More would leave nothing between two bounds.
+        narrowed = np.minimum(narrowed + np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0), _NARROWEST)
+        less = less + np.maximum(1.05 * beyond, 0.0)
+        start = outcome.law
+    return replace(outcome, status=_BETWEEN), iterations, _ROUNDS

@@ -7,8 +7,7 @@ y' = L_f y, with inputs that stay, as at the ends of a manoeuvre.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -73,13 +72,9 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name} depends on time: python-control's flat systems do not")
     problem.system.require_independent_constraints()
-    maps = _Maps.of(problem)
     quantities, system = problem.system.coordinates.quantities, problem.system
     return flatsys.FlatSystem(
-        maps.forward,
-        maps.reverse,
-        maps.rate,
-        maps.outputs,
+        *_maps(problem),
         name=scene.name,
         inputs=[quantity.name for quantity in system.inputs],
         outputs=[quantity.name for quantity in system.outputs],
@@ -88,63 +83,39 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Maps:
-    """The maps of python-control's `FlatSystem`; states are (q, v).
+def _maps(problem: Problem) -> tuple[Callable[..., Any], ...]:
+    """Return the maps of python-control's `FlatSystem`: forward, reverse, derivative of the state (q, v), outputs."""
+    functions = _flag(problem.resolved), _flow(problem.resolved), inversion(problem.array).function
+    flag_of, flow, inverse = map(Call, functions)
+    order, states, places = problem.array.reference_order, 2 * len(problem.system.coordinates), motion_places(problem)
 
-    Attributes
-    ----------
-    problem : Problem
-        With the values of parameters where python-control gives none.
-    flag, flow : Call
-        (x, u, p) -> flag (m, order + 1), and -> (x_dot, y).
-    inverse : Call
-        (gamma, p) -> unknowns of the derivative array, counts, residual.
-    places : ndarray
-        Of q, v and u among these unknowns.
-    """
+    def given(params: Parameters) -> Array:
+        names, p = problem.system.parameters.names, problem.p
+        return np.array([params.get(name, p[k]) for k, name in enumerate(names)], dtype=float) if params else p
 
-    problem: Problem
-    flag: Call
-    flow: Call
-    inverse: Call
-    places: npt.NDArray[np.intp]
-
-    @classmethod
-    def of(cls, problem: Problem) -> _Maps:
-        """Compile the maps of a problem."""
-        functions = _flag(problem.resolved), _flow(problem.resolved), inversion(problem.array).function
-        flag, flow, inverse = map(Call, functions)
-        return cls(problem, flag, flow, inverse, np.array(motion_places(problem), dtype=np.intp))
-
-    def forward(self, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
+    def forward(x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
         """Return each output with its derivatives, for a state and inputs that stay."""
-        (flag,) = self.flag(*_vectors(x, u), self._values(params))
+        (flag,) = flag_of(*_vectors(x, u), given(params))
         return [row.copy() for row in flag]
 
-    def reverse(self, zflag: Sequence[npt.ArrayLike], params: Parameters = None) -> tuple[Array, Array]:
+    def reverse(zflag: Sequence[npt.ArrayLike], params: Parameters = None) -> tuple[Array, Array]:
         """Return state and inputs for each output with its derivatives."""
         gamma = np.array([np.asarray(flag_of_output, dtype=float) for flag_of_output in zflag])
-        order, states = self.problem.array.reference_order, 2 * len(self.problem.system.coordinates)
         if gamma.ndim != 2 or gamma.shape[1] <= order:
             raise InvalidSetting(f"a flag has derivatives up to order {order} of each output")
-        unknowns, _, residual = self.inverse(gamma[:, : order + 1], self._values(params))
+        unknowns, _, residual = inverse(gamma[:, : order + 1], given(params))
         if not np.isfinite(residual).all() or not np.isfinite(unknowns).all():
             raise IntegrationFailed(f"no state belongs to the outputs {gamma[:, 0].tolist()} and their derivatives")
-        chosen = unknowns[self.places]
+        chosen = unknowns[places]
         return chosen[:states], chosen[states:]
 
-    def rate(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
-        """Return the derivative of the state."""
-        return self.flow(*_vectors(x, u), self._values(params))[0]
+    def rate(_: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
+        return flow(*_vectors(x, u), given(params))[0]
 
-    def outputs(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
-        """Return the outputs."""
-        return self.flow(*_vectors(x, u), self._values(params))[1]
+    def outputs(_: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
+        return flow(*_vectors(x, u), given(params))[1]
 
-    def _values(self, params: Parameters) -> Array:
-        names, p = self.problem.system.parameters.names, self.problem.p
-        return np.array([params.get(name, p[k]) for k, name in enumerate(names)], dtype=float) if params else p
+    return forward, reverse, rate, outputs
 
 
 def _vectors(x: npt.ArrayLike, u: npt.ArrayLike) -> tuple[Array, Array]:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from functools import cached_property
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -26,6 +27,35 @@ _SLIGHT = 1e-3  # of derivatives: where the guess of a motion is no formula, it 
 
 
 @dataclass(frozen=True, eq=False)
+class Inner:
+    """A function of the motion at an instant: unknowns of its own, none where a formula gives the motion from the path.
+
+    Attributes
+    ----------
+    local : casadi.Function
+        (jets, unknowns, parameters) -> rows, equations that are zero, and more, see where one is made.
+    start : casadi.Function
+        (jets, parameters) -> unknowns that solve the equations.
+    """
+
+    local: ca.Function
+    start: ca.Function
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are, and equations."""
+        return int(self.start.numel_out(0))
+
+    @cached_property
+    def solved(self) -> ca.Function:
+        """(jets, parameters) -> the results of `local` at the unknowns that solve its equations."""
+        kind: Any = ca.MX if self.size else ca.SX
+        jets, *p = (kind.sym(f"x{k}", *self.start.size_in(k)) for k in range(self.start.n_in()))
+        results = self.local.call([jets, *self.start.call([jets, *p]), *p])
+        return ca.Function("sc_solved", [jets, *p], results, {"cse": True})
+
+
+@dataclass(frozen=True, eq=False)
 class Rows:
     """Limits as rows of numbers between -1 and 1, or below 1 where there is no lower one.
 
@@ -33,60 +63,36 @@ class Rows:
     ----------
     limits : tuple of Limit
         One a row.
-    function, values : casadi.Function
-        (gamma (m, order + 1), p) -> rows, and the same as quantities with their units.
+    inner : Inner
+        (gamma (m, order + 1), unknowns, p) -> rows, equations, integrands of `totals`, and the rows as quantities with
+        their units.
     order : int
         Highest derivative of the path in gamma.
     lower : ndarray, shape (rows,)
         -1, or -inf where there is no lower bound.
     moving : tuple of bool
         Whether each may depend on more than the place.
-    local : casadi.Function
-        (gamma, unknowns, p) -> rows, equations that are zero, integrands of `totals`.
     totals : tuple of Limit
         Those of what the whole law adds up.
-    start : casadi.Function
-        (gamma, p) -> these unknowns; none where a formula gives the motion from the path.
     """
 
     limits: tuple[Limit, ...]
-    function: ca.Function
-    values: ca.Function
+    inner: Inner
     order: int
     lower: Array
     moving: tuple[bool, ...]
-    local: ca.Function
     totals: tuple[Limit, ...]
-    start: ca.Function
 
-    @property
-    def by_formula(self) -> bool:
-        """Whether a formula gives the motion from the path."""
-        return self.start.numel_out(0) == 0
+    def at(self, jets: Array, p: Array) -> tuple[Array, Array]:
+        """Return the rows, and the same as quantities, at instants: (rows, N) of jets (N, order + 1, m)."""
+        rows, _, _, quantities = at_instants(self.inner.solved, jets=jets, p=p)
+        return rows, quantities
 
-
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Quantities of limits, with unknowns of an instant beside the path and their equations: none by a formula.
-
-    Attributes
-    ----------
-    unknowns, equations : casadi.SX
-        Symbols, and as many expressions of them, gamma and p that are zero: the derivative array, and where a limit is
-        on the rate of its highest derivative, that array differentiated once more.
-    values : tuple of casadi.SX
-        Quantities of limits.
-    start : casadi.Function
-        (gamma (m, order + 1), p) -> unknowns, by Newton's method.
-    order : int
-        Of the path's derivatives in gamma.
-    """
-
-    unknowns: ca.SX
-    equations: ca.SX
-    values: tuple[ca.SX, ...]
-    start: ca.Function
-    order: int
+    def at_rest(self, places: Array, p: Array) -> tuple[Array, Array]:
+        """Return the same where nothing moves, at places (N, m)."""
+        still = np.zeros((len(places), self.order + 1, places.shape[1]))
+        still[:, 0] = places
+        return self.at(still, p)
 
 
 def limit_rows(problem: Problem, rest: Array) -> Rows:
@@ -122,10 +128,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
     room : float
         Least margin, as a part of half the range.
     """
-    still = np.zeros((len(places), rows.order + 1, places.shape[1]))
-    still[:, 0] = places
-    (values,) = at_instants(rows.values, jets=still, p=problem.p)
-    (scaled,) = at_instants(rows.function, jets=still, p=problem.p)
+    scaled, values = rows.at_rest(places, problem.p)
     for limit, value, row, low in zip(rows.limits, values, scaled, rows.lower, strict=True):
         bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
         if not len(bad):
@@ -151,8 +154,13 @@ def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
     return bool(np.isfinite(np.asarray(explicit(gamma, p)[0])).all())
 
 
-def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequence[ca.SX]) -> _Motion:
-    """Return the motion of a system as unknowns, with quantities of limits, of which `expressions` are without rates.
+_Motion = tuple[ca.SX, ca.SX, Sequence[ca.SX], ca.Function, int]
+"""Unknowns of an instant beside the path, equations of them, gamma and p that are zero, quantities of limits, the
+function (gamma (m, order + 1), p) -> unknowns, and that order."""
+
+
+def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:
+    """Return the motion as unknowns: the derivative array, differentiated once more where a rate takes that.
 
     Raises
     ------
@@ -161,48 +169,33 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
     """
     array, system = resolved.array, resolved.system
     order = compile_watched(resolved, tuple((limit.expression, limit.rate) for limit in limits)).order
-    values, y = limited_expressions(
-        resolved, [(expression, limit.rate) for expression, limit in zip(expressions, limits, strict=True)]
-    )
+    marked = [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
+    values, y = limited_expressions(resolved, marked)
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
-    beyond = [
-        unknown for unknown in {(c % y.size1(), c // y.size1()) for c in entries} if unknown not in array.unknowns
-    ]
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())
     state = inversion(resolved.array).function(G[:, : array.reference_order + 1], p)[0]
-    if not beyond:
-        start = ca.Function("sc_lifted", [G, p], [state])
-        return _Motion(column, array.residual, tuple(values), start, order)
+    if {(c % y.size1(), c // y.size1()) for c in entries} <= set(array.unknowns):
+        return column, array.residual, values, ca.Function("sc_lifted", [G, p], [state]), order
     following = next_derivatives(array, y, gamma)
     start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, following.function(state, G, p))])
-    equations = ca.vertcat(array.residual, following.rows)
-    return _Motion(ca.vertcat(column, following.unknowns), equations, tuple(values), start, order)
+    return ca.vertcat(column, following.unknowns), ca.vertcat(array.residual, following.rows), values, start, order
 
 
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:
-    """Return quantities of limits as expressions of gamma and p, of which `smooth` are without rates."""
-    array, gamma = resolved.array, resolved.system.gamma
-    values, y = limited_expressions(
-        resolved, [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
-    )
+    """Return quantities of limits as expressions of gamma and p, without unknowns."""
+    array, system = resolved.array, resolved.system
     formula = cast("ca.Function", inversion(array).expression)
-    unknowns = formula(gamma[:, : array.reference_order + 1], resolved.system.p)[0]
-    known = dict(zip(array.unknowns, ca.vertsplit(unknowns), strict=True))
-
-    def entry(j: int, order: int) -> ca.SX:
-        if (j, order) not in known:
-            known[j, order] = time_derivative(entry(j, order - 1), gamma)
-        return known[j, order]
-
-    rows = y.size1()
-    used = sorted({(c % rows, c // rows) for c in ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()})
-    values = ca.substitute(
-        values, [ca.vertcat(*[y[j, k] for j, k in used])], [ca.vertcat(*[entry(j, k) for j, k in used])]
-    )
-    order, nothing = max(array.reference_order, *(highest_derivative(value, gamma) for value in values)), ca.SX(0, 1)
-    start = ca.Function("sc_no_unknowns", [gamma[:, : order + 1], resolved.system.p], [nothing])
-    return _Motion(nothing, nothing, tuple(values), start, order)
+    unknowns = formula(system.gamma[:, : array.reference_order + 1], system.p)[0]
+    n, variables = len(system.coordinates), array.y.size1()
+    entries = [(j, order) for order in (0, 1) for j in range(n)] + [(j, 0) for j in range(n, variables)]
+    motion = ca.vertcat(system.q, system.v, system.lam, system.u)
+    values = ca.substitute(list(smooth), [motion], [unknowns[array.places(entries)]])
+    rated = zip(values, limits, strict=True)
+    values = [time_derivative(value, system.gamma) if limit.rate else value for value, limit in rated]
+    order = max(array.reference_order, *(highest_derivative(value, system.gamma) for value in values))
+    given, none = [system.gamma[:, : order + 1], system.p], ca.SX(0, 1)
+    return none, none, values, ca.Function("sc_no_unknowns", given, [none]), order
 
 
 @made_once
@@ -213,44 +206,26 @@ def _compile_rows(
     rest: tuple[float, ...],
     p: tuple[float, ...],
 ) -> Rows:
-    system, gamma, limits = resolved.system, resolved.system.gamma, (*local, *totals)
+    system, limits = resolved.system, (*local, *totals)
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     by_formula = _is_explicit(resolved, np.array(rest), np.array(p))
-    motion = (_explicit if by_formula else _lifted)(resolved, limits, smooth)
-    order = max(motion.order, *(highest_derivative(value, gamma) for value in motion.values))
-    still = np.zeros((len(rest), order + 1))
-    still[:, 0] = rest
-    given = [gamma[:, : order + 1], system.p]
-    own, integrands = motion.values[: len(local)], motion.values[len(local) :]
-    values = _of_path(given, own, motion)
-    at_rest = np.asarray(values(still, p)).ravel()
-    rows, lower = [], []
-    for limit, value, here, tip in zip(local, own, at_rest, tips[: len(local)], strict=True):
-        row, low = _row(limit, value, float(here), tip)
-        rows.append(row)
-        lower.append(low)
-    arguments = [given[0], motion.unknowns, given[1]]
-    results = [ca.vertcat(ca.SX(0, 1), *rows), motion.equations, ca.vertcat(ca.SX(0, 1), *integrands)]
-    rows_here = ca.Function("sc_local_rows", arguments, [ca.densify(each) for each in results], {"cse": True})
-    moving = tuple(not by_formula or highest_derivative(value, gamma) > 0 for value in own)
-    function, start = _of_path(given, rows, motion), _start(given, motion)
-    return Rows(local, function, values, order, np.array(lower), moving, rows_here, totals, start)
+    unknowns, equations, values, start, order = (_explicit if by_formula else _lifted)(resolved, limits, smooth)
+    order = max(order, *(highest_derivative(value, system.gamma) for value in values))
+    own, integrands = values[: len(local)], values[len(local) :]
 
+    def rows_of(rows: Sequence[ca.SX], lower: Sequence[float]) -> Rows:
+        results = [ca.vertcat(ca.SX(0, 1), *each) for each in (rows, [equations], integrands, own)]
+        given = [system.gamma[:, : order + 1], unknowns, system.p]
+        function = ca.Function("sc_local_rows", given, [ca.densify(each) for each in results], {"cse": True})
+        G, symbols = (ca.MX.sym(name, *each.shape) for name, each in (("gamma", given[0]), ("p", system.p)))
+        begun = ca.Function("sc_start", [G, symbols], [start(G[:, : start.size2_in(0)], symbols)])
+        moving = tuple(not by_formula or highest_derivative(value, system.gamma) > 0 for value in own)
+        return Rows(local, Inner(function, begun), order, np.array(lower), moving, totals)
 
-def _of_path(given: list[ca.SX], expressions: Sequence[ca.SX], motion: _Motion) -> ca.Function:
-    """Compile (gamma, p) -> expressions, of unknowns as well that are searched for."""
-    values = [ca.densify(ca.vertcat(ca.SX(0, 1), *expressions))]
-    if not motion.unknowns.numel():
-        return ca.Function("sc_rows", given, values, {"cse": True})
-    gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
-    direct = ca.Function("sc_direct", [given[0], motion.unknowns, given[1]], values, {"cse": True})
-    return ca.Function("sc_rows", [gamma, p], [direct(gamma, _start(given, motion)(gamma, p), p)])
-
-
-def _start(given: list[ca.SX], motion: _Motion) -> ca.Function:
-    gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
-    return ca.Function("sc_start", [gamma, p], [motion.start(gamma[:, : motion.order + 1], p)])
+    here = rows_of(own, []).at_rest(np.array([rest]), np.array(p))[0][:, 0]
+    rows = [_row(*each) for each in zip(local, own, here.tolist(), tips[: len(local)], strict=True)]
+    return rows_of([row for row, _ in rows], [low for _, low in rows])
 
 
 def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, float]:

@@ -32,7 +32,7 @@ class Active:
     unit: str
     begin: float
     end: float
-    told: str = ""
+    told: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,7 @@ class PlanReport:
         if math.isfinite(self.clearance):
             lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [
-            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at"
-            f" {spell.told or f'{spell.bound:g} {spell.unit}'}"
+            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at {spell.told}"
             for spell in self.active
         ]
         return "\n".join(lines)
@@ -202,9 +201,7 @@ def kept_limits(
     }
     proved, evidence = False, f"not proved for more than {_MOST_VARIED} ranges of parameters" if proof else "not proved"
     if proof and len(ranges) <= _MOST_VARIED:
-        certificate = certify(
-            scene, parameters={name: (low, high) for name, (low, high) in ranges.items()}, model=model
-        )
+        certificate = certify(scene, parameters=ranges, model=model)
         proved, evidence = certificate.verdict == "proved", certificate.summary
     sampled = [_sampled(problem, _SHOWN if proved else _INSTANTS) for problem in corners]
     violation, worst, _ = max(sampled, key=lambda each: each[0])
@@ -229,9 +226,7 @@ def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):
-            excess = float(
-                np.max(np.where(np.isnan(over) & limit.rate, -np.inf, np.where(np.isnan(over), np.inf, over)))
-            )
+            excess = float(np.where(np.isnan(over), -np.inf if limit.rate else np.inf, over).max())
             if excess > worst:
                 worst, name = excess, limit.quantity
             active += _spells(limit, bound, t, over > -_ACTIVE)
@@ -242,11 +237,12 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
     """Return each bound of a limit, and by how much values are beyond it, divided by half the range."""
     low, high = limit.bound, limit.upper
     both = np.isfinite(low) and np.isfinite(high)
-    violations = []
-    for bound, over in ((low, low - values), (high, values - high)):
-        if np.isfinite(bound):
-            violations.append((bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0)))
-    return violations
+    beyond = ((low, low - values), (high, values - high))
+    return [
+        (bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0))
+        for bound, over in beyond
+        if np.isfinite(bound)
+    ]
 
 
 def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -68,11 +67,8 @@ class Space:
             If a text is no body, or there is no such part.
         """
         bodies = tuple(_obstacle(text, dimension) for text in texts)
-        return (
-            cls(bodies)
-            if clearance_of is None
-            else cls(bodies, tuple(part.strip() for part in clearance_of.split(",")))
-        )
+        parts = cls.clearance_of if clearance_of is None else tuple(part.strip() for part in clearance_of.split(","))
+        return cls(bodies, parts)
 
     def require(self, system: MechanicalSystem, *, hangs: bool) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
@@ -180,7 +176,7 @@ class Space:
             return [(begin.T, end.T) for begin, end in self._segments(load, acceleration, gravity)]
 
         distances = [
-            least_distance(partial(_ends_of_part, ends, k), body.distance, path.start_time, path.end_time)
+            least_distance(lambda t, k=k: ends(t)[k], body.distance, path.start_time, path.end_time)  # type: ignore[misc]  # a lambda has no annotations
             for body in self.keep_out
             for k in range(len(ends(np.zeros(1))))
         ]
@@ -205,10 +201,6 @@ class Space:
 
 def _column(rows: list[Any]) -> Any:
     return ca.vertcat(*rows) if isinstance(rows[0], ca.SX) else np.stack(rows)
-
-
-def _ends_of_part(ends: Callable[[Array], list[tuple[Array, Array]]], k: int, t: Array) -> tuple[Array, Array]:
-    return ends(t)[k]
 
 
 def _obstacle(text: str, dimension: int) -> Obstacle:

@@ -18,15 +18,23 @@ import numpy as np
 
 from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.motion_limits import limited_values
+from servocore.checks.motion_limits import limited_values, margins_of
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.quantity import run_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
-from servocore.planning.sweep_settings import DURATION, Slices, SweepSettings, checked_settings, in_time, settings_of
-from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset
+from servocore.planning.sweep_settings import (
+    DURATION,
+    PATH,
+    Slices,
+    SweepSettings,
+    checked_settings,
+    in_time,
+    settings_of,
+)
+from servocore.planning.sweep_store import FAILURE, SUFFIX, Memory, Parquet, Zarr, blank_dataset, varied
 from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -207,23 +215,23 @@ def _computed(
         try:
             while True:
                 while len(waiting) < pool.ahead and (each := next(left, None)) is not None:
-                    waiting[pool.submit(evaluated, work, _cases(swept, each[1]))] = each
+                    waiting[pool.submit(evaluated, work, _cases(swept, blank, each[1]))] = each
                 if not waiting:
                     return
                 for future in pool.completed(waiting):
                     number, block = waiting.pop(future)
-                    yield number, block, _with_sentences(swept, block, pool.result(future))
+                    yield number, block, _with_sentences(swept, blank, block, pool.result(future))
         finally:
             pool.forget(waiting)
 
 
-def _cases(swept: SweepSettings, block: Slices) -> Cases:
+def _cases(swept: SweepSettings, blank: Any, block: Slices) -> Cases:
     """Return the cases of a block as arrays."""
     grid, problem = swept.grid, swept.problem
-    which, names = grid.paths(block), problem.system.parameters.names
+    which, names = varied(blank, PATH, block).astype(np.intp), problem.system.parameters.names
     numbers = np.tile(np.array([1.0, *problem.p]), (len(which), 1))
     for name in grid.columns:
-        values = grid.values(name, block)
+        values = varied(blank, name, block)
         if name == DURATION:
             numbers[:, 0] = values / np.array([reference.duration for reference in swept.references])[which]
         else:
@@ -239,25 +247,23 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
 # Cases that fail, and cases one by one -------------------------------------------------------------------------------
 
 
-def _with_sentences(swept: SweepSettings, block: Slices, answers: dict[str, Array]) -> dict[str, Any]:
+def _with_sentences(swept: SweepSettings, blank: Any, block: Slices, answers: dict[str, Array]) -> dict[str, Any]:
+    """Add why cases are not solved."""
     failures = np.full(len(answers["solved"]), "", dtype=object)
-    for k in np.flatnonzero(answers["solved"] == 0.0):
-        failures[k] = _sentence(swept, block, int(k))
+    for k in np.flatnonzero(answers["solved"] == 0.0).tolist():
+        failures[k] = (
+            f"{swept.problem.name}: not solved at all of {swept.instants} instants from the guess of the model"
+        )
+        try:
+            _solved(swept, blank, block, k)
+        except ServocoreError as error:
+            failures[k] = str(error)
     return {**answers, FAILURE: failures}
 
 
-def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
-    """Return why a case is not solved."""
-    try:
-        _solved(swept, block, k)
-    except ServocoreError as error:
-        return str(error)
-    return f"{swept.problem.name}: not solved at all of {swept.instants} instants from the guess of the model"
-
-
-def _solved(swept: SweepSettings, block: Slices, k: int) -> Solution:
-    case = swept.grid.case(block, k)
-    path = swept.references[int(swept.grid.paths(block)[k])]
+def _solved(swept: SweepSettings, blank: Any, block: Slices, k: int) -> Solution:
+    case = {name: float(varied(blank, name, block)[k]) for name in swept.grid.columns}
+    path = swept.references[int(varied(blank, PATH, block)[k])]
     law = in_time(path, case.pop(DURATION)) if DURATION in case else path
     scene = swept.scene.with_reference(law).with_parameters(**case)
     unlimited = replace(scene, limits=tuple(limit for limit in scene.limits if limit.of_path))
@@ -271,7 +277,7 @@ def _one_by_one(swept: SweepSettings, blank: Any, block: Slices) -> dict[str, An
     answers[FAILURE] = np.full(count, "", dtype=object)
     for k in range(count):
         try:
-            found = _found(swept, _solved(swept, block, k))
+            found = _found(swept, _solved(swept, blank, block, k))
         except ServocoreError as error:
             answers[FAILURE][k] = str(error)
             continue
@@ -281,26 +287,20 @@ def _one_by_one(swept: SweepSettings, blank: Any, block: Slices) -> dict[str, An
 
 
 def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
-    """Return the results of a case from its solution, by variable."""
-    peaks = {name: np.abs(solution[name]).max() for name in solution.names}
+    """Return the results of a case from its solution, by variable, and some that a sweep has not."""
     values = {name: solution[name] for name in solution.names}
-    values |= {each.quantity.name: values[each.quantity.name][-1:] for each in run_quantities(solution.channels)}
+    found: dict[str, Any] = {f"peak_{name}": np.abs(each).max() for name, each in values.items()}
+    if SWING in values:
+        found[SWING] = found[f"peak_{SWING}"]
+    found |= {quantity.name: values[quantity.name] for quantity in swept.problem.system.inputs}
+    for each in run_quantities(solution.channels):
+        values[each.quantity.name] = values[each.quantity.name][-1:]
+        found[each.quantity.name] = values[each.quantity.name][0]
     if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
         assert isinstance(solution.origin, Problem)
         problem = replace(solution.origin, limits=tuple(limit for limit in swept.limits if not limit.over_run))
         exact = limited_values(prepared_motion(problem), solution.t)
         values |= {limit.quantity: row for limit, row in zip(problem.limits, exact, strict=True)}
     limits = [limit for limit in swept.limits if limit.quantity in values]
-    margins = {
-        f"margin_{e.quantity}": min((values[e.quantity] - e.bound).min(), (e.upper - values[e.quantity]).min())
-        for e in limits
-    }
-    inputs = {quantity.name: solution[quantity.name] for quantity in swept.problem.system.inputs}
-    swing = {SWING: peaks[SWING]} if SWING in peaks else {}
-    return {
-        **inputs,
-        **{name: each[-1] for name, each in values.items() if len(each) == 1},
-        **{f"peak_{name}": peak for name, peak in peaks.items()},
-        **margins,
-        **swing,
-    }
+    margins = margins_of(limits, [values[limit.quantity] for limit in limits], solution.t)
+    return found | {f"margin_{name}": margin.slack for name, margin in margins.items()}

@@ -12,7 +12,6 @@ from math import prod
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
@@ -60,12 +59,12 @@ class Grid:
         """
         table = _table(varied)
         columns = {name: _numbers(name, values) for name, values in (table or varied or {}).items()}
+        along = {name: name if table is None else CASE for name in columns}
         dimensions = {PATH: paths} if paths else {}
-        if table is None:
-            dimensions |= {name: len(values) for name, values in columns.items()}
-            return cls(_some(dimensions), {name: (name, values) for name, values in columns.items()})
-        dimensions[CASE] = len(next(iter(columns.values()), ()))
-        return cls(_some(dimensions), {name: (CASE, values) for name, values in columns.items()})
+        dimensions |= {along[name]: len(values) for name, values in columns.items()}
+        if not dimensions:
+            raise InvalidSetting("nothing varies: give parameters, durations or references")
+        return cls(dimensions, {name: (along[name], values) for name, values in columns.items()})
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -91,29 +90,6 @@ class Grid:
         starts = product(*(range(0, length, part) for length, part in zip(self.shape, shape, strict=True)))
         for k, start in enumerate(starts):
             yield k, tuple(slice(a, min(a + part, n)) for a, part, n in zip(start, shape, self.shape, strict=True))
-
-    def values(self, name: str, block: Slices) -> Array:
-        """Return the varied values for all cases of a block, in C order."""
-        dimension, values = self.columns[name]
-        spread: Array = self._spread(values, list(self.dimensions).index(dimension), block)
-        return spread
-
-    def paths(self, block: Slices) -> npt.NDArray[np.intp]:
-        """Return which path each case of a block has."""
-        if PATH not in self.dimensions:
-            return np.zeros(prod(slice_.stop - slice_.start for slice_ in block), dtype=np.intp)
-        spread: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
-        return spread
-
-    def case(self, block: Slices, k: int) -> dict[str, float]:
-        """Return the varied values, by name, for case k of a block."""
-        return {name: float(self.values(name, block)[k]) for name in self.columns}
-
-    def _spread(self, values: Any, axis: int, block: Slices) -> Any:
-        shape = [slice_.stop - slice_.start for slice_ in block]
-        along = [1] * len(shape)
-        along[axis] = shape[axis]
-        return np.broadcast_to(values[block[axis]].reshape(along), shape).ravel()
 
 
 def drawn(ranges: Mapping[str, tuple[float, float]], count: int, seed: int) -> list[dict[str, float]]:
@@ -146,12 +122,6 @@ def _numbers(name: str, values: Any) -> Array:
     if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
         raise InvalidSetting(f"the values of {name} in a sweep must be a row of finite numbers")
     return numbers
-
-
-def _some(dimensions: Mapping[str, int]) -> dict[str, int]:
-    if not dimensions:
-        raise InvalidSetting("nothing varies: give parameters, durations or references")
-    return dict(dimensions)
 
 
 _LOOKED_AT = 7  # instants, to decide whether a law is the same in another time

@@ -6,8 +6,7 @@ import json
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +15,7 @@ import numpy as np
 from servocore.errors import InvalidSetting, extra
 from servocore.files import not_written
 from servocore.model.quantity import Quantity
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, peaked
 from servocore.planning.sweep_settings import CASE, DURATION, PATH, Slices, SweepSettings
 
@@ -30,6 +30,8 @@ SUFFIX = ".parquet"
 
 _DONE = "blocks/done"  # which blocks of a store are complete; no part of the dataset
 _SETTINGS, _SETTINGS_FILE = "settings", "_settings.json"  # readers of tables pass over names that begin so
+
+_quiet = partial(warnings.catch_warnings, action="ignore")  # Zarr: other libraries may not know its texts yet
 
 Answers = Mapping[str, Any]
 """The results of a block by variable, shape (cases,), or (cases, N) over time."""
@@ -65,6 +67,15 @@ def blank_dataset(swept: SweepSettings, settings: Mapping[str, Any]) -> Any:
     coordinates |= {name: np.arange(grid.dimensions[name]) for name in (PATH, CASE) if name in grid.dimensions}
     coordinates |= {INSTANT: (INSTANT, instants, {"units": "1"})} if swept.inputs else {}
     return xarray.Dataset(variables, coordinates, {_SETTINGS: json.dumps(settings)})
+
+
+def varied(blank: Any, name: str, block: Slices) -> Array:
+    """Return the values of something that varies for all cases of a block, in C order; zeros if it does not."""
+    part = blank[FAILURE][block]
+    if name not in part.coords:
+        return np.zeros(part.size)
+    values: Array = part.coords[name].broadcast_like(part).to_numpy().ravel()
+    return values
 
 
 def _meaning(name: str, quantity: Quantity) -> str:
@@ -165,18 +176,6 @@ class Store(ABC):
     def _stored_settings(self) -> str:
         """Return the settings of an existing store; raises `KeyError`, `ValueError` or `OSError` if it is none."""
 
-    @abstractmethod
-    def known(self) -> set[int]:
-        """Return the numbers of the blocks that are complete."""
-
-    @abstractmethod
-    def put(self, number: int, block: Slices, answers: Answers) -> None:
-        """Write a block."""
-
-    @abstractmethod
-    def dataset(self) -> Any:
-        """Return the dataset of all that was written."""
-
 
 class Zarr(Store):
     """A Zarr store: a block is a chunk of every array."""
@@ -253,8 +252,8 @@ class Parquet(Store):
     def put(self, number: int, block: Slices, answers: Answers) -> None:
         """Write a block beside its place, and then put it there."""
         arrow, grid = extra("pyarrow"), self._grid
-        columns: dict[str, Any] = {PATH: grid.paths(block)} if PATH in grid.dimensions else {}
-        columns |= {name: grid.values(name, block) for name in grid.columns}
+        columns: dict[str, Any] = {PATH: varied(self._blank, PATH, block)} if PATH in grid.dimensions else {}
+        columns |= {name: varied(self._blank, name, block) for name in grid.columns}
         columns |= {name: list(answers[name]) if self._is_over_time(name) else answers[name] for name in self._blank}
         fields = [
             arrow.field(name, arrow.array(values).type, metadata={"units": self._blank[name].attrs.get("units", "")})
@@ -281,11 +280,3 @@ class Parquet(Store):
 
     def _part(self, number: int) -> Path:
         return self._path / f"part-{number:06d}{SUFFIX}"
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Hold back Zarr's remark that other libraries may not know its texts yet."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield

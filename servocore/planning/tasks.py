@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import TypeAlias
+from math import factorial
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken, ServocoreError
-from servocore.model.limits import Limit, limit_named, reported_quantities
+from servocore.model.limits import limit_named, reported_quantities
 from servocore.model.scene import Scene
-from servocore.numerics.compiled_calls import Array, at_instants
-from servocore.planning.curves import along, slopes_at, through_points
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
-from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
+from servocore.planning.limit_rows import Inner, Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
-from servocore.planning.time_laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
-from servocore.planning.transcription import Inner, Task, totals_of
+from servocore.planning.time_laws import law_of, peaks, polynomial_path, shortest, smooth_polynomial
+from servocore.planning.transcription import Task, Total, totals_of
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
+from servocore.references.bspline import pieces_of
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
+from servocore.references.rest_to_rest import RestToRest
 from servocore.references.timed_path import chained
 
 Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
@@ -59,18 +61,9 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
             raise InvalidSetting(
                 f"{scene.name} has no parameter {name}; there are {', '.join(scene.parameter_values())}"
             )
-    own = scene.parameter_values()
-    corners = (
-        [
-            {k: factor * own[k] for k, factor in zip(robust, factors, strict=True)}
-            for factors in product(*robust.values())
-        ]
-        if robust
-        else []
-    )
-    problems = [
-        Problem.of(varied, model) for varied in (scene, *(scene.with_parameters(**corner) for corner in corners))
-    ]
+    own, corners = scene.parameter_values(), list(product(*robust.values())) if robust else []
+    varied = [{k: own[k] * factor for k, factor in zip(robust, factors, strict=True)} for factors in corners]
+    problems = [Problem.of(each, model) for each in (scene, *(scene.with_parameters(**each) for each in varied))]
     first = problems[0]
     if not first.flat or first.follow_branch:
         why = "follows a branch" if first.flat else "has internal dynamics"
@@ -103,113 +96,89 @@ def with_a_formula(
 
 
 def _of_motion(corners: Sequence[Problem], curve: PiecewisePolynomial) -> bool:
-    return not all(limit_rows(corner, curve.ends[0]).by_formula for corner in corners)
+    return any(limit_rows(corner, curve.ends[0]).inner.size for corner in corners)
 
 
 def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePolynomial, duration: float) -> bool:
     """Whether limits of two models are the same along the smooth polynomial law."""
-    length = one[0].array.reference_order
-    path = polynomial_path(curve, duration, length)
+    path = polynomial_path(curve, duration, one[0].array.reference_order)
     values = []
     for problem in (*one, *other):
         rows = limit_rows(problem, curve.ends[0])
-        jets = path.jet(np.linspace(0.0, duration, _COMPARED), rows.order)
-        values.append(at_instants(rows.function, jets=jets, p=problem.p)[0])
+        values.append(rows.at(path.jet(np.linspace(0.0, duration, _COMPARED), rows.order), problem.p)[0])
     return np.allclose(values[: len(one)], values[len(one) :], rtol=0.0, atol=_ALIKE, equal_nan=True)
+
+
+def _kept_at_rest(corners: Sequence[Problem], begin: Array, places: Array) -> list[Rows]:
+    """Return the limits of all corners; raises `InvalidReference` if one cannot be kept at rest at places."""
+    every = [limit_rows(corner, begin) for corner in corners]
+    for rows, corner in zip(every, corners, strict=True):
+        require_at_rest(rows, corner, places, _ROOM)
+    return every
 
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
     """Return the task of a law along a curve; raises `InvalidReference` if a limit cannot be kept at rest."""
-    begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
-    every = [limit_rows(corner, begin) for corner in corners]
-    for rows, corner in zip(every, corners, strict=True):
-        require_at_rest(rows, corner, places, _ROOM)
+    every = _kept_at_rest(corners, curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0])
     orders = 1 + max(length, *(rows.order for rows in every))
     s = ca.SX.sym("s", 1, orders)
-    inner = [s[:, k] for k in range(orders)]
-    gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), inner))
-    kept = _kept(every, corners, s, gamma, moving_only=True)
-    return _task(s, kept, np.zeros(1), np.ones(1), length, forward=True)
+    gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), ca.horzsplit(s)))
+    return _task(s, gamma, every, corners, np.array([[0.0], [1.0]]), length)
 
 
-def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
-    """Return the task of a law between two places; raises `InvalidReference` if a limit cannot be kept at one."""
-    every = [limit_rows(corner, start) for corner in corners]
-    for rows, corner in zip(every, corners, strict=True):
-        require_at_rest(rows, corner, np.array([start, end]), _ROOM)
+def task_free(ends: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
+    """Return the task of a law between places (2, m); raises `InvalidReference` if a limit cannot be kept at one."""
+    every = _kept_at_rest(corners, ends[0], ends)
     orders = max(2, length, *(rows.order for rows in every)) + 1
-    gamma = ca.SX.sym("gamma", len(start), orders)
-    kept = _kept(every, corners, gamma, gamma, moving_only=False)
-    system = corners[0].system
+    gamma, system = ca.SX.sym("gamma", ends.shape[1], orders), corners[0].system
     clear = ca.Function("sc_clear", [system.gamma, system.p], [space.rows(system.gamma, system.parameters)])
-    padded = ca.horzcat(gamma, ca.SX.zeros(len(start), system.gamma.size2() - orders))
-    away = clear(padded, corners[0].p)
-    kept = replace(kept, rows=[*kept.rows, away], lower=[*kept.lower, np.full(away.numel(), -np.inf)])
-    return _task(gamma, kept, start, end, length, forward=False)
+    padded = ca.horzcat(gamma, ca.SX.zeros(ends.shape[1], system.gamma.size2() - orders))
+    return _task(gamma, gamma, every, corners, ends, length, clear(padded, corners[0].p))
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Rows of all corners with their lower bounds; unknowns beside the path, equations, and jets -> these unknowns.
-
-    And the limits of what the law adds up, with the expressions that are integrated.
-    """
-
-    rows: list[ca.SX]
-    lower: list[Array]
-    unknowns: ca.SX
-    equations: list[ca.SX]
-    start: ca.Function
-    totals: list[Limit]
-    integrands: list[ca.SX]
-
-
-def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
+def _task(
+    jets: ca.SX,
+    gamma: ca.SX,
+    every: Sequence[Rows],
+    corners: Sequence[Problem],
+    ends: Array,
+    length: int,
+    away: ca.SX | None = None,
+) -> Task:
+    """Stack the limits of all corners, on the path gamma of chains; `away` are rows of obstacles, of a free path."""
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    expressions, lower, symbols, equations, begun, integrands = [], [], [], [], [], []
-    totals = list[Limit]()
+    expressions, lower, symbols, equations, begun = [], list[Array](), [], [], []
+    totals = list[tuple[ca.SX, Total]]()
     for rows, corner in zip(every, corners, strict=True):
-        kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
-        here = gamma[:, : rows.order + 1]
-        symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
-        values, zero, integrated = rows.local(here, symbols[-1], corner.p)
+        kept = np.flatnonzero(rows.moving) if away is None else np.arange(len(rows.limits))
+        symbols.append(ca.SX.sym("inner", rows.inner.size))
+        values, zero, integrands, _ = rows.inner.local(gamma[:, : rows.order + 1], symbols[-1], corner.p)
         equations.append(zero)
-        integrands.append(integrated)
-        totals += rows.totals
-        begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
+        for k, limit in enumerate(rows.totals):
+            totals += [(integrands[k] / total.scale, total) for total in totals_of(limit)]
+        begun.append(rows.inner.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
-    start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])
-    return _Kept(expressions, lower, ca.vertcat(*symbols), equations, start, totals, integrands)
-
-
-def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, forward: bool) -> Task:
-    bounds, rows = np.concatenate(kept.lower), ca.densify(ca.vertcat(*kept.rows))
-    way = float(np.linalg.norm(end - start))
-    sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
-    sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
-    bounded = zip(ca.vertsplit(ca.vertcat(*kept.integrands)), kept.totals, strict=True) if kept.totals else ()
-    totals = [(value, total) for value, limit in bounded for total in totals_of(limit)]
-    integrands = ca.vertcat(ca.SX(0, 1), *[value / total.scale for value, total in totals])
-    results = [rows, ca.vertcat(*kept.equations), integrands]
-    local = ca.Function("sc_local_rows", [jets, kept.unknowns], results, {"cse": True})
-    if kept.unknowns.numel():
-        given = ca.MX.sym("jets", *jets.shape)
-        found, _, integrated = local(given, kept.start(given))
-        function = ca.Function("sc_task", [given], [found, integrated])
-    else:
-        function = ca.Function("sc_task", [jets], [rows, integrands], {"cse": True})
+    if away is not None:
+        expressions.append(away)
+        lower.append(np.full(away.numel(), -np.inf))
+    bounds, way = np.concatenate(lower), float(np.linalg.norm(ends[1] - ends[0]))
+    sizes = peaks(smooth_polynomial(length), length)[:, None] * np.full(ends.shape[1], way)
+    sizes[0] = np.maximum(np.abs(ends).max(axis=0), way)
+    stacked = [ca.vertcat(*expressions), ca.vertcat(*equations), ca.vertcat(ca.SX(0, 1), *[each for each, _ in totals])]
+    local = ca.Function(
+        "sc_local_rows", [jets, ca.vertcat(*symbols)], [ca.densify(each) for each in stacked], {"cse": True}
+    )
     return Task(
-        rows=function,
+        inner=Inner(local, ca.Function("sc_inner", [given], [ca.vertcat(*begun)])),
         totals=tuple(total for _, total in totals),
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
         upper=np.full(len(bounds), 1.0 - _ROOM),
-        start=start,
-        end=end,
+        start=ends[0],
+        end=ends[1],
         length=length,
         peaks=sizes,
-        forward=forward,
-        inner=Inner(local, kept.start),
+        forward=away is None,
     )
 
 
@@ -223,20 +192,18 @@ def rope_is_depth(problem: Problem, places: Array) -> bool:
     if not {"l", "gravity"} <= {*reported_quantities(problem.system), *problem.system.parameters.names}:
         return False
     rows = limit_rows(replace(problem, limits=(limit_named(problem.system, "l", (None, 1.0)),)), places[0])
-    still = np.zeros((len(places), rows.order + 1, places.shape[1]))
-    still[:, 0] = places
-    return np.allclose(at_instants(rows.values, jets=still, p=problem.p)[0], -places[:, -1])
+    return np.allclose(rows.at_rest(places, problem.p)[1], -places[:, -1])
 
 
 def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:
     """Return laws to start from, the best first."""
     own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
     return [
-        (f"{own.name} law", law_of(task, shape_of(own), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, slow", law_of(task, shape_of(own), 3.0 * polynomial, intervals)),
-        ("three-phase law", law_of(task, shape_of(three_phase()), 1.5 * polynomial, intervals)),
-        (f"{far.name} law", law_of(task, shape_of(far), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, fast", law_of(task, shape_of(own), 0.5 * polynomial, intervals)),
+        (f"{own.name} law", law_of(task, own, 1.02 * polynomial, intervals)),
+        (f"{own.name} law, slow", law_of(task, own, 3.0 * polynomial, intervals)),
+        ("three-phase law", law_of(task, three_phase(), 1.5 * polynomial, intervals)),
+        (f"{far.name} law", law_of(task, far, 1.02 * polynomial, intervals)),
+        (f"{own.name} law, fast", law_of(task, own, 0.5 * polynomial, intervals)),
     ]
 
 
@@ -274,7 +241,7 @@ def _begun(
         middle = [(task.start + task.end) / 2.0 + offset] if offset.any() else []
         curve = through_points(np.array([task.start, *middle, task.end]))
         try:
-            duration = shortest(task_along(curve, corners, task.length), shape_of(smooth_polynomial(task.length)))
+            duration = shortest(task_along(curve, corners, task.length), smooth_polynomial(task.length))
         except LimitBroken:
             continue
         if not np.isfinite(duration):
@@ -297,3 +264,116 @@ def _directions(way: Array) -> list[tuple[str, Array]]:
         return [("above", up)]
     left = np.cross(up, way)
     return [("above", up), ("to the left", left), ("to the right", -left)]
+
+
+# Curves to be passed through as fast as limits allow: P(s), 0 <= s <= 1, of pieces, never at rest in s ----------------
+
+_DEGREE = 7
+_NATURAL = 4
+_SAMPLES = (9, 13, 17, 25, 33)  # pieces cost time: no more of them than the curve needs
+_CLOSE, _CLOSE_ENOUGH = 1e-5, 2e-4  # of the length
+_LOOKED_AT = 2001
+
+
+def through_points(waypoints: Array) -> PiecewisePolynomial:
+    """Return the natural spline of degree 7 through waypoints (n, m), by chord length; a line through two.
+
+    Raises
+    ------
+    InvalidReference
+        If two waypoints that follow one another coincide.
+    """
+    chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    repeated = np.flatnonzero(chords == 0.0)
+    if len(waypoints) < 2:
+        raise InvalidReference("a path needs two waypoints or more, not one")
+    if repeated.size:
+        raise InvalidReference(f"waypoints {repeated[0]} and {repeated[0] + 1} coincide: the path does not move there")
+    if len(waypoints) <= _NATURAL:  # through so few points it is one polynomial: no fourth derivative to be made small
+        u = np.append(0.0, np.cumsum(chords)) / chords.sum() - 0.5
+        factors: Array = np.linalg.solve(np.vander(u, increasing=True), waypoints).astype(np.float64)
+        return _curve(np.array([0.0, 1.0]), factors[None])
+    natural = [(order, np.zeros(waypoints.shape[1])) for order in (4, 5, 6)]
+    return _spline(waypoints, chords, (natural, natural))
+
+
+def along(reference: Reference) -> PiecewisePolynomial:
+    """Return the curve that a reference passes through, without its times; its `fit_error` is how far it is from it.
+
+    Paths that rest at an end often begin with a curvature that is infinite there: such an end is smoothed.
+
+    Raises
+    ------
+    InvalidReference
+        If a spline does not come close enough: the curve has a corner, or turns back.
+    """
+    if isinstance(reference, RestToRest):
+        return through_points(np.array([reference.start, reference.end]))
+    t = np.linspace(reference.start_time, reference.end_time, _LOOKED_AT)
+    places = reference.jet(t, 0)[:, 0]
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    if not way[-1] > 0.0:
+        raise InvalidReference("the path stays where it is: there is nothing to be passed through")
+    moving = np.append(True, np.diff(way) > 0.0)
+    way, t = way[moving], t[moving]
+    deviation = np.inf
+    for count in _SAMPLES:
+        at = np.interp(np.linspace(0.0, way[-1], count), way, t)
+        chosen = reference.jet(at, 0)[:, 0]
+        curve = _spline(chosen, np.interp(at, t, way), None)
+        finer = np.interp(np.linspace(0.0, way[-1], 20 * count), way, t)
+        s = np.interp(finer, t, way) / way[-1]
+        deviation = float(_distance(curve, reference.jet(finer, 0)[:, 0], s).max()) / way[-1]
+        if deviation <= _CLOSE:
+            break
+    if deviation <= _CLOSE_ENOUGH:
+        return replace(curve, fit_error=deviation * float(way[-1]))
+    raise InvalidReference(
+        f"no smooth curve follows the path: a spline of degree {_DEGREE} leaves it by {deviation * way[-1]:.3g} m,"
+        f" which a corner or a place where it turns back explains"
+    )
+
+
+def _distance(curve: PiecewisePolynomial, places: Array, s: Array) -> Array:
+    """Return how far places are from a curve, across it: where along it each belongs is known to a little only."""
+    for _ in range(3):
+        jet = curve.jet(np.clip(s, 0.0, 1.0), 1)
+        away = places - jet[:, 0]
+        s = s + np.sum(away * jet[:, 1], axis=1) / np.sum(jet[:, 1] ** 2, axis=1)
+    return np.asarray(np.linalg.norm(places - curve.jet(np.clip(s, 0.0, 1.0), 0)[:, 0], axis=1))
+
+
+def _spline(points: Array, chords: Array, ends: Any) -> PiecewisePolynomial:
+    """Interpolate points; `chords` are the distances between them, or the ways to them."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - the library is imported where SciPy is not
+
+    s = np.append(0.0, np.cumsum(chords)) if len(chords) < len(points) else chords
+    spline = make_interp_spline(s / s[-1], points, k=_DEGREE, bc_type=ends)
+    return _curve(*pieces_of(spline))
+
+
+def _curve(knots: Array, coefficients: Array) -> PiecewisePolynomial:
+    degree = coefficients.shape[1] - 1
+    ends = np.stack([np.power(u, np.arange(degree + 1)) @ coefficients[k] for k, u in ((0, -0.5), (-1, 0.5))])
+    smoothness = 99 if len(knots) == 2 else degree - 1
+    return PiecewisePolynomial.of(knots, coefficients, smoothness, ends, (False, False))
+
+
+def slopes_at(curve: PiecewisePolynomial, s: ca.SX, order: int) -> list[ca.SX]:
+    """Return P and its derivatives by s up to an order as expressions of s, columns (m, 1)."""
+    knots, factors = curve.knots, curve.coefficients
+    degree, count = factors.shape[1] - 1, len(knots) - 1
+
+    def piecewise(values: Array) -> ca.SX:
+        return ca.pw_const(s, ca.DM(knots[1:-1]), ca.DM(values)) if count > 1 else ca.SX(float(values[0]))
+
+    length = piecewise(np.diff(knots))
+    u = (s - piecewise((knots[1:] + knots[:-1]) / 2.0)) / length
+    terms = [ca.vertcat(*[piecewise(factors[:, k, row]) for row in range(curve.dimension)]) for k in range(degree + 1)]
+    slopes = []
+    for nu in range(order + 1):
+        value = ca.SX.zeros(curve.dimension)
+        for k in range(degree, nu - 1, -1):
+            value = value * u + terms[k] * (factorial(k) // factorial(k - nu))
+        slopes.append(value / length**nu)
+    return slopes

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
@@ -25,47 +27,38 @@ _TRIED_RAMPS, _ROUNDS = 13, 4
 LONGEST = 1e6
 """Seconds that laws to compare with may take."""
 
-Shape = Callable[[Array, int], Array]
-"""(parts of the duration (n,), order) -> s and its derivatives at duration one, shape (n, order + 1)."""
-
-
-def shape_of(profile: Profile) -> Shape:
-    """Return a profile at duration one."""
-    return lambda parts, order: np.asarray(profile.jet(parts, 1.0 - parts, 1.0, order))
-
 
 def smooth_polynomial(length: int) -> PolynomialProfile:
     """Return the polynomial law from rest to rest with as many derivatives zero at its ends as a chain is long."""
     return {4: DEGREE9, 6: DEGREE13}.get(length) or polynomial(2 * length + 1)
 
 
-def peaks(shape: Shape, order: int) -> Array:
-    """Return the largest derivatives 0 to `order`."""
-    return np.asarray(np.abs(shape(np.linspace(0.0, 1.0, _FINE), order)).max(axis=0))
+def peaks(profile: Profile, order: int) -> Array:
+    """Return the largest derivatives 0 to `order` at duration one."""
+    largest: Array = np.abs(_jets(np.zeros(1), np.ones(1), profile, order, _FINE)[0]).max(axis=1)
+    return largest
 
 
-def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
-    """Return a law of one shape for all chains, on a grid."""
-    return _law_between(task.start, task.end, task.length, shape, duration, intervals)
+def law_of(task: Task, profile: Profile, duration: float, intervals: int) -> Law:
+    """Return a law of one profile for all chains, on a grid."""
+    return _law_between(task.start, task.end, task.length, profile, duration, intervals)
 
 
 def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
     """Return a curve with the polynomial law in a duration, for pictures: nearly exact."""
-    shape = shape_of(smooth_polynomial(length))
-    return TimedPath.of(curve, _law_between(np.zeros(1), np.ones(1), length, shape, duration, _DRAWN).path())
+    law = _law_between(np.zeros(1), np.ones(1), length, smooth_polynomial(length), duration, _DRAWN)
+    return TimedPath.of(curve, law.path())
 
 
-def _law_between(start: Array, end: Array, length: int, shape: Shape, duration: float, intervals: int) -> Law:
-    columns = shape(np.linspace(0.0, 1.0, intervals + 1), length).T / duration ** np.arange(length + 1)[:, None]
-    jets = columns[:, :, None] * (end - start)
-    jets[0] += start
-    return sampled_law(jets, duration, length)
+def _law_between(start: Array, end: Array, length: int, profile: Profile, duration: float, intervals: int) -> Law:
+    jets = _jets(start, end, profile, length, intervals + 1) / duration ** np.arange(length + 1)[:, None]
+    return sampled_law(jets.transpose(1, 2, 0), duration, length)
 
 
-def shortest(task: Task, shape: Shape) -> float:
+def shortest(task: Task, profile: Profile) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
-    coarse, fine = (_jets(task, shape, count) for count in _instants(task))
-    return shortest_kept(partial(_kept, task, fine), partial(_kept, task, coarse))
+    coarse, fine = (partial(_kept, task, _jets_of(task, profile, count)) for count in _instants(task))
+    return shortest_kept(fine, coarse)
 
 
 def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] | None = None) -> float:
@@ -85,37 +78,34 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
         longest *= 2.0
         if longest > LONGEST:
             return np.inf
-    for duration in longest * _FACTOR ** np.arange(-_TRIED, 1):
-        if (roughly is None or roughly(duration)) and kept(duration):
-            break
-    return _between(kept, float(duration) / _FACTOR, float(duration), _HALVINGS)
+    return _first_kept(
+        lambda duration: (roughly is None or roughly(duration)) and kept(duration),
+        longest * _FACTOR ** np.arange(-_TRIED, 1),
+        _HALVINGS,
+    )
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
     durations = dict[float, float]()
     low, high = _RAMPS
+    tried = near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
             if ramp not in durations:
-                durations[ramp] = _shortest_near(task, shape_of(three_phase(ramp)), near)
+                jets = _jets_of(task, three_phase(ramp), _instants(task)[0])
+                durations[ramp] = _first_kept(partial(_kept, task, jets), tried, _HALVINGS // 3)
         best = min(durations, key=lambda each: durations[each])
         reach = (high - low) / (_TRIED_RAMPS - 1)
         low, high = max(best - reach, _RAMPS[0]), min(best + reach, _RAMPS[1])
-    return shortest(task, shape_of(three_phase(best))), best
+    return shortest(task, three_phase(best)), best
 
 
-def _shortest_near(task: Task, shape: Shape, near: float) -> float:
-    """Return roughly the shortest duration at which a law keeps all limits, if it is not far above `near`."""
-    jets = _jets(task, shape, _instants(task)[0])
-    for duration in near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8):
-        if _kept(task, jets, duration):
-            return _between(partial(_kept, task, jets), duration / _FACTOR, float(duration), _HALVINGS // 3)
-    return np.inf
-
-
-def _between(kept: Callable[[float], bool], bad: float, good: float, halvings: int) -> float:
-    for _ in range(halvings):
+def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[Any]], halvings: int) -> float:
+    """Return the first of some durations at which limits are kept, less what bisection saves; infinite without one."""
+    good = next((duration for duration in tried.tolist() if kept(duration)), np.inf)
+    bad = good / _FACTOR
+    for _ in range(halvings if good < np.inf else 0):
         middle = (bad + good) / 2.0
         bad, good = (bad, middle) if kept(middle) else (middle, good)
     return good
@@ -125,18 +115,22 @@ def _instants(task: Task) -> tuple[int, int]:
     return _SEARCHED_AT if task.inner.size else _LOOKED_AT
 
 
-def _jets(task: Task, shape: Shape, count: int) -> Array:
-    """Return the chains' derivatives at duration one, shape (C, orders, count)."""
-    derivatives = shape(np.linspace(0.0, 1.0, count), task.orders - 1).T
-    jets = (task.end - task.start)[:, None, None] * derivatives
-    jets[:, 0] += task.start[:, None]
-    return np.asarray(jets)
+def _jets_of(task: Task, profile: Profile, count: int) -> Array:
+    return _jets(task.start, task.end, profile, task.orders - 1, count)
+
+
+def _jets(start: Array, end: Array, profile: Profile, order: int, count: int) -> Array:
+    """Return chains' derivatives by a profile at duration one, shape (C, order + 1, count)."""
+    parts = np.linspace(0.0, 1.0, count)
+    jets: Array = (end - start)[:, None, None] * profile.jet(parts, 1.0 - parts, 1.0, order).T
+    jets[:, 0] += start[:, None]
+    return jets
 
 
 def _kept(task: Task, jets: Array, duration: float) -> bool:
     """Whether a law keeps the limits, without the margin of a plan."""
     stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
     bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
-    values = task.values(stretched)
+    values, _ = task.values(stretched)
     kept = ((values <= 1.0) & (values >= bounds)).all()
     return bool(kept and (task.over_all(stretched, duration) <= 0.0).all())

@@ -17,6 +17,7 @@ import numpy as np
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.planning.integrator_chains import Law, advanced
+from servocore.planning.limit_rows import Inner
 
 _OPTIONS = {
     "print_time": False,
@@ -29,44 +30,6 @@ _SHORTEST, _LONGEST = 0.02, 50.0  # theta
 _SAMPLES = 12  # intervals of a law that says how large inner unknowns are
 _NOTHING = 1e-9  # an unknown that stays smaller has no size
 SOLVED = "Solve_Succeeded"
-
-
-@dataclass(frozen=True, eq=False)
-class Inner:
-    """The motion at every point where rows are kept: unknowns of the program, none where a formula gives it.
-
-    Attributes
-    ----------
-    local : casadi.Function
-        (jets of the chains, unknowns) -> rows, equations that are zero, integrands of totals.
-    start : casadi.Function
-        (jets) -> unknowns that solve the equations.
-    """
-
-    local: ca.Function
-    start: ca.Function
-
-    @property
-    def size(self) -> int:
-        """How many unknowns there are, and equations."""
-        return int(self.start.size1_out(0))
-
-    def at(self, jets: Array) -> Array:
-        """Return the unknowns (size, n) of jets (C, orders, n)."""
-        columns = jets.transpose(0, 2, 1)
-        count = columns.shape[1]
-        return mapped(self.start, count)(columns.reshape(len(columns), -1))[0].reshape(-1, count, order="F")
-
-    def scales(self, jets: Array) -> tuple[Array, Array]:
-        """Return the scales of unknowns and equations: their sizes along jets (C, orders, n)."""
-        rows = self.at(jets)
-        sizes = np.nanmax(np.abs(rows), axis=1, initial=0.0)
-        sizes = np.where(sizes > _NOTHING, sizes, 1.0)
-        jet, unknowns = ca.SX.sym("jet", *self.local.size_in(0)), ca.SX.sym("unknowns", self.size)
-        slopes = ca.Function("sc_slopes", [jet, unknowns], [ca.jacobian(self.local(jet, unknowns)[1], unknowns)])
-        magnitudes = [np.abs(np.asarray(slopes(jets[:, :, k], rows[:, k]))) @ sizes for k in range(rows.shape[1])]
-        largest = np.nanmax(np.array(magnitudes), axis=0, initial=0.0)
-        return sizes, np.where(largest > 0.0, largest, 1.0)
 
 
 class Total(NamedTuple):
@@ -93,8 +56,8 @@ class Task:
 
     Attributes
     ----------
-    rows : casadi.Function
-        (jets of the chains (C, orders)) -> rows, between their bounds, and integrands of `totals`.
+    inner : Inner
+        (jets of the chains (C, orders), unknowns) -> rows, between their bounds, equations, integrands of `totals`.
     lower, upper : ndarray, shape (rows,)
         Bounds.
     start, end : ndarray, shape (C,)
@@ -105,13 +68,11 @@ class Task:
         Largest derivatives of a polynomial law of duration one.
     forward : bool
         Whether no chain turns back.
-    inner : Inner
-        Source of the motion.
     totals : tuple of Total
         What is bounded of the law as a whole.
     """
 
-    rows: ca.Function
+    inner: Inner
     lower: Array
     upper: Array
     start: Array
@@ -119,33 +80,54 @@ class Task:
     length: int
     peaks: Array
     forward: bool
-    inner: Inner
     totals: tuple[Total, ...] = ()
 
     @property
     def orders(self) -> int:
         """How many columns the jets have that the rows take."""
-        return int(self.rows.size2_in(0))
+        return int(self.inner.local.size2_in(0))
 
-    def values(self, jets: Array, what: int = 0) -> Array:
-        """Return the rows (rows, n) of jets (C, K + 2, n), or for `what` 1 the integrands of the totals."""
-        columns = jets[:, : self.orders].transpose(0, 2, 1)
-        count = columns.shape[1]
-        return mapped(self.rows, count)(columns.reshape(len(columns), -1))[what].reshape(-1, count, order="F")
+    def unknowns(self, jets: Array) -> Array:
+        """Return the unknowns (size, n) of the motion for jets (C, orders, n)."""
+        return _at_each(self.inner.start, jets)[0]
+
+    def values(self, jets: Array) -> tuple[Array, Array]:
+        """Return the rows (rows, n) of jets (C, K + 2, n), and the integrands of the totals."""
+        rows, _, integrands = _at_each(self.inner.solved, jets[:, : self.orders])
+        return rows, integrands
+
+    def scales(self, jets: Array) -> tuple[Array, Array]:
+        """Return the scales of unknowns and equations: their sizes along jets (C, orders, n)."""
+        local, rows = self.inner.local, self.unknowns(jets)
+        sizes = np.nanmax(np.abs(rows), axis=1, initial=0.0)
+        sizes = np.where(sizes > _NOTHING, sizes, 1.0)
+        jet, unknowns = ca.SX.sym("jet", *local.size_in(0)), ca.SX.sym("unknowns", self.inner.size)
+        slopes = ca.Function("sc_slopes", [jet, unknowns], [ca.jacobian(local(jet, unknowns)[1], unknowns)])
+        magnitudes = [np.abs(np.asarray(slopes(jets[:, :, k], rows[:, k]))) @ sizes for k in range(rows.shape[1])]
+        largest = np.nanmax(np.array(magnitudes), axis=0, initial=0.0)
+        return sizes, np.where(largest > 0.0, largest, 1.0)
 
     def over_all(self, jets: Array, duration: float) -> Array:
         """Return by how much totals (totals,) are beyond their bounds, from jets evenly from start to end."""
         if not self.totals:
             return np.zeros(0)
-        means = np.trapezoid(self.values(jets, 1), dx=1.0 / (jets.shape[2] - 1), axis=1)
+        means = np.trapezoid(self.values(jets)[1], dx=1.0 / (jets.shape[2] - 1), axis=1)
         over = [mean * (1.0 if e.mean else duration) - e.most for e, mean in zip(self.totals, means, strict=True)]
         return np.where(np.isfinite(over), over, np.inf)
 
     def excess(self, jets: Array) -> Array:
         """Return by how much rows are beyond their bounds (rows, n); infinite where there is no number."""
-        values = self.values(jets)
+        values, _ = self.values(jets)
         over: Array = np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
         return np.where(np.isfinite(values), over, np.inf)
+
+
+def _at_each(function: ca.Function, jets: Array) -> list[Array]:
+    """Return the results (rows, n) of a function of jets (C, orders, n)."""
+    columns = jets.transpose(0, 2, 1)
+    count = columns.shape[1]
+    results = mapped(function, count)(columns.reshape(len(columns), -1))
+    return [result.reshape(-1, count, order="F") for result in results]
 
 
 @dataclass(frozen=True)
@@ -186,7 +168,8 @@ class Transcription:
     @classmethod
     def of(cls, task: Task, intervals: int, checks: int, scale: float, iterations: int = 300) -> Transcription:
         """Write the program down."""
-        sizes = task.inner.scales(_looked_at(task, _typical(task, scale), _SAMPLES))
+        typical = Law(scale, task.start, task.end, np.zeros((_SAMPLES + 1, len(task.start))), task.length)
+        sizes = task.scales(_looked_at(task, typical.resting(), _SAMPLES))
         problem = _program(task, intervals, checks, scale, sizes)
         solver = ca.nlpsol("sc_plan", "ipopt", problem, {**_OPTIONS, "ipopt.max_iter": iterations})
         return cls(task, intervals, checks, scale, solver, sizes[0])
@@ -196,9 +179,7 @@ class Transcription:
         """Where in an interval the rows are kept."""
         return np.arange(self.checks) / self.checks
 
-    def solve(
-        self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None] | None = None
-    ) -> Outcome:
+    def solve(self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None]) -> Outcome:
         """Solve from a law.
 
         Parameters
@@ -209,11 +190,10 @@ class Transcription:
             By how much bounds are narrowed.
         less : ndarray, shape (totals,)
             By how much those of totals are.
-        progress : callable, optional
+        progress : callable
             Called with a text on the progress.
         """
-        if progress is not None:
-            progress(f"solving on {self.intervals} intervals")
+        progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
         zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
         defects = np.zeros(zeros)
@@ -239,7 +219,7 @@ class Transcription:
     def _packed(self, law: Law) -> Array:
         states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
         path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
-        inner = self.task.inner.at(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
+        inner = self.task.unknowns(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
         return np.append(path, np.nan_to_num(inner).ravel(order="F"))
 
     def _unpacked(self, unknowns: Array) -> Law:
@@ -260,12 +240,6 @@ class Transcription:
             low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
         inner = np.full(self.intervals * self.checks * task.inner.size, np.inf)
         return np.concatenate([low.ravel(), [_SHORTEST], -inner]), np.concatenate([high.ravel(), [_LONGEST], inner])
-
-
-def _typical(task: Task, duration: float) -> Law:
-    """Return a smooth law on a few intervals."""
-    still = np.zeros((_SAMPLES + 1, len(task.start)))
-    return Law(duration, task.start, task.end, still, task.length).resting()
 
 
 def _looked_at(task: Task, law: Law, checks: int) -> Array:

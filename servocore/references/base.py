@@ -257,6 +257,17 @@ def positive_time(value: float, what: str) -> float:
     return float(value)
 
 
+def times_of(rising: Callable[[FloatArray], FloatArray], values: FloatArray, begin: float, end: float) -> FloatArray:
+    """Return the times at which a function that rises from begin to end has values (n,), by bisection."""
+    early, late = np.full(len(values), begin), np.full(len(values), end)
+    for _ in range(_HALVINGS):
+        middle = (early + late) / 2.0
+        short = rising(middle) < values
+        early, late = np.where(short, middle, early), np.where(short, late, middle)
+    return late
+
+
+_HALVINGS = 60
 _FEWEST, _MOST = 400, 20_000
 _DEFAULT_STEPS = 200
 _MOST_STEPS = 10**8

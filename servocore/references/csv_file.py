@@ -13,9 +13,8 @@ from servocore.files import csv_text
 from servocore.references.base import FloatArray, Reference
 from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.csv_table import PREFIXES, Table, read_table
-from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.likely_units import doubtful_units
-from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.piecewise import Disagreement, PiecewisePolynomial, disagreement, hermite
 from servocore.references.splines import fewest_samples, joined_legs, sampled
 
 COLUMNS = ("x", "y", "z")

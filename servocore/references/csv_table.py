@@ -21,9 +21,8 @@ import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
 from servocore.references.base import LONGEST_TIME, FloatArray
-from servocore.references.csv_header import bytes_of, header_of
+from servocore.references.csv_header import EXAMPLE, Header, clock_from, header_of, without_stamps
 from servocore.references.likely_units import UndeclaredUnits, doubtful_units
-from servocore.references.time_stamps import EXAMPLE, clock_from, without_stamps
 
 PREFIXES = ("", "v", "a", "j", "s")
 """Prefix of a column of positions, velocities, accelerations, jerks and snaps."""
@@ -109,34 +108,25 @@ def read_table(
     file, components = Path(path), tuple(columns)
     if not components or len({"time", *components}) <= len(components):
         raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
-    data, notes = bytes_of(file)
     known = units or (("m",) * 3 if components == ("x", "y", "z") else ("",) * len(components))
-    layout, more = _layout(file, data, dict(zip(components, known, strict=True)), groups, waypoints)
-    body, layout, dated = _body(file, data, layout)
-    lines, numbers, stops, commas = _numbers_of(file, body, layout)
-    notes += more + dated + commas + _since_1970(numbers, layout)
-    numbers /= layout.factors
-    _require_increasing(file, lines, numbers[:, 0])
+    layout, data = _layout(file, dict(zip(components, known, strict=True)), groups, waypoints)
+    lines, numbers, stops = _rows(file, data, layout)
     far = int(np.abs(numbers[:, 0]).argmax())
     if abs(numbers[far, 0]) > LONGEST_TIME:
         raise InvalidReference(
             f"{file}, line {lines[far]}, column time: {_digits(numbers[far, 0])} s is more than {LONGEST_TIME:g} s from"
             " zero: let times begin near it, or write their unit into the header, as time [ns]"
         )
-    table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
+    derivatives = numbers[:, 1:].reshape(len(numbers), -1, len(components))
+    table = Table(file, components, lines, numbers[:, 0], derivatives, stops)
     table = table._replace(undeclared=_undeclared_units(table, layout))
-    if notes:
-        warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
+    _warn_of_conversions(file, layout)
     return table
 
 
 def _digits(value: float) -> str:
     """Return the fewest digits of a number that are read back as the same number."""
     return repr(float(value)).removesuffix(".0")
-
-
-def _grouped(numbers: FloatArray, components: Sequence[str]) -> FloatArray:
-    return numbers.reshape(len(numbers), -1, len(components))
 
 
 class _Layout(NamedTuple):
@@ -146,10 +136,10 @@ class _Layout(NamedTuple):
     delimiter: str
     factors: FloatArray  # for time and each number: file units per s, m, ...
     units: dict[str, str]  # those that the header names
-    first: int  # byte at which the line after the header begins
-    line: int  # its number
+    line: int  # number of the one after the header
     stops: bool
     free: int  # the first column whose cells may be empty
+    notes: list[str]  # of conversions
     clock: Callable[[str], float] | None = None  # from dates to seconds, where times are dates
 
 
@@ -182,13 +172,9 @@ def read_columns(
         As `read_table`.
     """
     file = Path(path)
-    data, notes = bytes_of(file)
-    header = header_of(file, data, f"time,{','.join(known)}")
-    named = [unit[1] if unit else cell for cell, unit in header.cells]
-    names = _without_capitals(["time" if named[0].casefold() == "t" else named[0], *named[1:]], ["time", *known])
+    header, names, units, data = _named(file, f"time,{','.join(known)}", ["time", *known])
     if names[0] != "time" or len(set(names)) < len(names):
         raise InvalidReference(f"{file}, line {header.line}: its first column must be time, and no name may repeat")
-    units = {name: unit[2].replace("\u03bc", "µ") for name, (_, unit) in zip(names, header.cells, strict=True) if unit}
     factors = np.ones(len(names))
     for k, name in enumerate(names):
         try:
@@ -198,57 +184,54 @@ def read_columns(
                 factors[k] = factor(units[name], known[name])
         except ValueError as error:
             raise InvalidReference(f"{file}, line {header.line}, column {name}: {error}") from None
-    layout = _Layout(names, header.delimiter, factors, units, header.first, header.line + 1, False, 1)
-    body, layout, dated = _body(file, data, layout)
-    lines, numbers, _, commas = _numbers_of(file, body, layout)
-    notes += dated + commas + _since_1970(numbers, layout)
-    numbers /= factors
-    _require_increasing(file, lines, numbers[:, 0])
-    if notes:
-        warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
-    return numbers[:, 0], {name: numbers[:, k] for k, name in enumerate(names) if name in known}, set(units)
+    declared = set(units)
+    layout = _Layout(names, header.delimiter, factors, units, header.line + 1, False, 1, header.notes)
+    _, numbers, _ = _rows(file, data, layout)
+    _warn_of_conversions(file, layout)
+    return numbers[:, 0], {name: numbers[:, k] for k, name in enumerate(names) if name in known}, declared
 
 
-def _require_increasing(file: Path, lines: Sequence[int], t: FloatArray) -> None:
-    stuck = np.flatnonzero(np.diff(t) <= 0.0)
-    if stuck.size:
-        late = stuck[0] + 1
-        raise InvalidReference(
-            f"{file}, line {lines[late]}, column time: {_digits(t[late])} s does not come after "
-            f"{_digits(t[late - 1])} s of the row before"
-        )
+def _warn_of_conversions(file: Path, layout: _Layout) -> None:
+    if layout.notes:
+        warnings.warn(f"{file} is read with {', '.join(layout.notes)}", ServocoreWarning, stacklevel=3)
 
 
-def _layout(
-    file: Path, data: bytes, components: Mapping[str, str], groups: int, waypoints: bool
-) -> tuple[_Layout, list[str]]:
-    """Read the header; return the format of the file and notes of conversions."""
+def _named(file: Path, expected: str, wanted: Sequence[str]) -> tuple[Header, list[str], dict[str, str], bytes]:
+    """Return the header of a file, names of its columns as they are wanted, their units by name, and the rows."""
+    header, data = header_of(file, expected)
+    first, *others = header.names
+    if first.casefold() == "t" and "t" not in wanted:
+        first = "time"
+    names = _without_capitals([first, *others], wanted)
+    return header, names, {name: unit for name, unit in zip(names, header.units, strict=True) if unit is not None}, data
+
+
+def _layout(file: Path, components: Mapping[str, str], groups: int, waypoints: bool) -> tuple[_Layout, bytes]:
+    """Read the header; return the format of the file and the rows."""
     blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
     wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
     shortest = ",".join(wanted[0])
-    header, with_units, delimiter, first, line = header_of(file, data, shortest)
-    written = [unit[1] if unit else cell for cell, unit in with_units]
-    usual = ["time", *written[1:]] if written[0] == "t" and "t" not in components else written
-    names = _without_capitals(usual, [*wanted[-1], *([STOP] if waypoints else [])])
-    units = {name: unit[2].replace("\u03bc", "µ") for name, (_, unit) in zip(names, with_units, strict=True) if unit}
+    header, names, units, data = _named(file, shortest, [*wanted[-1], *([STOP] if waypoints else [])])
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:
         more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
         more += f", then {STOP}" if waypoints else ""
-        shown = header if len(header) <= _SHOWN else f"{header[:_SHOWN]}..."
+        shown = header.text if len(header.text) <= _SHOWN else f"{header.text[:_SHOWN]}..."
         raise InvalidReference(
-            f"{file}, line {line}: the header {shortest}{more} was expected, but {shown!r} was found"
+            f"{file}, line {header.line}: the header {shortest}{more} was expected, but {shown!r} was found"
         )
-    factors = [_factor(file, line, name, units.get(name), k, list(components.values())) for k, name in enumerate(names)]
-    notes = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
-    notes += [f"{','.join(written)} as {','.join(names)}"] if written != names else []
+    measured = list(components.values())
+    factors = [_factor(file, header.line, name, units.get(name), k, measured) for k, name in enumerate(names)]
+    marks = {";": ["semicolons between cells"], "\t": ["tabs between cells"]}
+    notes = header.notes + marks.get(header.delimiter, [])
+    notes += [f"{','.join(header.names)} as {','.join(names)}"] if header.names != names else []
     notes += [
         f"{', '.join(same)} in {unit}"
         for unit in dict.fromkeys(units.values())
         if (same := [name for name in units if units[name] == unit and factors[names.index(name)] != 1.0])
     ]
     numbers, free = factors[:-1] if stops else factors, 1 + len(components) if waypoints else len(names)
-    return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), notes
+    return _Layout(names, header.delimiter, np.array(numbers), units, header.line + 1, stops, free, notes), data
 
 
 def _without_capitals(names: list[str], wanted: Sequence[str]) -> list[str]:
@@ -276,43 +259,51 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
     return factor
 
 
-def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
-    """Return the rows, their format, and notes of conversions."""
-    body = data[layout.first :].rstrip(b" \n")  # tabs at the end divide cells that are empty
+def _rows(file: Path, data: bytes, layout: _Layout) -> tuple[Sequence[int], FloatArray, np.ndarray | None]:
+    """Return lines, numbers (n, columns) in SI units, and stops; add to the notes of conversions."""
+    body = data.rstrip(b" \n")  # tabs at the end divide cells that are empty
     if not body.strip():
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
     first = body.lstrip().partition(b"\n")[0].decode(errors="replace").partition(layout.delimiter)[0]
     clock = clock_from(first.strip().strip('"'))
-    if clock is None:
-        return body, layout, []
-    if "time" in layout.units:
-        raise InvalidReference(f"{file}, line {layout.line - 1}: its times are dates, which have no unit in the header")
-    layout = layout._replace(units={**layout.units, "time": "s"}, clock=clock)
-    return body, layout, ["dates as times, of which the first becomes 0"]
+    if clock is not None:
+        if "time" in layout.units:
+            raise InvalidReference(
+                f"{file}, line {layout.line - 1}: its times are dates, which have no unit in the header"
+            )
+        layout.units["time"] = "s"
+        layout.notes.append("dates as times, of which the first becomes 0")
+        layout = layout._replace(clock=clock)
+    lines, numbers, stops = _numbers_of(file, body, layout)
+    _begin_after_1970(numbers, layout)
+    numbers /= layout.factors
+    stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
+    if stuck.size:
+        late = stuck[0] + 1
+        raise InvalidReference(
+            f"{file}, line {lines[late]}, column time: {_digits(numbers[late, 0])} s does not come after "
+            f"{_digits(numbers[late - 1, 0])} s of the row before"
+        )
+    return lines, numbers, stops
 
 
-def _numbers_of(
-    file: Path, body: bytes, layout: _Layout
-) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
-    """Return lines, numbers (n, columns), stops, and notes of conversions."""
-    notes = []
+def _numbers_of(file: Path, body: bytes, layout: _Layout) -> tuple[Sequence[int], FloatArray, np.ndarray | None]:
+    """Return lines, numbers (n, columns) and stops."""
     cells = body if layout.clock is None else without_stamps(body.decode(errors="replace")).encode()
     if layout.delimiter != "," and b"," in cells and b"." not in cells:
-        body, notes = body.replace(b",", b"."), ["decimal commas"]
-    if not layout.stops:
-        numbers = _quickly(body, layout)
-        if numbers is not None:
-            return range(layout.line, layout.line + len(numbers)), numbers, None, notes
+        body = body.replace(b",", b".")
+        layout.notes.append("decimal commas")
+    if not layout.stops and (numbers := _quickly(body, layout)) is not None:
+        return range(layout.line, layout.line + len(numbers)), numbers, None
     try:
         reader = csv.reader(io.StringIO(body.decode()), delimiter=layout.delimiter)
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InvalidReference(f"{file} cannot be read as a table: {error}") from None
     rows = [(line + layout.line - 1, cells) for line, cells in rows if any(cells)]
-    lines = [line for line, _ in rows]
     read = [_numbers(file, line, cells, layout) for line, cells in rows]
     stops = np.array([_stop(file, line, cells[-1]) for line, cells in rows]) if layout.stops else None
-    return lines, np.array(read), stops, notes
+    return [line for line, _ in rows], np.array(read), stops
 
 
 def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
@@ -370,16 +361,16 @@ def _stop(file: Path, line: int, cell: str) -> bool:
     return cell.lower() in _YES
 
 
-def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
-    """Let times since 1970, which are so large that nothing else is meant, begin at 0; return notes of that."""
+def _begin_after_1970(numbers: FloatArray, layout: _Layout) -> None:
+    """Let times since 1970, which are so large that nothing else is meant, begin at 0."""
     named, first = layout.units.get("time"), numbers[0, 0]
     for unit, factor in _EPOCHS.items() if named is None else [(named, layout.factors[0])]:
         if _SINCE_1970[0] <= first / factor <= _SINCE_1970[1]:
             # Before any division; doubles as large as these hold microseconds, and fractions of these are round-off.
             microseconds = np.round((numbers[:, 0] - first) * (1e6 / factor))
             numbers[:, 0] = microseconds / (1e6 if named is None else 1e6 / factor)
-            return [f"times in {unit} since 1970, of which the first becomes 0"]
-    return []
+            layout.notes.append(f"times in {unit} since 1970, of which the first becomes 0")
+            return
 
 
 def _undeclared_units(table: Table, layout: _Layout) -> UndeclaredUnits:

@@ -13,12 +13,15 @@ from dataclasses import dataclass, field
 from math import comb, factorial, isfinite
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polyder, polymul, polymulx
 
 from servocore.errors import InvalidReference, require_kind, require_real
 from servocore.references.base import FloatArray, Values, either, least, most, powers, where
 
 DEFAULT_RAMP = 0.25
 """Part of the duration that `three_phase` accelerates when no ramp is given."""
+
+_BESIDE = np.array([-1, 0, 1], dtype=object)  # v^2 - 1
 
 
 @dataclass(frozen=True)
@@ -344,20 +347,16 @@ def _horner(coefficients: tuple[float, ...], x: Values) -> Values:
 def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
     """Coefficients in v of c G_0 ... c G_k, then of the derivatives of c G_k by T: the power of w is used up."""
     # 2^j c G_j has integer coefficients: exact, until each is divided and rounded once.
-    factor, power = [factorial(2 * k + 1) // factorial(k) ** 2], 1
+    factor, power = np.array([factorial(2 * k + 1) // factorial(k) ** 2], dtype=object), 1
     factors = []
     for j in range(2 * k + 1):
-        factors.append(tuple(value / power for value in factor))
-        slope = [m * value for m, value in enumerate(factor)][1:]
+        factors.append(tuple(value / power for value in factor.tolist()))
+        slope = polyder(factor)
         if j < k:  # 2 (k - j) v G + (v^2 - 1) G'
-            raised = [0, *(2 * (k - j) * value for value in factor)]
-            for m, value in enumerate(slope):
-                raised[m] -= value
-                if value:
-                    raised[m + 2] += value
-            factor, power = raised, 2 * power
+            factor = polyadd(2 * (k - j) * polymulx(factor), polymul(_BESIDE, slope))
+            power *= 2
         else:
-            factor = [-2 * value for value in slope]
+            factor = -2 * slope
     return tuple(factors)
 
 

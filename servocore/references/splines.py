@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
-from servocore.references.base import FloatArray, numbers_of, points, positive_time
+from servocore.references.base import FloatArray, numbers_of, points, positive_time, times_of
 from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
@@ -250,18 +250,18 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
     pieces = 1
     while pieces + free.degree <= len(t) // 3:
         inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
+        pieces *= 2
         if _surely_too_few(t, positions, inner_knots, free, allowed):
-            pieces *= 2
             continue
         fitted = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
-        if _distance(fitted.spline(t), positions).max() <= allowed:
-            for start, end in ((True, True), (True, False), (False, True)):
-                ends = replace(free, start=start, end=end)
-                spline = fit(t, positions, inner_knots, ends)
-                if _distance(spline(t), positions).max() <= allowed:
-                    return _Fit(spline, ends, inner_knots)
-            return fitted
-        pieces *= 2
+        if _distance(fitted.spline(t), positions).max() > allowed:
+            continue
+        for start, end in ((True, True), (True, False), (False, True)):
+            ends = replace(free, start=start, end=end)
+            spline = fit(t, positions, inner_knots, ends)
+            if _distance(spline(t), positions).max() <= allowed:
+                return _Fit(spline, ends, inner_knots)
+        return fitted
     return None
 
 
@@ -370,11 +370,6 @@ def _chord_times(waypoints: FloatArray, duration: float) -> FloatArray:
         )
     way = np.concatenate([[0.0], np.cumsum(chords)])
     way /= way[-1]
-    early, late = np.zeros(len(way)), np.full(len(way), duration)
-    for _ in range(60):  # bisection: s(t) rises monotonically
-        middle = (early + late) / 2.0
-        short = three_phase().jet(middle, duration - middle, duration, 0)[:, 0] < way
-        early, late = np.where(short, middle, early), np.where(short, late, middle)
-    times: FloatArray = (early + late) / 2.0
+    times = times_of(lambda t: three_phase().jet(t, duration - t, duration, 0)[:, 0], way, 0.0, duration)
     times[0], times[-1] = 0.0, duration
     return times

@@ -1,6 +1,7 @@
 """The same curve by another law of time: in another duration, or with any law along it.
 
 `TimedPath` is gamma(t) = P(s(t)), with exact derivatives by the rule of Faa di Bruno; `TimeScaled` scales uniformly.
+`TimeAugmented` holds the time beside the path, for systems whose equations depend on time.
 """
 
 from __future__ import annotations
@@ -11,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from servocore.references.base import FloatArray, Reference
+from servocore.references.base import FloatArray, Reference, times_of
 from servocore.references.piecewise import PiecewisePolynomial
-
-_HALVINGS = 60
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +46,9 @@ class TimedPath(Reference):
     @property
     def joints(self) -> FloatArray:
         """Those of the law, and the times at which a rising law comes to a joint of the curve, to round-off."""
-        low, high = (np.full(len(self.curve.knots) - 2, t) for t in (self.start_time, self.end_time))
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2.0
-            short = self.law.jet(middle, 0)[:, 0, 0] < self.curve.knots[1:-1]
-            low, high = np.where(short, middle, low), np.where(short, high, middle)
-        return np.unique([*self.law.joints, *high])
+        knots = self.curve.knots[1:-1]
+        passed = times_of(lambda t: self.law.jet(t, 0)[:, 0, 0], knots, self.start_time, self.end_time)
+        return np.unique([*self.law.joints, *passed])
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
         """Bound derivatives by the rule of Faa di Bruno: all its factors are positive."""
@@ -123,13 +119,15 @@ class TimeScaled(Reference):
     @property
     def stretches(self) -> FloatArray:
         """Those of the path."""
-        inner = self.start_time + (self.path.stretches[1:-1] - self.start_time) * self.factor
-        return np.array([self.start_time, *inner, self.end_time])
+        return self._scaled(self.path.stretches)
 
     @property
     def joints(self) -> FloatArray:
         """Those of the path."""
-        inner = self.start_time + (self.path.joints[1:-1] - self.start_time) * self.factor
+        return self._scaled(self.path.joints)
+
+    def _scaled(self, t: FloatArray) -> FloatArray:
+        inner = self.start_time + (t[1:-1] - self.start_time) * self.factor
         return np.array([self.start_time, *inner, self.end_time])
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
@@ -141,3 +139,43 @@ class TimeScaled(Reference):
         original = self.start_time + (t - self.start_time) / self.factor
         original = np.where(t >= self.end_time, np.maximum(original, self.path.end_time), original)
         return self.path.jet(original, order) / self.factor ** np.arange(order + 1)[:, None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeAugmented(Reference):
+    """(gamma(t), t): a path with the time below it, whose derivatives are 1, 0, 0, ...
+
+    Attributes
+    ----------
+    path : Reference
+        The path without the time.
+    """
+
+    path: Reference
+
+    @classmethod
+    def of(cls, path: Reference) -> TimeAugmented:
+        """Append the time to a path."""
+        return cls(**{**path.common, "dimension": path.dimension + 1}, path=path)
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the path."""
+        return self.path.stretches
+
+    @property
+    def joints(self) -> FloatArray:
+        """Those of the path."""
+        return self.path.joints
+
+    def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
+        """Bound derivatives by those of the path, the time by its ends."""
+        clock = np.zeros((len(a), order + 1, 1))
+        clock[:, 0, 0], clock[:, 1:2] = np.maximum(np.abs(a), np.abs(b)), 1.0
+        return np.concatenate([self.path._bounds(a, b, order), clock], axis=2)
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        clock = np.zeros((len(t), order + 1, 1))
+        clock[:, 0, 0] = t
+        clock[:, 1:2] = 1.0
+        return np.concatenate([self.path.jet(t, order), clock], axis=2)

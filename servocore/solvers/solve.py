@@ -291,7 +291,7 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
     error, which makes the largest of all differences a moderate upper estimate.
     """
     from servocore.references.piecewise import PiecewisePolynomial  # noqa: PLC0415 - for paths of samples only
-    from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415
+    from servocore.references.timed_path import TimeAugmented  # noqa: PLC0415
 
     path = problem.reference.path if isinstance(problem.reference, TimeAugmented) else problem.reference
     if not isinstance(path, PiecewisePolynomial) or path.refitted is None or not isinstance(route, JudgedRoute):

@@ -1,12 +1,14 @@
-"""`LiveModel`: the functions of a page as JavaScript: the exact inversion, and the scheme of the paper."""
+"""`LiveModel`: the functions of a page as JavaScript: the exact inversion, the scheme of the paper, and the path."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from servocore.errors import InvalidModel, ServocoreError
 from servocore.formulations.projected import Projected
@@ -16,6 +18,10 @@ from servocore.methods.base import Discretization, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.profiles import TIME_LAWS, Profile
+from servocore.references.rest_to_rest import RestToRest
+from servocore.references.timed_path import TimeAugmented
 from servocore.solvers.exact_inversion import prepared_motion
 from servocore.stepping.observation import compile_observation, limits_order, observed
 from servocore.structure.inversion import inversion
@@ -145,3 +151,43 @@ def _blocks(step: Discretization) -> list[tuple[list[int], list[int], bool]]:
         linear = not ca.depends_on(ca.jacobian(equations.residual[block_rows], unknowns), unknowns)
         blocks.append((block_rows, block_columns, linear))
     return blocks
+
+
+# Paths: a straight line with its time laws as JavaScript, any other as a table of its derivatives ---------------------
+
+
+def packed(values: Array) -> str:
+    """Return numbers as a text: their bytes, least first, in base 64."""
+    return b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()
+
+
+def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any], Mapping[str, str]]:
+    """Return the data of a path for a page, and its functions as JavaScript by name.
+
+    Parameters
+    ----------
+    reference : Reference
+        The path.
+    t : ndarray, shape (N,)
+        Instants of a table.
+    orders : int
+        How many derivatives, the path itself included.
+    """
+    path = reference.path if isinstance(reference, TimeAugmented) else reference
+    about = {"start_time": path.start_time, "duration": path.duration, "dimension": path.dimension}
+    if not isinstance(path, RestToRest):
+        return {**about, "kind": "table", "times": packed(t), "jets": packed(path.jet(t, orders - 1))}, {}
+    laws = {law.name: law for law in (path.profile, *TIME_LAWS.values())}
+    smooth = [law for law in laws.values() if law == path.profile or law.smoothness >= orders - 1]
+    functions = {f"law{k}": _law(law, orders - 1) for k, law in enumerate(smooth)}
+    described = [{"name": law.name, "shortest": law.shortest_duration} for law in smooth]
+    return {**about, "kind": "line", "start": path.start, "end": path.end, "laws": described}, functions
+
+
+def _law(profile: Profile, order: int) -> str:
+    """Return ([elapsed, remaining, duration]) -> s and its derivatives."""
+    given = ca.SX.sym("given", 3)
+    elapsed, remaining, duration = ca.vertsplit(given)
+    whole: Any = duration  # powers of a number are written as those of a symbol
+    law = profile.law(elapsed, remaining, profile.numbers(whole, order), order)
+    return written("law", [given], [ca.vertcat(ca.SX(0, 1), *law)])

@@ -26,8 +26,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.observation import observed
 from servocore.view.javascript import written
-from servocore.view.live_model import LiveModel, live_model
-from servocore.view.paths import packed, path_of
+from servocore.view.live_model import LiveModel, live_model, packed, path_of
 
 WEB = files("servocore.view").joinpath("web")
 _SCRIPTS = ("numbers.js", "scene.js", "plots.js", "controls.js", "page.js")
