@@ -10,9 +10,9 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, chained, mapped
-from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
-from servocore.problem import Problem, ResolvedSystem
+from servocore.problem import Problem
 from servocore.solvers.input_functions import Inputs, values_at
 from servocore.solvers.runs import CHUNK
 from servocore.stepping.energy_momentum import (
@@ -30,7 +30,6 @@ BALANCE = (
 
 _ON_GRID = 1e-6  # of a step
 _MOST_STEPS = 10**7
-_IN_MACHINE_CODE = ("step",)
 
 
 @dataclass(frozen=True)
@@ -155,18 +154,10 @@ def conserved_motion(
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
     """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
     scheme = _scheme(problem.system, method.update)
-    code = None if method.native is False else _in_machine_code(problem.resolved, scheme, method.native)
-    return scheme if code is None else code.best(steps) or scheme
+    return _in_machine_code(scheme, ("step",), problem.system.name, method.native).best(steps) or scheme
 
 
-_scheme = made_once(compile_conserving_step)
-
-
-@made_once
-def _in_machine_code(
-    resolved: ResolvedSystem, scheme: ConservingStep, native: bool | None
-) -> JustInTime[ConservingStep]:
-    return in_machine_code(scheme, _IN_MACHINE_CODE, resolved.system.name, native)
+_scheme, _in_machine_code = made_once(compile_conserving_step), made_once(in_machine_code)
 
 
 def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
