@@ -138,16 +138,15 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
 
 
 def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
-    servo, servo_rate, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     return Statistics(
         steps=len(inputs) - 1,
         newton_iterations=sum(segment.newton_iterations for segment in segments),
         factorizations=sum(segment.factorizations for segment in segments),
         worst_residual=max(segment.worst_residual for segment in segments),
-        servo_violation=servo,
-        servo_rate_violation=servo_rate,
-        constraint_violation=constraint,
-        constraint_rate_violation=constraint_rate,
+        servo_violation=float(violations[0].max()),
+        servo_rate_violation=float(violations[1].max()),
+        constraint_violation=float(violations[2].max()),
+        constraint_rate_violation=float(violations[3].max()),
         choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
         input_noise=input_noise(inputs),
     )
