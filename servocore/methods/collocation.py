@@ -89,8 +89,55 @@ class _Collocation:
         return f"{self.family}{self.stages}"
 
     def discretize(self, dae: Dae) -> Discretization:
-        """Return the equations of one step."""
-        return _discretize(dae, self.tableau)
+        """Return the equations of one step, in the values at its stages.
+
+        The state is the unknowns at the end of the last step, at its stages and its begin. Dense output is the
+        polynomial through begin and stages: through the stages alone it would be extrapolated before the first of
+        them, where its error is largest.
+        """
+        method = self.tableau
+        s, size_x = len(method.c), dae.x.numel()
+        size = size_x + dae.z.numel()
+        old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
+        begin, h, start = ca.SX.sym("begin", size), ca.SX.sym("h"), Start.of(dae)
+        state = ca.vertcat(old, ca.vec(past), begin)
+        reference, at_nodes = dae.reference_symbols(s)
+        W, fraction, nodes = np.linalg.inv(method.A), ca.SX.sym("fraction"), np.array([0.0, *method.c])
+        residual = []
+        for i, gamma in enumerate(at_nodes):
+            rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
+            x, z = unknowns[:size_x, i], unknowns[size_x:, i]
+            H, f, algebraic = (dae.at(expression, x, z, gamma) for expression in (dae.H, dae.f, dae.h))
+            residual.append(ca.vertcat(ca.mtimes(H, rate) - f, algebraic))
+        unknown_scale, residual_scale = dae.scales(h)
+        equations = SquareSystem(
+            unknowns=ca.vec(unknowns),
+            givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
+            residual=ca.vertcat(*residual),
+            guess=ca.vec(ca.mtimes(past, lagrange(method.c, method.c + 1.0))),
+            unknown_scale=ca.repmat(unknown_scale, s, 1),
+            residual_scale=ca.repmat(residual_scale, s, 1),
+        )
+        # The collocation polynomial through old and the stages, at the end of the step.
+        weights = method.b @ W
+        end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
+        if method.c[-1] == 1.0:
+            end = unknowns[:, -1]
+        return Discretization(
+            equations=equations,
+            state=state,
+            next_state=ca.vertcat(end, ca.vec(unknowns), old),
+            start=start,
+            first_state=ca.repmat(start.values[:, 0], s + 2, 1),
+            x=old[:size_x],
+            z=old[size_x:],
+            nodes=tuple(float(c) for c in method.c),
+            reference=reference,
+            step=h,
+            fraction=fraction,
+            between=ca.vertcat(ca.mtimes(ca.horzcat(begin, past), lagrange(nodes, [fraction])), state[size:]),
+            labels=dae.labels * s,
+        )
 
 
 @dataclass(frozen=True)
@@ -157,53 +204,3 @@ class Gauss(_Collocation):
             forces = -lost if s % 2 else s - 4 - 2 * lost
             return Orders(forces + 2, forces + 1, forces, damped=False)
         return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4, damped=False)
-
-
-def _discretize(dae: Dae, method: Tableau) -> Discretization:
-    """Discretize by stage values; the state is the unknowns at the end of the last step, at its stages and its begin.
-
-    Dense output is the polynomial through begin and stages: through the stages alone it would be extrapolated before
-    the first of them, where its error is largest.
-    """
-    s, size_x = len(method.c), dae.x.numel()
-    size = size_x + dae.z.numel()
-    old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
-    begin, h, start = ca.SX.sym("begin", size), ca.SX.sym("h"), Start.of(dae)
-    state = ca.vertcat(old, ca.vec(past), begin)
-    reference, at_nodes = dae.reference_symbols(s)
-    W, fraction, nodes = np.linalg.inv(method.A), ca.SX.sym("fraction"), np.array([0.0, *method.c])
-    residual = []
-    for i, gamma in enumerate(at_nodes):
-        rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
-        x, z = unknowns[:size_x, i], unknowns[size_x:, i]
-        H, f, algebraic = (dae.at(expression, x, z, gamma) for expression in (dae.H, dae.f, dae.h))
-        residual.append(ca.vertcat(ca.mtimes(H, rate) - f, algebraic))
-    unknown_scale, residual_scale = dae.scales(h)
-    equations = SquareSystem(
-        unknowns=ca.vec(unknowns),
-        givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
-        residual=ca.vertcat(*residual),
-        guess=ca.vec(ca.mtimes(past, lagrange(method.c, method.c + 1.0))),
-        unknown_scale=ca.repmat(unknown_scale, s, 1),
-        residual_scale=ca.repmat(residual_scale, s, 1),
-    )
-    # The collocation polynomial through old and the stages, at the end of the step.
-    weights = method.b @ W
-    end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
-    if method.c[-1] == 1.0:
-        end = unknowns[:, -1]
-    return Discretization(
-        equations=equations,
-        state=state,
-        next_state=ca.vertcat(end, ca.vec(unknowns), old),
-        start=start,
-        first_state=ca.repmat(start.values[:, 0], s + 2, 1),
-        x=old[:size_x],
-        z=old[size_x:],
-        nodes=tuple(float(c) for c in method.c),
-        reference=reference,
-        step=h,
-        fraction=fraction,
-        between=ca.vertcat(ca.mtimes(ca.horzcat(begin, past), lagrange(nodes, [fraction])), state[size:]),
-        labels=dae.labels * s,
-    )

@@ -23,7 +23,7 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
-from servocore.numerics.stepped_runs import Instants, Run
+from servocore.numerics.stepped_runs import Instants
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
@@ -111,7 +111,7 @@ class DynamicInversion:
         self._start = first[: len(problem.array.states)]
         self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked, tolerance)
-        self._run = self._of(self.steps)
+        self._run = self._steps.run([problem.reference], self.steps, problem.p, self._start)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
         """Integrate the internal dynamics, and return the inputs at the times `t`.
@@ -140,10 +140,6 @@ class DynamicInversion:
             require_inside(self._problem.reference, instants.t)
             raise IntegrationFailed(f"{self._problem.system.name}: the inputs belong to no motion that can be")
         return inputs[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
-
-    def _of(self, count: int) -> Run:
-        """Return a run of some number of steps."""
-        return self._steps.run([self._problem.reference], count, self._problem.p, self._start)
 
     def _instants(self, times: Array) -> Instants:
         """Return times as instants; the last ones are kept, for callers often use the same table of times again."""
@@ -243,29 +239,24 @@ class DynamicCases:
 
     def _solve(self, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
         """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
-        start, count = self._starts(paths, p), self.steps
+        steps = compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
+        compared = np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED)
+        start, count, size = self._starts(paths, p), self.steps, len(self.problem.system.inputs)
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
-            good = self._kept(_of(paths, left), count, p[left], start[left])
-            taken = left[good]
-            if len(taken):
-                chosen, steps = _of(paths, taken), self._compiled(paths)
-                values = steps.runs(steps.run(chosen, count, p[taken], start[taken]), steps.instants(chosen, t))[0]
-                signs, wanted = np.split(values[:, len(self.problem.system.inputs) :], [-len(self.names)], axis=1)
-                inputs[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
-            left, count = left[~good], 2 * count
             if not len(left):
                 return
-
-    def _kept(self, paths: list[Reference], count: int, p: Array, start: Array) -> npt.NDArray[np.bool_]:
-        """Whether so many steps keep the tolerance, case by case, to judge by twice as many."""
-        steps, inputs = self._compiled(paths), len(self.problem.system.inputs)
-        instants = steps.instants(paths, np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED))
-        kept: npt.NDArray[np.bool_] = _judged(steps, paths, count, p, start, instants, inputs)[1] <= self.tolerance
-        return kept
-
-    def _compiled(self, paths: list[Reference]) -> ExplicitSteps:
-        return compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
+            tried = _of(paths, left)
+            instants = steps.instants(tried, compared)
+            errors = _judged(steps, tried, count, p[left], start[left], instants, size)[1]
+            good = errors <= self.tolerance
+            taken = left[good]
+            if len(taken):
+                chosen = _of(paths, taken)
+                values = steps.runs(steps.run(chosen, count, p[taken], start[taken]), steps.instants(chosen, t))[0]
+                signs, wanted = np.split(values[:, size:], [-len(self.names)], axis=1)
+                inputs[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
+            left, count = left[~good], 2 * count
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:
         """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""

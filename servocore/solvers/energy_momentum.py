@@ -10,10 +10,10 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, chained, mapped
-from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
-from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.input_functions import Inputs, values_at
+from servocore.problem import Problem
+from servocore.solvers.input_functions import GivenInputs
 from servocore.solvers.runs import CHUNK
 from servocore.stepping.energy_momentum import (
     ConservingStep,
@@ -30,7 +30,6 @@ BALANCE = (
 
 _ON_GRID = 1e-6  # of a step
 _MOST_STEPS = 10**7
-_IN_MACHINE_CODE = ("step",)
 
 
 @dataclass(frozen=True)
@@ -64,35 +63,9 @@ class EnergyMomentum:
             require_kind(self.update, RotationUpdate, "the update", "RotationUpdate() or None", InvalidSetting)
 
 
-@dataclass(frozen=True, eq=False)
-class ConservedMotion:
-    """A motion by the scheme, at the instants of a report.
-
-    Attributes
-    ----------
-    states : ndarray, shape (2 n, N)
-        (q, v) at the instants.
-    multipliers : ndarray, shape (N, m_h)
-        The mean of those of the steps before and after an instant.
-    balance : ndarray, shape (N, 5)
-        Energy in J, work of inputs and forces since the start in J, angular momentum about the origin in N m s.
-    steps, iterations : int
-        Steps, and Newton iterations in all.
-    worst : float
-        Largest scaled residual.
-    """
-
-    states: Array
-    multipliers: Array
-    balance: Array
-    steps: int
-    iterations: int
-    worst: float
-
-
 def conserved_motion(
-    problem: Problem, method: EnergyMomentum, start: Array, inputs: Inputs, t: Array, step: float
-) -> ConservedMotion:
+    problem: Problem, method: EnergyMomentum, start: Array, inputs: GivenInputs, t: Array, step: float
+) -> tuple[tuple[Array, Array, Array], tuple[int, int, float]]:
     """Integrate by the energy-momentum scheme.
 
     Parameters
@@ -109,6 +82,15 @@ def conserved_motion(
         Instants in rising order, whole numbers of steps after the first.
     step : float
         In s.
+
+    Returns
+    -------
+    tuple of ndarray
+        At the instants: (q, v), shape (2 n, N); the mean of the multipliers of the steps before and after, (m_h, N);
+        and the balance (N, 5): energy in J, work of inputs and forces since the start in J, angular momentum about the
+        origin in N m s.
+    tuple of (int, int, float)
+        Steps, Newton iterations in all, and the largest scaled residual.
 
     Raises
     ------
@@ -128,7 +110,7 @@ def conserved_motion(
     while done < count:
         length = min(CHUNK, count - done)
         middles = np.minimum(t[0] + step * (done + 0.5 + np.arange(length)), t[-1])
-        arguments = (values_at(inputs, middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
+        arguments = (inputs.many(middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
         states, counts, residual, work = chained(scheme.step, length)(now[:-1], *arguments)
         table = np.vstack([states.reshape(len(now) - 1, -1, order="F"), now[-1] + np.cumsum(work.ravel())])
         bad = ~np.isfinite(table[:-1]).all(axis=0)
@@ -149,24 +131,16 @@ def conserved_motion(
     states, forces = found[: 2 * n, here], (scaled[:, here] + scaled[:, after]) / 2
     energy, turning = mapped(scheme.energy, len(at))(states[:n], states[n:], np.tile(problem.p[:, None], len(at)))
     balance = np.column_stack([energy.ravel(), found[-1, here], turning.reshape(3, -1, order="F").T])
-    return ConservedMotion(states, forces.T, balance, count, int(iterations), worst)
+    return (states, forces, balance), (count, int(iterations), worst)
 
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
     """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
     scheme = _scheme(problem.system, method.update)
-    code = None if method.native is False else _in_machine_code(problem.resolved, scheme, method.native)
-    return scheme if code is None else code.best(steps) or scheme
+    return _in_machine_code(scheme, ("step",), problem.system.name, method.native).best(steps) or scheme
 
 
-_scheme = made_once(compile_conserving_step)
-
-
-@made_once
-def _in_machine_code(
-    resolved: ResolvedSystem, scheme: ConservingStep, native: bool | None
-) -> JustInTime[ConservingStep]:
-    return in_machine_code(scheme, _IN_MACHINE_CODE, resolved.system.name, native)
+_scheme, _in_machine_code = made_once(compile_conserving_step), made_once(in_machine_code)
 
 
 def _places(t: Array, step: float) -> npt.NDArray[np.intp]:

@@ -15,7 +15,7 @@ from servocore.checks.between_instants import continuous_angles
 from servocore.checks.branches import FOLLOWED
 from servocore.checks.findings import told
 from servocore.checks.motion import Motion, enough, motion_of
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
+from servocore.errors import IntegrationFailed, InvalidModel
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.model.quantity import Quantity
@@ -103,7 +103,7 @@ class Pointwise(JudgedRoute):
 
         The counts are those of the instants that are kept.
         """
-        require_derivatives(problem, program)
+        require_derivatives(problem, program.start_order, f"{program.name} needs")
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         count, results = len(times), list[Array]()
@@ -214,15 +214,10 @@ class ExactInversion:
 
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
-        array = problem.array
         if not problem.flat or scene.follow_branch:
             why = "follows a branch" if problem.flat else "has internal dynamics"
             raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; use solve")
-        if scene.reference.max_order < array.reference_order:
-            raise InvalidReference(
-                f"the path has derivatives up to order {scene.reference.max_order}, the inputs of {scene.name} need"
-                f" order {array.reference_order}"
-            )
+        require_derivatives(problem, problem.array.reference_order, f"the inputs of {scene.name} need")
         require_feasible(problem)
         self._problem = problem
         self._evaluation = input_evaluation(problem, native)

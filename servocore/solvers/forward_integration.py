@@ -139,17 +139,11 @@ def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recen
 def _is_jump(rate: Rate, at: float, state: Array, entry: int, distance: float, which: int) -> bool:
     """Whether an acceleration changes at one place, within a distance of a state, or on the way from side to side."""
     places = [state[entry] - distance, state[entry] + distance]
-
-    def found(place: float) -> float:
-        aside = state.copy()
-        aside[entry] = place
-        return float(rate(at, aside)[len(state) // 2 + which])
-
-    values = [found(place) for place in places]
+    values = [float(_accelerations(rate, at, state, entry, place)[which]) for place in places]
     whole = abs(values[1] - values[0])
     while places[1] - places[0] > _RESOLVED * max(1.0, abs(places[0])):
         middle = sum(places) / 2
-        value = found(middle)
+        value = float(_accelerations(rate, at, state, entry, middle)[which])
         k = 0 if abs(value - values[0]) < abs(values[1] - value) else 1
         places[k], values[k] = middle, value
     return abs(values[1] - values[0]) > whole / _SAME
@@ -157,10 +151,12 @@ def _is_jump(rate: Rate, at: float, state: Array, entry: int, distance: float, w
 
 def _change(rate: Rate, at: float, state: Array, entry: int, distance: float) -> Array:
     """Return how the accelerations change when an entry of the state goes from one side to the other."""
-    sides = []
-    for sign in (-1.0, 1.0):
-        aside = state.copy()
-        aside[entry] += sign * distance
-        sides.append(rate(at, aside)[len(state) // 2 :])
-    change: Array = sides[1] - sides[0]
-    return change
+    change: Array = _accelerations(rate, at, state, entry, state[entry] + distance)
+    return change - _accelerations(rate, at, state, entry, state[entry] - distance)
+
+
+def _accelerations(rate: Rate, at: float, state: Array, entry: int, place: float) -> Array:
+    """Return the accelerations with another value of an entry of the state."""
+    aside = state.copy()
+    aside[entry] = place
+    return rate(at, aside)[len(state) // 2 :]

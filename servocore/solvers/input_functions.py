@@ -43,7 +43,7 @@ def rising_times(t: Any, what: str = "the times at which to report") -> Array:
     return times
 
 
-def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inputs:
+def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> InterpolatedInputs:
     """Return the inputs of a solution as a function of time: a cubic spline through its samples.
 
     Parameters
@@ -84,13 +84,14 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
     if len(bad):
         k, j = bad[0]
         raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
-    if len(solution.t) < 2:
-        return lambda _: table[0]
-    return _Spline(scipy.interpolate.make_interp_spline(solution.t, table, k=min(3, len(solution.t) - 1)), first, last)
+    if len(known) < 2:
+        return InterpolatedInputs(lambda t: np.broadcast_to(table[0], (*np.shape(t), len(names))), first, last)
+    curve = scipy.interpolate.make_interp_spline(known, table, k=min(3, len(known) - 1))
+    return InterpolatedInputs(curve, first, last)
 
 
 @dataclass(frozen=True, eq=False)
-class _Spline:
+class InterpolatedInputs:
     """Inputs between the samples of a solution; an instant may lie outside by round-off."""
 
     curve: Callable[[Any], Array]
@@ -98,6 +99,7 @@ class _Spline:
     last: float
 
     def __call__(self, time: float) -> Array:
+        """Return the inputs at a time, shape (m,)."""
         return self.curve(min(max(time, self.first), self.last))
 
     def many(self, t: Array) -> Array:
@@ -142,7 +144,5 @@ class CheckedInputs:
         return np.array([self(time) for time in t.tolist()]).reshape(len(t), -1)
 
 
-def values_at(inputs: Inputs, t: Array) -> Array:
-    """Return inputs at times (N,), shape (N, m)."""
-    many: Callable[[Array], Array] | None = getattr(inputs, "many", None)
-    return np.array([inputs(time) for time in t.tolist()]).reshape(len(t), -1) if many is None else many(t)
+GivenInputs = InterpolatedInputs | CheckedInputs
+"""Inputs as `simulate` evaluates them: at a time, or at many."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from numbers import Integral
 from types import SimpleNamespace
@@ -40,11 +40,11 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
+from servocore.solution import Solution
 from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.route import require_inside, require_stable, require_tolerance
 from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
-from servocore.stepping.observation import observed
 from servocore.stepping.program import Program, program_of
 from servocore.stepping.step_functions import compile_bare_step
 
@@ -130,51 +130,45 @@ def prepare(
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
     require_stable(problem)
     exact = solve(scene, *_TRUTH, model=model, start=start)
-    trial = _Trial(problem, FixedStep(formulation, method, native=False), exact.t, exact.values)
-    found = trial.run(int(elements)) if elements is not None else trial.fewest(tolerance)
+    trial = problem, FixedStep(formulation, method, native=False), exact
+    found = _tried(*trial, int(elements)) if elements is not None else _fewest(*trial, tolerance)
     run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements, found.newton)
     run.error = found.error
     return run
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Runs that are compared with exact inputs at so many instants."""
+def _tried(
+    problem: Problem, route: FixedStep, exact: Solution, elements: int, newton: float = NEWTON_TOLERANCE
+) -> PreparedInversion:
+    """Prepare a run, interpreted, and measure its error against exact inputs."""
+    run = PreparedInversion(problem, route, elements, newton)
+    inputs = exact.values[:, : len(run.inputs)]
+    with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
+        off = np.abs(run._read(run._problem, run._own, exact.t) - inputs).max(axis=0)
+        run.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
+    return run
 
-    problem: Problem
-    route: FixedStep
-    t: Array
-    exact: Array
 
-    def run(self, elements: int, newton: float = NEWTON_TOLERANCE) -> PreparedInversion:
-        """Prepare a run, interpreted, and measure its error."""
-        run = PreparedInversion(self.problem, self.route, elements, newton)
-        exact = self.exact[:, : len(run.inputs)]
-        with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
-            off = np.abs(run._read(run._own, self.t) - exact).max(axis=0)
-            run.error = float(np.nan_to_num(off / np.maximum(np.abs(exact).max(axis=0), 1e-300), nan=np.inf).max())
-        return run
-
-    def fewest(self, tolerance: float) -> PreparedInversion:
-        """Return the run with the fewest elements that keeps a tolerance."""
-        best, count = None, float(_FEWEST)
-        while count <= _MOST and (best is None or best.error > tolerance):
-            with suppress(InconsistentStart):  # steps so long that the past of a multistep method has no solution
-                found = self.run(round(count))
-                best = found if best is None or found.error < best.error else best
-                if found.error > _DIVERGED * best.error and count > 4 * best.elements:
-                    break
-            count = max(count * _GROWTH, count + 1)
-        if best is None or best.error > tolerance:
-            least = "" if best is None else f", the error is {best.error:.2g} of the peaks with {best.elements}"
-            raise IntegrationFailed(
-                f"{self.problem.name}, {self.route.method.name}: no number of elements keeps a tolerance of"
-                f" {tolerance:g}{least}; take a method with more stages, or a larger tolerance: round-off grows"
-                " as elements get shorter"
-            )
-        # Errors of Newton's method are the square of its last correction, which an iteration less often keeps small.
-        loose = self.run(best.elements, max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE))
-        return loose if loose.error <= tolerance else best
+def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: float) -> PreparedInversion:
+    """Return the run with the fewest elements that keeps a tolerance."""
+    best, count = None, float(_FEWEST)
+    while count <= _MOST and (best is None or best.error > tolerance):
+        with suppress(InconsistentStart):  # steps so long that the past of a multistep method has no solution
+            found = _tried(problem, route, exact, round(count))
+            best = found if best is None or found.error < best.error else best
+            if found.error > _DIVERGED * best.error and count > 4 * best.elements:
+                break
+        count = max(count * _GROWTH, count + 1)
+    if best is None or best.error > tolerance:
+        least = "" if best is None else f", the error is {best.error:.2g} of the peaks with {best.elements}"
+        raise IntegrationFailed(
+            f"{problem.name}, {route.method.name}: no number of elements keeps a tolerance of"
+            f" {tolerance:g}{least}; take a method with more stages, or a larger tolerance: round-off grows"
+            " as elements get shorter"
+        )
+    # Errors of Newton's method are the square of its last correction, which an iteration less often keeps small.
+    loose = _tried(problem, route, exact, best.elements, max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE))
+    return loose if loose.error <= tolerance else best
 
 
 @partial(made_once, most=_MOST_LOOPS)
@@ -183,7 +177,7 @@ def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
 
     They are NaN after a step that is not solved or ends with a wrong sign.
     """
-    step, (_, entries) = _bare_step(program, newton), _dense_output(program)
+    step, (_, entries) = _bare_step(program.discretization, newton), _dense_output(program)
     state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
     gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
     after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
@@ -192,33 +186,18 @@ def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
     return SimpleNamespace(run=ca.Function("sc_run", [state, gamma, h, p], [solved]))
 
 
-@made_once
-def _bare_step(program: Program, newton: float) -> ca.Function:
-    return compile_bare_step(program.discretization, newton)
+_bare_step = made_once(compile_bare_step)
 
 
 def _verdict(program: Program) -> ca.Function:
     """Return (state, p) -> zero, or NaN where a quantity has a wrong sign."""
-    step, dae, system = program.discretization, program.dae, program.array.system
-    signs = ca.vertcat(ca.SX(0, 1), *[each for quantity, each in observed(system) if quantity.positive])
-    physical = [dae.physical[name] for name in ("q", "v", "lam", "u")]
-    signs = ca.substitute(signs, ca.vertcat(system.q, system.v, system.lam, system.u), ca.vertcat(*physical))
-    signs = ca.substitute(signs, ca.vertcat(dae.x, dae.z), ca.vertcat(step.x, step.z))
-    verdict = ca.SX(0)
-    for sign in ca.vertsplit(signs) if signs.numel() else ():
-        if not ca.depends_on(sign, system.gamma):
-            verdict += ca.if_else(sign > 0, 0.0, np.nan)
-    return ca.Function("sc_verdict", [step.state, system.p], [verdict])
-
-
-@dataclass(frozen=True, eq=False)
-class _Posed:
-    """Data of a run: parameters, path, its jets at all nodes, and the first state."""
-
-    problem: Problem
-    gamma: Array
-    first: Array
-    h: float
+    observe = program.observe
+    state, gamma, p = (ca.SX.sym("argument", *observe.size_in(k)) for k in range(3))
+    values, verdict = observe(state, gamma, p)[0], ca.SX(0)
+    for channel, value in zip(program.channels, ca.vertsplit(values), strict=True):
+        if channel.positive and not ca.depends_on(value, gamma):
+            verdict += ca.if_else(value > 0, 0.0, np.nan)
+    return ca.Function("sc_verdict", [state, p], [verdict])
 
 
 class PreparedInversion:
@@ -259,7 +238,7 @@ class PreparedInversion:
         self.newton, self._interpreted = newton, _whole(program, elements, newton)
         self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
         self._route = route
-        self._own = self._posed(problem)
+        self._problem, self._own = problem, self._posed(problem)
         self._known: dict[tuple[bytes, float, float], csr_array] = {}
 
     def __call__(
@@ -293,20 +272,21 @@ class PreparedInversion:
         InconsistentStart, IntegrationFailed
             If no initial values are found, a step is not solved, or a quantity has a sign that it must not have.
         """
-        posed, times = self._own, numbers_of(t, "the times of inputs")
+        problem, posed, times = self._problem, self._own, numbers_of(t, "the times of inputs")
         if parameters or path is not None:
-            posed = self._posed(self._changed(parameters or {}, path))
-        reference = posed.problem.reference
-        require_inside(reference, times)
-        found = self._read(posed, times.ravel())
+            problem = self._changed(parameters or {}, path)
+            posed = self._posed(problem)
+        require_inside(problem.reference, times)
+        found = self._read(problem, posed, times.ravel())
         if not np.isfinite(found).all():
-            self._route.run(posed.problem, time_grid(reference, posed.h))  # names instant, quantity and causes
+            # This names instant, quantity and causes.
+            self._route.run(problem, time_grid(problem.reference, problem.reference.duration / self.elements))
             raise IntegrationFailed(f"{self.program.name}: the inputs are not finite numbers")
         return found.reshape(*times.shape, len(self.inputs))
 
     def _changed(self, parameters: Mapping[str, float], path: Reference | None) -> Problem:
         """Return the problem with other parameters and another path."""
-        problem = self._own.problem
+        problem = self._problem
         declared = problem.system.parameters
         values = declared.values({**dict(zip(declared.names, problem.p.tolist(), strict=True)), **parameters})
         changed = replace(problem, p=values)
@@ -319,31 +299,33 @@ class PreparedInversion:
             )
         return replace(changed, reference=path)
 
-    def _posed(self, problem: Problem) -> _Posed:
+    def _posed(self, problem: Problem) -> tuple[Array, Array, float, Array]:
+        """Return the first state, the jets of the path at all nodes, h and p."""
         program, reference = self.program, problem.reference
         h = reference.duration / self.elements
         first, _ = first_state(problem, program, h)
         ends = time_grid(reference, h)[1:]
         nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * h).ravel()
-        return _Posed(problem, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), first, h)
+        return first, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), h, problem.p
 
-    def _read(self, posed: _Posed, t: Array) -> Array:
+    def _read(self, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:
         """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
         whole = self._code.best(self.elements) or self._interpreted
-        (states,) = call_of(whole.run)(posed.first, posed.gamma, posed.h, posed.problem.p)
-        found: Array = self._weights(posed, t) @ states.ravel(order="F")
+        (states,) = call_of(whole.run)(*posed)
+        found: Array = self._weights(problem.reference, t) @ states.ravel(order="F")
         return found.reshape(len(t), len(self.inputs))
 
-    def _weights(self, posed: _Posed, t: Array) -> csr_array:
+    def _weights(self, reference: Reference, t: Array) -> csr_array:
         """Return the matrix from states to inputs; the last is kept: callers often use the same times again."""
-        key = t.tobytes(), posed.h, posed.problem.reference.start_time
+        h = reference.duration / self.elements
+        key = t.tobytes(), h, reference.start_time
         if key not in self._known:
-            place = (t - key[2]) / posed.h
+            place = (t - key[2]) / h
             step = np.clip(np.ceil(place), 0, self.elements).astype(np.int32)
             # The first state is that at the end of a step before the path.
             fractions = np.where(step > 0, place - step + 1, 1.0)
             dense, entries = _dense_output(self.program)
-            rows = [call_of(dense)(fraction, posed.h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
+            rows = [call_of(dense)(fraction, h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
             size, count = len(self.inputs), len(entries)
             columns = np.repeat(step * count, size)[:, None] + np.arange(count, dtype=np.int32)
             values = np.array(rows).reshape(columns.shape)

@@ -25,13 +25,11 @@ _DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
 _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
 
 
-def require_derivatives(problem: Problem, program: Program) -> None:
-    """Raise `InvalidReference` if the path lacks derivatives that a program needs."""
+def require_derivatives(problem: Problem, order: int, who_needs: str) -> None:
+    """Raise `InvalidReference` if the path lacks derivatives up to an order; `who_needs` them, for the message."""
     most = problem.reference.max_order
-    if most < program.start_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {most}, {program.name} needs order {program.start_order}"
-        )
+    if most < order:
+        raise InvalidReference(f"the path has derivatives up to order {most}, {who_needs} order {order}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,18 +63,6 @@ class Run:
     def at(self, chosen: slice) -> Run:
         """Return the run at some of its instants."""
         return replace(self, t=self.t[chosen], states=self.states[:, chosen])
-
-
-def joined_runs(parts: list[Run]) -> Run:
-    """Put runs of the same program one after the other."""
-    return Run(
-        parts[0].program,
-        np.concatenate([part.t for part in parts]),
-        np.hstack([part.states for part in parts]),
-        sum(part.newton_iterations for part in parts),
-        sum(part.factorizations for part in parts),
-        max(part.worst_residual for part in parts),
-    )
 
 
 def solution_of(
@@ -152,16 +138,15 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
 
 
 def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
-    servo, servo_rate, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     return Statistics(
         steps=len(inputs) - 1,
         newton_iterations=sum(segment.newton_iterations for segment in segments),
         factorizations=sum(segment.factorizations for segment in segments),
         worst_residual=max(segment.worst_residual for segment in segments),
-        servo_violation=servo,
-        servo_rate_violation=servo_rate,
-        constraint_violation=constraint,
-        constraint_rate_violation=constraint_rate,
+        servo_violation=float(violations[0].max()),
+        servo_rate_violation=float(violations[1].max()),
+        constraint_violation=float(violations[2].max()),
+        constraint_rate_violation=float(violations[3].max()),
         choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
         input_noise=input_noise(inputs),
     )
@@ -215,7 +200,7 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
     InvalidSetting
         If the start of the problem does not name the states of its internal dynamics.
     """
-    require_derivatives(problem, program)
+    require_derivatives(problem, program.start_order, f"{program.name} needs")
     reference = problem.reference
     time = reference.start_time
     past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
@@ -260,7 +245,15 @@ def _advanced(
             break
         if progress is not None:
             progress(min(done + length, count), count)
-    return joined_runs(parts), complete
+    run = Run(
+        program,
+        np.concatenate([part.t for part in parts]),
+        np.hstack([part.states for part in parts]),
+        sum(part.newton_iterations for part in parts),
+        sum(part.factorizations for part in parts),
+        max(part.worst_residual for part in parts),
+    )
+    return run, complete
 
 
 def step_of(t: Array) -> float:

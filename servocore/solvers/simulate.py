@@ -22,7 +22,7 @@ from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import integrated
-from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
+from servocore.solvers.input_functions import CheckedInputs, GivenInputs, Inputs, interpolated, rising_times
 from servocore.solvers.runs import with_run_quantities
 from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
@@ -108,7 +108,7 @@ def simulate(
         raise InvalidSetting(f"rtol must be {_SMALLEST_RTOL:g} or more, not {rtol:g}: numbers are no more accurate")
     if isinstance(inputs, Solution):
         instants = rising_times(inputs.t if t is None else t)
-        evaluate = interpolated(inputs, problem.system, instants)
+        evaluate: GivenInputs = interpolated(inputs, problem.system, instants)
     else:
         require_callable(inputs, "the inputs", "a Solution or a function of time")
         if t is None:
@@ -119,7 +119,7 @@ def simulate(
     return _conserved(problem, evaluate, instants, method, step)
 
 
-def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step: float | None) -> Solution:
+def _conserved(problem: Problem, inputs: GivenInputs, t: Array, method: object, step: float | None) -> Solution:
     """Return the motion by the energy-momentum scheme, with its balance of energy."""
     if not isinstance(method, EnergyMomentum):
         raise InvalidSetting(
@@ -128,27 +128,22 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     require_real(step, "the step of the energy-momentum scheme", "a time in s", InvalidSetting)
     scheme_of(problem, method)  # first: a system without a conserved energy needs no start
     start = _initial_state(problem, float(t[0]))
-    motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
-    _require_no_steps(problem, t, motion.states)
-    u = values_at(inputs, t)
-    known = _report(problem, t, (motion.states, motion.multipliers.T, u.T), motion.steps, motion.iterations)
-    statistics = replace(
-        known.statistics,
-        newton_iterations=motion.iterations,
-        factorizations=motion.iterations,
-        worst_residual=motion.worst,
-    )
+    (states, forces, balance), totals = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
+    steps, iterations, worst = totals
+    _require_no_steps(problem, t, states)
+    known = _report(problem, t, (states, forces, inputs.many(t).T), steps, iterations)
+    statistics = replace(known.statistics, newton_iterations=iterations, worst_residual=worst)
     return replace(
         known,
         channels=(*known.channels, *BALANCE),
-        values=np.column_stack([known.values, motion.balance]),
+        values=np.column_stack([known.values, balance]),
         route=f"{problem.system.name}, {method.name}",
         statistics=statistics,
     )
 
 
 def _integrated(
-    problem: Problem, inputs: Inputs, t: Array, tolerance: tuple[float, float, float | None]
+    problem: Problem, inputs: GivenInputs, t: Array, tolerance: tuple[float, float, float | None]
 ) -> tuple[tuple[Array, ...], int, int]:
     """Return states, multipliers and inputs (rows, N) at instants, with the integrator's steps and evaluations."""
     move, undisturbed = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs))
@@ -166,7 +161,7 @@ def _integrated(
         name, [quantity.name for quantity in quantities], rate, start, t, *tolerance
     )
     _require_no_steps(problem, t, states)
-    u = values_at(inputs, t)
+    u = inputs.many(t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
     return (states, np.array(forces).reshape(len(t), -1).T, u.T), steps, evaluations
@@ -187,18 +182,12 @@ def _initial_state(problem: Problem, time: float) -> Array:
     # Whether a path joins the rest before it smoothly matters at its beginning alone.
     if time == problem.reference.start_time:
         require_smooth(problem)
-    state = _inverted(problem, time)
-    return with_initial_values(problem, time, state, problem.start) if problem.start else state
-
-
-def _inverted(problem: Problem, time: float) -> Array:
-    """Return (q, v) of the exact inversion at a time."""
-    array, system = problem.array, problem.system
+    array = problem.array
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
     state: Array = exact_unknowns(problem, np.array([time]))[0][places, 0]
     if not np.isfinite(state).all():
         raise InconsistentStart(f"{system.name}: no consistent initial state at t = {time:.6g} s")
-    return state
+    return with_initial_values(problem, time, state, problem.start) if problem.start else state
 
 
 def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
@@ -229,7 +218,6 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, 
         if quantity.wraps:
             # atan2 jumps by a full turn where a motion is continuous.
             row[:] = np.unwrap(row)
-    _, _, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
@@ -240,8 +228,8 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, 
         worst_residual=0.0,
         servo_violation=float(deviation.max()),
         servo_rate_violation=float(rate_deviation.max()),
-        constraint_violation=constraint,
-        constraint_rate_violation=constraint_rate,
+        constraint_violation=float(violations[2].max()),
+        constraint_rate_violation=float(violations[3].max()),
     )
     table = np.column_stack([values.T, deviation])
     name = f"{problem.system.name}, forward simulation"

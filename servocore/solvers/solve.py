@@ -262,12 +262,10 @@ def chosen_route(
         warn_before_run(problem, formulation, method)
     if method is None or not stepped:
         return Pointwise(formulation, native)
+    from servocore.solvers.fixed_step import FixedStep, StateSelection, ToTolerance  # noqa: PLC0415 - as above
+
     if isinstance(step, Adaptive):
-        from servocore.solvers.fixed_step import ToTolerance  # noqa: PLC0415 - a flat scene takes no steps
-
         return ToTolerance(formulation, method, native, step)
-    from servocore.solvers.fixed_step import FixedStep, StateSelection  # noqa: PLC0415 - a flat scene takes no steps
-
     return (StateSelection if isinstance(formulation, Reduced) else FixedStep)(formulation, method, native)
 
 

@@ -29,7 +29,7 @@ from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import subdivided
 from servocore.solution import Solution
 from servocore.solvers.route import JudgedRoute, require_tolerance
-from servocore.solvers.runs import Progress, Run, solution_of, step_of
+from servocore.solvers.runs import Progress, Run, require_derivatives, solution_of, step_of
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.stepping.program import program_of
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
@@ -59,8 +59,14 @@ class StableInversion(JudgedRoute):
     pre, post : float, optional
         Time in s by which the horizon begins before and ends after the path; chosen from the slowest unstable and the
         slowest stable eigenvalue of the internal dynamics when not given.
+
+    Attributes
+    ----------
+    name : str
+        Name on command lines and in tables.
     """
 
+    name = "boundary-value"
     tolerance: float = 1e-8
     stages: int = 3
     pre: float | None = None
@@ -74,11 +80,6 @@ class StableInversion(JudgedRoute):
         for name, value in (("pre", self.pre), ("post", self.post)):
             if value is not None and not 0.0 <= value < float("inf"):
                 raise InvalidSetting(f"{name} must be a time in s, zero or more, not {value}")
-
-    @property
-    def name(self) -> str:
-        """Name on command lines and in tables."""
-        return "boundary-value"
 
     def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:
         """Raise `InvalidSetting` for another form than `Reduced`, for a start, or for a tolerance of steps."""
@@ -153,12 +154,10 @@ class _Bounded:
     method: Gauss
     periodic: bool
 
-    @property
-    def suspects(self) -> str:
-        """Why there may be no bounded solution."""
-        if self.periodic:
-            return "a path too fast for the system, or undamped internal dynamics in resonance with it"
-        return "a path too fast for the system, or a horizon that is too short"
+    def nodes(self, mesh: Array) -> tuple[float, Array]:
+        """Return the length of the intervals of a mesh, and all nodes in them."""
+        h = (mesh[-1] - mesh[0]) / (len(mesh) - 1)
+        return h, (mesh[:-1, None] + h * self.method.tableau.c).ravel()
 
     @property
     def conditions(self) -> tuple[Array, Array, Array]:
@@ -176,10 +175,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
     array, reference, name = problem.array, problem.reference, problem.system.name
     if problem.flat:
         raise InvalidSetting(f"{name} has no internal dynamics; Reduced is exact, no boundary values are needed")
-    if reference.max_order < array.reference_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {reference.max_order}, {name} needs {array.reference_order}"
-        )
+    require_derivatives(problem, array.reference_order, f"{name} needs")
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
     periodic = _repeats(ends, reference.duration)
     if problem.system.time.numel() and not periodic:
@@ -280,9 +276,10 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
             return _algebraic(bounded, mesh, y[ends]), iteration
         if not np.isfinite(residual).all():
             break
+    resonance, short = "undamped internal dynamics in resonance with it", "a horizon that is too short"
     raise IntegrationFailed(
         f"{bounded.problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
-        f" likely causes: {bounded.suspects}"
+        f" likely causes: a path too fast for the system, or {resonance if bounded.periodic else short}"
     )
 
 
@@ -307,8 +304,7 @@ def _collocation(
     problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
     one, one_jacobian, (rows, columns) = _interval(problem.resolved, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
-    h = (mesh[-1] - mesh[0]) / count
-    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
+    h, nodes = bounded.nodes(mesh)
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
     constant = (gamma, np.full(count, h), np.tile(problem.p[:, None], count))
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
@@ -341,8 +337,7 @@ def _collocation(
 def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
     """Return a first guess: the internal states at rest, everything else following the reference."""
     reference, count = bounded.problem.reference, len(mesh) - 1
-    h = (mesh[-1] - mesh[0]) / count
-    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
+    _, nodes = bounded.nodes(mesh)
     # From one rest to the other along with the path: forward integration as a guess would blow up.
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)

@@ -36,8 +36,14 @@ class Sundials:
         Of the local error, relative to each state.
     atol : float, optional
         The same in the unit of each state; a thousandth of `rtol` when not given.
+
+    Attributes
+    ----------
+    name : str
+        Name on command lines and in tables.
     """
 
+    name = "sundials"
     rtol: float = 1e-6
     atol: float | None = None
 
@@ -47,11 +53,6 @@ class Sundials:
                 require_real(value, f"{name} of Sundials", "a number", InvalidSetting)
                 if not 0.0 < value < 1.0:
                     raise InvalidSetting(f"{name} must lie between 0 and 1, not {value}")
-
-    @property
-    def name(self) -> str:
-        """Name on command lines and in tables."""
-        return "sundials"
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Integrate to the instants; see `Route`.

@@ -115,17 +115,11 @@ class PathFunction:
 @made_once
 def _inside(function: ca.Function, formula: Formula, native: bool | None, of_what: str) -> Vectorized:
     """Return a function of expressions (gamma, p) as one of (t, numbers of the path, p)."""
-    jet, p = jet_of(formula, function.size2_in(0) - 1), ca.SX.sym("p", function.numel_in(1))
-    t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", jet.numel_in(1))
-    on_path = ca.Function("sc_on_path", [t, numbers, p], function.call([jet(t, numbers), p]), {"cse": True})
-    return Vectorized(on_path, (True, False, False), native, of_what, again=True)
-
-
-def jet_of(formula: Formula, order: int) -> ca.Function:
-    """Return (t, numbers of the path) -> gamma (m, order + 1)."""
-    t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", len(formula.numbers(order)))
+    order, t, p = function.size2_in(0) - 1, ca.SX.sym("t"), ca.SX.sym("p", function.numel_in(1))
+    numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
     gamma = ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order))
-    return ca.Function("sc_jet", [t, numbers], [ca.densify(gamma)])
+    on_path = ca.Function("sc_on_path", [t, numbers, p], function.call([gamma, p]), {"cse": True})
+    return Vectorized(on_path, (True, False, False), native, of_what, again=True)
 
 
 _Symbol = TypeVar("_Symbol", ca.SX, ca.MX)

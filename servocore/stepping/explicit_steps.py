@@ -20,7 +20,6 @@ from servocore.problem import ResolvedSystem
 from servocore.references.base import Formula, Reference
 from servocore.stepping.exact_evaluation import reading
 from servocore.stepping.observation import observed
-from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_explicit
 
 
@@ -106,26 +105,21 @@ def compile_explicit_steps(
             return tables[k]
         return ca.horzcat(*formula.jet(time + float(DOP853.C[k]) * hp[0], ca.vertsplit(numbers), order))
 
-    rates = list[ca.SX]()
+    rates, highest = list[ca.SX](), array.places((j, degree + 1) for j, degree in array.states)
     for k in stages:
         inner = sum((float(a) * rate for a, rate in zip(DOP853.A[k], rates, strict=False) if a), ca.SX.zeros(count))
-        rates.append(_rates(array, explicit(jet(k), p, x + hp[0] * inner)))
+        rates.append(explicit(jet(k), p, x + hp[0] * inner)[highest])
     after = x + hp[0] * sum((float(b) * rate for b, rate in zip(DOP853.B, rates, strict=True)), ca.SX.zeros(count))
     path = time if formula else ca.vertcat(*map(ca.vec, tables))
     step = ca.Function("sc_explicit_step", [x, path, numbers, hp], [after, rates[0]], {"cse": True})
     q = ca.SX.sym("p", system.p.numel())
-    now = tables[0] if formula is None else ca.horzcat(*formula.jet(time, ca.vertsplit(numbers), order))
+    now = jet(0)  # the first node is the beginning of a step
     known = {quantity.name: expression for quantity, expression in observed(system)}
     wanted = [system.u, *(each for _, each in resolved.must_be_positive), *(known[name] for name in names)]
     results = reading(resolved, wanted)(explicit(now, q, x), now, q)
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
-    positive = len(resolved.must_be_positive)
-    inputs = system.u.numel()
-    runs = SteppedRuns(step, read, range(inputs, inputs + positive), native, system.name)
+    signs = range(system.u.numel(), system.u.numel() + len(resolved.must_be_positive))
+    runs = SteppedRuns(step, read, signs, native, system.name)
     return ExplicitSteps(runs, order, formula, DOP853.C)
-
-
-def _rates(array: DerivativeArray, unknowns: ca.SX) -> ca.SX:
-    return unknowns[array.places((j, order + 1) for j, order in array.states)]

@@ -19,7 +19,7 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretization, Method, errs_less_with_smaller_steps, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, call_of
-from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.observation import compile_observation, observed
@@ -335,14 +335,10 @@ def program_of(
     elif method is None:
         raise InvalidSetting(f"{dae.name} has differential states, which need a method")
     program = _program(problem.resolved, formulation, method, problem.follow_branch)
-    code = None if native is False else _in_machine_code(program, native)
-    return program if code is None else code.best(steps) or program
+    return _in_machine_code(program, ("start", "step", "observe"), program.name, native).best(steps) or program
 
 
-@made_once
-def _in_machine_code(program: Program, native: bool | None) -> JustInTime[Program]:
-    """Return a program with start, step and observation as machine code."""
-    return in_machine_code(program, ("start", "step", "observe"), program.name, native)
+_in_machine_code = made_once(in_machine_code)
 
 
 @made_once

@@ -48,15 +48,15 @@ class _Unknowns:
 
     Attributes
     ----------
-    frames : list of list of int
-        Indices of the nine components of the directors of every body.
+    frames : list of list of list of int
+        Indices of the components of the three directors of every body.
     plain : list of int
         Indices of all other coordinates.
     rows : list of int
         Constraints other than orthonormality.
     """
 
-    frames: list[list[int]]
+    frames: list[list[list[int]]]
     plain: list[int]
     rows: list[int]
 
@@ -68,9 +68,8 @@ class _Unknowns:
         """Return the change of a configuration by the unknowns, shape (n,)."""
         moves = ca.SX.zeros(q.numel())
         moves[self.plain] = w[: len(self.plain)]
-        for k, places in enumerate(self.frames):
-            theta = self._rotation(w, k)
-            for d in (places[:3], places[3:6], places[6:]):
+        for theta, directors in zip(ca.vertsplit(w[len(self.plain) :], 3), self.frames, strict=True):
+            for d in directors:
                 across = ca.cross(theta, q[d])
                 moves[d] = 4 / (4 + ca.sumsqr(theta)) * (across + ca.cross(theta, across) / 2)
         return moves
@@ -80,22 +79,16 @@ class _Unknowns:
         directions = ca.SX(q.numel(), self.count)
         for column, place in enumerate(self.plain):
             directions[place, column] = 1
-        for k, places in enumerate(self.frames):
+        for k, directors in enumerate(self.frames):
             first = len(self.plain) + 3 * k
-            for d in (places[:3], places[3:6], places[6:]):
+            for d in directors:
                 directions[d, first : first + 3] = -ca.skew(q[d])
         return directions
 
     def guess(self, q: ca.SX, change: ca.SX) -> ca.SX:
         """Return the unknowns of a change of configuration, to first order."""
-        turns = [
-            sum(ca.cross(q[d], change[d]) for d in (places[:3], places[3:6], places[6:])) / 2 for places in self.frames
-        ]
+        turns = [sum(ca.cross(q[d], change[d]) for d in directors) / 2 for directors in self.frames]
         return ca.vertcat(change[self.plain], *turns)
-
-    def _rotation(self, w: ca.SX, k: int) -> ca.SX:
-        first = len(self.plain) + 3 * k
-        return w[first : first + 3]
 
 
 def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
@@ -113,9 +106,9 @@ def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
                 f"{system.name}: RotationUpdate turns bodies, but of the six constraints that keep the directors of"
                 f" {stem.rstrip('._')} orthonormal there are {len(rows)}; without RotationUpdate it can be integrated"
             )
-        frames.append(places)
+        frames.append([places[:3], places[3:6], places[6:]])
         internal |= set(rows)
-    turned = {place for places in frames for place in places}
+    turned = {place for directors in frames for places in directors for place in places}
     return _Unknowns(
         frames,
         [k for k in range(len(names)) if k not in turned],
@@ -157,21 +150,19 @@ def compile_rotation_step(system: MechanicalSystem) -> ca.Function:
     at_end = ca.substitute([terms.momentum, terms.G, ca.dot(terms.push, terms.change)], [terms.change], [change])
     end = ca.Function("sc_rotated", [w, terms.givens], [q0 + change, 2 * change / h - v0, *at_end], {"cse": True})
     q, v, momentum, G, work = end(root, givens)
-    L = 2 * _multipliers(G, momentum) if system.lam.numel() else ca.MX(0, 1)
+    # All multipliers by one linear solve.
+    L = -2 * ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, momentum), "qr") if system.lam.numel() else ca.MX(0, 1)
     after = ca.vertcat(q, v, L)
     counts = ca.vertcat(iterations, iterations)
     return ca.Function("sc_rotation_step", [state, *others], [after, counts, residual, work])
 
 
-def _multipliers(G: ca.MX, momentum: ca.MX) -> ca.MX:
-    """Return half of h^2 lam, by one linear solve."""
-    return -ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, momentum), "qr")
-
-
 def _solved(unknowns: _Unknowns, terms: StepTerms, givens: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
     """Return the unknowns of a step, Newton iterations, and the largest scaled residual."""
-    start, scale = _begin(unknowns, terms)(givens)
-    size = unknowns.count
+    plain, size = unknowns.plain, unknowns.count
+    scales = ca.vertcat(terms.nominal[plain] + ca.fabs(terms.q0[plain]), ca.SX.ones(3 * len(unknowns.frames)))
+    guess = unknowns.guess(terms.q0, terms.h * terms.v0) / scales
+    start, scale = ca.Function("sc_begin", [terms.givens], [guess, scales], {"cse": True})(givens)
     x, p = ca.MX.sym("x", size + 1), ca.MX.sym("p", givens.numel() + size)
     equations, J = _projected(unknowns, terms, x[:size], p[: givens.numel()], p[givens.numel() :])
     late = ca.exp(-x[size] / TICK)  # the clock of `newton`: every correction is a tick
@@ -185,14 +176,6 @@ def _solved(unknowns: _Unknowns, terms: StepTerms, givens: ca.MX) -> tuple[ca.MX
     _, left = look(root, handed)
     residual = ca.mmax(ca.fabs(left[:size]))
     return root[:size] * scale * ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0), ticks, residual
-
-
-def _begin(unknowns: _Unknowns, terms: StepTerms) -> ca.Function:
-    """Compile givens -> start of Newton's method in units of the scales, and scales of the unknowns."""
-    plain = unknowns.plain
-    scale = ca.vertcat(terms.nominal[plain] + ca.fabs(terms.q0[plain]), ca.SX.ones(3 * len(unknowns.frames)))
-    start = unknowns.guess(terms.q0, terms.h * terms.v0) / scale
-    return ca.Function("sc_begin", [terms.givens], [start, scale], {"cse": True})
 
 
 def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, givens: ca.MX, scale: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -143,14 +143,13 @@ class Stepper:
         """Return reference jets as an array; raises `InvalidReference` if they are too few or of another shape."""
         numbers = numbers_of(jets, "reference jets")
         components = len(self.system.outputs)
-        one = numbers.ndim == 2
         # More derivatives than needed are allowed, so that one jet serves all routes.
         if numbers.ndim not in (2, 3) or numbers.shape[-1] != components or numbers.shape[-2] <= order:
             raise InvalidReference(
                 f"a reference jet of {self.system.name} has shape ({order + 1}, {components}) or more rows, once or for"
                 f" each of {instants} instants, not {numbers.shape}"
             )
-        if not one and len(numbers) != instants:
+        if numbers.ndim == 3 and len(numbers) != instants:
             raise InvalidReference(f"jets at {instants} instants are needed, not at {len(numbers)}")
         return numbers
 
