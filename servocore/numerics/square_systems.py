@@ -22,7 +22,6 @@ from servocore.numerics.elimination import (
     is_linear,
     nonlinear_rows,
     own_slopes,
-    small_inverse_times,
     substituted,
     symbolic_solution,
     tear,
@@ -306,7 +305,7 @@ def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> Non
     known.linear_blocks += 1
     if size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, constant)
-        known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
+        known.add_explicit(unknowns, -symbolic_solution(jacobian, constant))
         return
     known.evaluate_explicit()
     if unrolled:
@@ -371,5 +370,5 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     # Linearized at zero: the result does not depend on their guess, which then need not be computed.
     rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))
     estimate = ca.SX(unknowns)
-    estimate[rough] = -small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))
+    estimate[rough] = -symbolic_solution(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))
     return estimate

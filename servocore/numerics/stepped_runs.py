@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import prod
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -19,12 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.just_in_time import LANES, NAME, JustInTime
+from servocore.numerics.just_in_time import JustInTime
 from servocore.numerics.machine_code import Build
 from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import build_of_source
-from servocore.numerics.vectorized import addresses, in_threads, threads_for
+from servocore.numerics.vectorized import addresses, in_threads, loader, threads_for, widened
 
 _BYTES = 8
 _MOST_LOOPS = 32  # compiled loops that are kept, with memory for their arguments
@@ -160,11 +159,7 @@ class Instants:
 
         The last instant is repeated until a register is full.
         """
-        t, path = self.t, self.path
-        if len(t) < LANES:
-            some = np.minimum(np.arange(LANES), len(t) - 1)
-            t, path = t[some], path[..., some]
-        t, path = np.ascontiguousarray(t), np.ascontiguousarray(path)
+        t, path = (np.ascontiguousarray(widened(each)) for each in (self.t, self.path))
         lane = path.strides[0] // _BYTES if path.ndim > 2 else 0
         times, places = addresses([t, path])
         return times, places, len(t), lane, len(t), [t, path]
@@ -252,8 +247,8 @@ class SteppedRuns:
         self.step, self.read, self._positive = step, read, positive
         self._columns = int(read.numel_out(0))
         self._weights = hermite_weights()
-        self._of_what = of_what
-        self._code = JustInTime(self._build, _loaded, native)
+        self._of_what, many = of_what, ctypes.c_void_p
+        self._code = JustInTime(self._build, loader(ctypes.c_int, *[many] * 4, *[ctypes.c_long] * 3, many), native)
 
     def _build(self) -> Build | None:
         step, read = self.step, self.read
@@ -302,14 +297,6 @@ class SteppedRuns:
     def weigh(self, count: int) -> Weigh:
         """Return the weights of four steps at so many instants."""
         return map_of(self._weights, 1, count)
-
-
-def _loaded(library: Path) -> Any:
-    """Return the function of a library."""
-    run = getattr(ctypes.CDLL(str(library)), NAME)
-    many, one = ctypes.c_void_p, ctypes.c_long
-    run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]
-    return run
 
 
 def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None, columns: int) -> tuple[Array, bool]:
