@@ -78,10 +78,6 @@ class _Traced:
     def __neg__(self) -> _Traced:
         return _Traced(-self.expression, -self.values, self.errors)
 
-    def inverse(self) -> _Traced:
-        values = 1.0 / self.values
-        return _Traced(1 / self.expression, values, self.errors * values**2 + UNIT * np.abs(values))
-
     @property
     def constant(self) -> bool:
         return bool(np.ptp(self.values[:-1]) <= _CONSTANT * np.abs(self.values[:-1]).max())
@@ -228,13 +224,10 @@ def _eliminate(structure: Signature, taking_part: list[int], points: list[Point]
         for other in [i for i in left if i != pivot and column in left[i].columns]:
             first, second = left[pivot], left[other]
             a, b = first.entry(column), second.entry(column)
-            if a.constant:
-                left[other] = second + (-b * a.inverse()) * first
-            elif c[other] == c[pivot]:
-                left[pivot], left[other] = (a * first + b * second).scaled(), (b * first + -a * second).scaled()
+            left[other] = (a * second + -b * first).scaled()
+            if not a.constant and c[other] == c[pivot]:
+                left[pivot] = (a * first + b * second).scaled()
                 turned |= {pivot: left[pivot], other: left[other]} if c[pivot] == least else {}
-            else:
-                left[other] = (a * second + -b * first).scaled()
         turned |= {i: left[i] for i in turned if i in left}
         del left[pivot]
     null = next(i for i, row in left.items() if not row.columns)
