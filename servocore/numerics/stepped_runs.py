@@ -304,22 +304,15 @@ def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None,
     values = np.empty((cases or 1, columns, instants.as_c[4]))
 
     def some(first: int, last: int) -> bool:
-        if cases is None or last - first == cases:
-            return _into(code, run, instants, values)
-        part = slice(first, last)
-        return _into(code, run.part(part), instants.part(part), values[part])
+        whole, part = cases is None or last - first == cases, slice(first, last)
+        sizes, arrays, _held = (run if whole else run.part(part)).as_c
+        t, path, row, lane, width, _read = (instants if whole else instants.part(part)).as_c
+        (target,) = addresses([values[part]])
+        answer = code(sizes, arrays, t, path, row, lane, width, target)
+        if answer == NO_MEMORY:
+            raise MemoryError
+        return bool(answer == SOUND)
 
     sound = all(in_threads(min(cases or 1, threads_for((cases or 1) * count)), cases or 1, some))
     values = values if len(values[0, 0]) == count else values[..., :count]
     return values if cases is not None else values[0], sound
-
-
-def _into(code: Any, run: Run, instants: Instants, values: Array) -> bool:
-    """Write the values; return whether they are sound."""
-    sizes, arrays, _ = run.as_c
-    t, path, row, lane, count, _ = instants.as_c
-    (target,) = addresses([values])
-    answer = code(sizes, arrays, t, path, row, lane, count, target)
-    if answer == NO_MEMORY:
-        raise MemoryError
-    return bool(answer == SOUND)
