@@ -111,13 +111,11 @@ def extra(name: str) -> Any:
 
 def described(value: object) -> str:
     """Return a description of an argument of the wrong kind for messages: the text 'a', the class A, a casadi.MX."""
-    if value is None:
-        return "None"
     if isinstance(value, str):
         return f"the text {value!r}"
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    if isinstance(value, bool | int | float | complex):
+    if isinstance(value, int | float | complex | None):
         return f"{value!r}"
     kind = type(value)
     name = f"{kind.__module__.partition('.')[0]}.{kind.__name__}" if kind.__module__ != "builtins" else kind.__name__

@@ -88,8 +88,7 @@ def cross_check_texts(
 
 def _cells(name: str, values: npt.NDArray[np.float64]) -> list[str]:
     """Return the cells of a variable's column, its name first."""
-    size = 1 if values.ndim == 1 else values.shape[1]
-    return [f'"{name}"', *(line.replace(",", " ") for line in csv_text([""] * size, [values]).splitlines()[1:])]
+    return [f'"{name}"', *(" ".join(map(repr, row)) for row in values.reshape(len(values), -1).tolist())]
 
 
 def figure_file(figure: Any, suffix: str) -> bytes:

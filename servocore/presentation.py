@@ -146,11 +146,9 @@ class Motion:
 
     def corners(self) -> tuple[Array, Array]:
         """Return the lowest and the highest coordinates of the motion, with a margin."""
-        low, high = self.places.min(axis=(0, 1)), self.places.max(axis=(0, 1))
-        for part in self.parts:
-            if part["kind"] == "bridge":
-                tips = np.array([self.line(part, k)[-1] for k in range(len(self.t))])
-                low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+        tips = [self.line(part, k)[-1:] for part in self.parts if part["kind"] == "bridge" for k in range(len(self.t))]
+        drawn = np.concatenate([self.places.reshape(-1, 3), *tips])
+        low, high = drawn.min(axis=0), drawn.max(axis=0)
         room = _ROOM * max(float((high - low).max()), 1e-3)
         return low - room, high + room
 

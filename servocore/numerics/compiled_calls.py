@@ -62,24 +62,21 @@ class Call:
             held.append(flat)
         results = [np.empty(rows * columns) for rows, columns in self._shapes]
         with self._turn:
-            self._fill(held, results)
+            for k, flat in enumerate(held):
+                if flat.size:
+                    self._buffer.set_arg(k, flat.data)
+            for k, result in enumerate(results):
+                if result.size:
+                    self._buffer.set_res(k, result.data)
+                    result[-1] = np.nan  # overwritten on success: to test it costs less than CasADi's return value
+            self._evaluate()
+            if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
+                for result in results:
+                    result.fill(np.nan)
         return tuple(
             result if columns == 1 else result.reshape((rows, columns), order="F")
             for result, (rows, columns) in zip(results, self._shapes, strict=True)
         )
-
-    def _fill(self, arguments: list[Array], results: list[Array]) -> None:
-        for k, argument in enumerate(arguments):
-            if argument.size:
-                self._buffer.set_arg(k, argument.data)
-        for k, result in enumerate(results):
-            if result.size:
-                self._buffer.set_res(k, result.data)
-                result[-1] = np.nan  # overwritten on success: to test this entry costs less than CasADi's return value
-        self._evaluate()
-        if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
-            for result in results:
-                result.fill(np.nan)
 
 
 @made_once

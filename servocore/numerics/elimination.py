@@ -16,7 +16,6 @@ from servocore.numerics.components import filled
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import without_jumps
 
-_FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
 _LARGEST = 6  # rows to develop determinants of: each one more doubles the minors
 _DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many products, when most entries are there
 _FILL = 0  # a substitution must not leave more entries than it removes
@@ -215,8 +214,8 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
     casadi.SX
         Column vector.
     """
-    if matrix.size1() <= _FORMULA:
-        return small_inverse_times(matrix, right)
+    if matrix.size1() == 1:
+        return right / matrix
     if matrix.size1() <= _LARGEST:
         solution = _by_determinants(matrix.size1(), tuple(zip(*matrix.sparsity().get_triplet(), strict=True)))
         if solution is not None:
@@ -225,19 +224,6 @@ def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
     # forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
     length = ca.sqrt(ca.sum2(matrix**2))
     return ca.solve(ca.mtimes(ca.diag(1 / length), matrix), right / length)
-
-
-def small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Return matrix^-1 right for up to three rows, by Cramer's rule."""
-    if matrix.size1() == 1:
-        return right / matrix
-    if matrix.size1() == 2:
-        (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
-        return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / (a * d - b * c)
-    rows = [matrix[i, :].T for i in range(3)]
-    # The columns of the adjugate are the cross products of the rows.
-    adjugate = ca.horzcat(*[ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)])
-    return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
 @made_once  # blocks of derivatives repeat, and so do those of bodies

@@ -164,21 +164,17 @@ def built(build: Build) -> Path:
     library = kept.find(key)
     if library is not None:
         return library
-    contents = _compiled_contents(build, command)
+    with tempfile.TemporaryDirectory(prefix="servocore_") as name:
+        folder = Path(name)
+        (folder / "program.c").write_text(build.source, encoding="utf-8")
+        compile_in(folder, [*command, *build.options(), "program.c", "-o", "program.so", "-lm"], build.of_what)
+        contents = (folder / "program.so").read_bytes()
     path = kept.store(key, contents)
     if path is None:
         path = Path(tempfile.mkdtemp(prefix="servocore_")) / "program.so"
         atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
         path.write_bytes(contents)
     return path
-
-
-def _compiled_contents(build: Build, command: list[str]) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="servocore_") as name:
-        folder = Path(name)
-        (folder / "program.c").write_text(build.source, encoding="utf-8")
-        compile_in(folder, [*command, *build.options(), "program.c", "-o", "program.so", "-lm"], build.of_what)
-        return (folder / "program.so").read_bytes()
 
 
 def compile_in(folder: Path, command: Sequence[str], of_what: str) -> None:

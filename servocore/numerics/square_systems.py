@@ -22,7 +22,6 @@ from servocore.numerics.elimination import (
     is_linear,
     nonlinear_rows,
     own_slopes,
-    small_inverse_times,
     substituted,
     symbolic_solution,
     tear,
@@ -223,7 +222,8 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     """
     constants: list[tuple[ca.SX, ca.SX]] = []
     while True:
-        rows, columns = (np.array(each, dtype=np.intp) for each in _dependence(system).get_triplet())
+        pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
+        rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
         alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
         held = system.residual[rows[alone].tolist()]
         slopes = own_slopes(without_jumps(held), system.unknowns)
@@ -242,10 +242,6 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
         system = replace(system, residual=substituted(numbers, system.residual)[0])
 
 
-def _dependence(system: SquareSystem) -> ca.Sparsity:
-    return ca.jacobian_sparsity(system.residual, system.unknowns)
-
-
 def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSystem:
     return replace(
         system,
@@ -261,7 +257,7 @@ def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], 
     """Return rows and columns of the diagonal blocks, level by level: a block depends on earlier levels alone."""
     if not system.unknowns.numel():
         return []
-    pattern = _dependence(system)
+    pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
@@ -306,7 +302,7 @@ def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> Non
     known.linear_blocks += 1
     if size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, constant)
-        known.add_explicit(unknowns, -small_inverse_times(jacobian, constant))
+        known.add_explicit(unknowns, -symbolic_solution(jacobian, constant))
         return
     known.evaluate_explicit()
     if unrolled:
@@ -371,5 +367,5 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     # Linearized at zero: the result does not depend on their guess, which then need not be computed.
     rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))
     estimate = ca.SX(unknowns)
-    estimate[rough] = -small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))
+    estimate[rough] = -symbolic_solution(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))
     return estimate

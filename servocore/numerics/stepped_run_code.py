@@ -15,7 +15,7 @@ import casadi as ca
 
 from servocore.numerics.just_in_time import NAME
 from servocore.numerics.machine_code import code_generator
-from servocore.numerics.vector_code import vector_part, vectors
+from servocore.numerics.vector_code import HEAD, vector_part
 
 NODES = 4
 """Steps whose values and rates belong to one polynomial."""
@@ -43,7 +43,7 @@ def run_source(step: ca.Function, weights: ca.Function, read: ca.Function, posit
     defined = {"STEP": step.name(), "STATES": step.numel_in(0), "PATH": step.numel_in(1), "COLUMNS": read.numel_out(0),
                "SIGNS": signs, "OUTSIDE": OUTSIDE, "UNSOUND": UNSOUND, "NO_MEMORY": NO_MEMORY}  # fmt: skip
     names = "".join(f"#define {name} {value}\n" for name, value in defined.items())
-    return code_generator("step", [step]).dump() + vectors(weigh, reading) + names + _DRIVER
+    return code_generator("step", [step]).dump() + HEAD + weigh + reading + names + _DRIVER
 
 
 _DRIVER = f"""#include <stdlib.h>

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import prod
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -19,12 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.just_in_time import LANES, NAME, JustInTime
+from servocore.numerics.just_in_time import JustInTime
 from servocore.numerics.machine_code import Build
 from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import build_of_source
-from servocore.numerics.vectorized import addresses, in_threads, threads_for
+from servocore.numerics.vectorized import addresses, in_threads, loader, threads_for, widened
 
 _BYTES = 8
 _MOST_LOOPS = 32  # compiled loops that are kept, with memory for their arguments
@@ -160,11 +159,7 @@ class Instants:
 
         The last instant is repeated until a register is full.
         """
-        t, path = self.t, self.path
-        if len(t) < LANES:
-            some = np.minimum(np.arange(LANES), len(t) - 1)
-            t, path = t[some], path[..., some]
-        t, path = np.ascontiguousarray(t), np.ascontiguousarray(path)
+        t, path = (np.ascontiguousarray(widened(each)) for each in (self.t, self.path))
         lane = path.strides[0] // _BYTES if path.ndim > 2 else 0
         times, places = addresses([t, path])
         return times, places, len(t), lane, len(t), [t, path]
@@ -252,8 +247,8 @@ class SteppedRuns:
         self.step, self.read, self._positive = step, read, positive
         self._columns = int(read.numel_out(0))
         self._weights = hermite_weights()
-        self._of_what = of_what
-        self._code = JustInTime(self._build, _loaded, native)
+        self._of_what, many = of_what, ctypes.c_void_p
+        self._code = JustInTime(self._build, loader(ctypes.c_int, *[many] * 4, *[ctypes.c_long] * 3, many), native)
 
     def _build(self) -> Build | None:
         step, read = self.step, self.read
@@ -304,35 +299,20 @@ class SteppedRuns:
         return map_of(self._weights, 1, count)
 
 
-def _loaded(library: Path) -> Any:
-    """Return the function of a library."""
-    run = getattr(ctypes.CDLL(str(library)), NAME)
-    many, one = ctypes.c_void_p, ctypes.c_long
-    run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]
-    return run
-
-
 def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None, columns: int) -> tuple[Array, bool]:
     count = len(instants.t)
     values = np.empty((cases or 1, columns, instants.as_c[4]))
 
     def some(first: int, last: int) -> bool:
-        if cases is None or last - first == cases:
-            return _into(code, run, instants, values)
-        part = slice(first, last)
-        return _into(code, run.part(part), instants.part(part), values[part])
+        whole, part = cases is None or last - first == cases, slice(first, last)
+        sizes, arrays, _held = (run if whole else run.part(part)).as_c
+        t, path, row, lane, width, _read = (instants if whole else instants.part(part)).as_c
+        (target,) = addresses([values[part]])
+        answer = code(sizes, arrays, t, path, row, lane, width, target)
+        if answer == NO_MEMORY:
+            raise MemoryError
+        return bool(answer == SOUND)
 
     sound = all(in_threads(min(cases or 1, threads_for((cases or 1) * count)), cases or 1, some))
     values = values if len(values[0, 0]) == count else values[..., :count]
     return values if cases is not None else values[0], sound
-
-
-def _into(code: Any, run: Run, instants: Instants, values: Array) -> bool:
-    """Write the values; return whether they are sound."""
-    sizes, arrays, _ = run.as_c
-    t, path, row, lane, count, _ = instants.as_c
-    (target,) = addresses([values])
-    answer = code(sizes, arrays, t, path, row, lane, count, target)
-    if answer == NO_MEMORY:
-        raise MemoryError
-    return bool(answer == SOUND)

@@ -40,7 +40,7 @@ _LIBRARY = {
 } | {"CONSTPOW": "pow"}  # fmt: skip
 _NAMES: dict[int, str] = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
 
-_HEAD = f"""#include <math.h>
+HEAD = f"""#include <math.h>
 #define LANES {LANES}
 #define TILE {_TILE}
 typedef double vec __attribute__((vector_size({8 * LANES})));
@@ -105,12 +105,7 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str:
     NoCounterpart
         If an operation has none.
     """
-    return vectors(vector_part(NAME, function, along))
-
-
-def vectors(*parts: str) -> str:
-    """Return a source of parts that come after one another."""
-    return _HEAD + "".join(parts)
+    return HEAD + vector_part(NAME, function, along)
 
 
 def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
@@ -146,7 +141,7 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
     """
     of = _Statements(function, along)
     entries = sum(of.sizes)
-    return vectors(_EXTREMES, of.function(NAME, [
+    return HEAD + _EXTREMES + of.function(NAME, [
         f"  vec most[{entries}], least[{entries}], total[{entries}];",
         f"  for (int i = 0; i < {entries}; ++i)",
         "   most[i] = all(-INFINITY), least[i] = all(INFINITY), total[i] = all(0.0);",
@@ -164,7 +159,7 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str:
             f" total[{of.first[k]} + i], out[{k}] + (c*2)*{size} + i, out[{k}] + (c*2 + 1)*{size} + i);"
             for k, size in enumerate(of.sizes)
         ],
-    ]))  # fmt: skip
+    ])  # fmt: skip
 
 
 class _Statements:
@@ -179,13 +174,13 @@ class _Statements:
         self.block: list[str] = []
         self.results: list[tuple[int, int, str]] = []
         self._along = along
-        values: dict[int, tuple[str, bool]] = {}  # by place: variable, and whether all instants share it
+        self._values: dict[int, tuple[str, bool]] = {}  # by place: variable, and whether all instants share it
         for k, (number, made, operands, constant) in enumerate(operations_of(function)):
             if number == ca.OP_OUTPUT:
-                name, single = values[operands[0]]
+                name, single = self._values[operands[0]]
                 self.results.append((made[0], made[1], f"all({name})" if single else name))
             else:
-                values[made[0]] = self._state(f"a{k}", _NAMES[number], operands, values, constant)
+                self._values[made[0]] = self._state(f"a{k}", _NAMES[number], operands, constant)
 
     def function(self, name: str, body: list[str]) -> str:
         """Return the function `name`: statements per case, then a body for every case."""
@@ -203,14 +198,8 @@ class _Statements:
             "",
         ])  # fmt: skip
 
-    def _state(
-        self,
-        name: str,
-        operation: str,
-        arguments: list[int],
-        values: dict[int, tuple[str, bool]],
-        constant: float,
-    ) -> tuple[str, bool]:
+    def _state(self, name: str, operation: str, arguments: list[int], constant: float) -> tuple[str, bool]:
+        """Add the statement of an operation; return its variable, and whether all instants share it."""
         if operation == "CONST":
             return _number(constant), True
         if operation == "INPUT":
@@ -220,32 +209,24 @@ class _Statements:
                 return name, False
             self.once.append(f"const double {name} = in{argument}[{i}];")
             return name, True
-        operands = [values[argument] for argument in arguments]
+        operands = [self._values[argument] for argument in arguments]
         single = all(alone for _, alone in operands)
         taken = [f"all({value})" if one and not single else value for value, one in operands]
-        if operation in _LIBRARY:
-            self._call(name, _LIBRARY[operation], taken, single)
-        elif operation in _VECTOR:
-            self._calculate(name, operation, taken, single)
-        else:
+        if operation in _LIBRARY and single:
+            self.once.append(f"const double {name} = {_LIBRARY[operation]}({', '.join(taken)});")
+        elif operation in _LIBRARY:
+            words = ", ".join(f"({word})" for word in taken)
+            self.block.append(f"each{len(taken)}({_LIBRARY[operation]}, {name}, {words});")
+        elif operation not in _VECTOR:
             raise NoCounterpart(operation)
-        return name, single
-
-    def _call(self, name: str, function: str, taken: list[str], single: bool) -> None:
-        if single:
-            self.once.append(f"const double {name} = {function}({', '.join(taken)});")
-            return
-        self.block.append(f"each{len(taken)}({function}, {name}, {', '.join(f'({word})' for word in taken)});")
-
-    def _calculate(self, name: str, operation: str, taken: list[str], single: bool) -> None:
-        """Add a statement; a shared value takes the first lane of a vector where the vector operation is a macro."""
-        if not single:
+        elif not single:
             self.block.append(f"const vec {name} = {_VECTOR[operation].format(*taken)};")
-        elif "(" in _VECTOR[operation]:
+        elif "(" in _VECTOR[operation]:  # a macro of vectors: a shared value takes the first lane
             lanes = [f"all({word})" for word in taken]
             self.once.append(f"const double {name} = first_of({_VECTOR[operation].format(*lanes)});")
         else:
             self.once.append(f"const double {name} = {_VECTOR[operation].format(*taken)};")
+        return name, single
 
 
 def _number(value: float) -> str:

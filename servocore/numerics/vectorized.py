@@ -45,7 +45,7 @@ class Vectorized:
         self.function, self._along = function, tuple(along)
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._of_what = of_what
-        self._code = JustInTime(self._build, _loaded, native, again)
+        self._code = JustInTime(self._build, loader(None, *[_LONG] * 2, *[_ARRAY] * 4, _LONG), native, again)
 
     def _build(self) -> Build | None:
         from servocore.numerics import vector_code  # noqa: PLC0415 - few compile
@@ -84,7 +84,8 @@ class Vectorized:
             return results if batch else [result[0] for result in results]
         if not batch:
             return self.interpreted(*arguments)
-        parts = [self.interpreted(*self._of_case(arguments, case)) for case in range(cases)]
+        pairs = list(zip(arguments, self._along, strict=True))
+        parts = [self.interpreted(*(a[k] if a.ndim == 2 + along else a for a, along in pairs)) for k in range(cases)]
         return [np.stack(of_cases) for of_cases in zip(*parts, strict=True)]
 
     def interpreted(self, *arguments: Array) -> list[Array]:
@@ -92,24 +93,16 @@ class Vectorized:
         count = arguments[self._along.index(True)].shape[-1]
         if not count:
             return [np.empty((size, 0)) for size in self._sizes]
-        parts = [
-            self._together(
-                [a[:, k : k + _AT_ONCE] if along else a for a, along in zip(arguments, self._along, strict=True)]
-            )
-            for k in range(0, count, _AT_ONCE)
-        ]
+        parts = []
+        for k in range(0, count, _AT_ONCE):
+            size = min(_AT_ONCE, count - k)
+            some = (a[:, k : k + size] if along else a for a, along in zip(arguments, self._along, strict=True))
+            results = mapped(self.function, size, self._along)(*some)
+            parts.append([result.reshape(-1, size, order="F") for result in results])
         return [np.concatenate(of_parts, axis=1) for of_parts in zip(*parts, strict=True)] if parts[1:] else parts[0]
 
-    def _together(self, arguments: Sequence[Array]) -> list[Array]:
-        count = arguments[self._along.index(True)].shape[-1]
-        results = mapped(self.function, count, self._along)(*arguments)
-        return [result.reshape(-1, count, order="F") for result in results]
-
-    def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
-        return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
-
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
-        arguments, width = (arguments, count) if count >= LANES else (self._widened(arguments, count), LANES)
+        arguments, width = self._widened(arguments), max(count, LANES)
         results = [np.empty((cases, size, width)) for size in self._sizes]
         threads = threads_for(cases * count)
         by_case = cases >= threads
@@ -135,10 +128,8 @@ class Vectorized:
         places, ends = _longs(addresses(held)), _longs(addresses(results))
         run(len(results[0]), count, places, _longs(row), _longs(lane), ends, results[0].strides[-2] // _BYTES)
 
-    def _widened(self, arguments: tuple[Array, ...], count: int) -> tuple[Array, ...]:
-        """Repeat the last instant until a register is full."""
-        some = np.minimum(np.arange(LANES), count - 1)
-        return tuple(a[..., some] if along else a for a, along in zip(arguments, self._along, strict=True))
+    def _widened(self, arguments: tuple[Array, ...]) -> tuple[Array, ...]:
+        return tuple(widened(a) if along else a for a, along in zip(arguments, self._along, strict=True))
 
 
 class Extremes(Vectorized):
@@ -156,16 +147,28 @@ class Extremes(Vectorized):
 
     def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         results = [np.empty((cases, 2, size)) for size in self._sizes]
-        self._run(run, arguments if count >= LANES else self._widened(arguments, count), results, max(count, LANES))
+        self._run(run, self._widened(arguments), results, max(count, LANES))
         return results
 
 
-def _loaded(library: Path) -> Any:
-    """Return the function of a library."""
-    run = getattr(ctypes.CDLL(str(library)), NAME)
-    run.restype, many = None, ctypes.c_void_p
-    run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
-    return run
+_LONG, _ARRAY = ctypes.c_long, ctypes.c_void_p
+
+
+def loader(result: Any, *kinds: Any) -> Callable[[Path], Any]:
+    """Return the function that loads machine code with arguments and a result of these kinds from a library."""
+
+    def load(library: Path) -> Any:
+        run = getattr(ctypes.CDLL(str(library)), NAME)
+        run.restype, run.argtypes = result, kinds
+        return run
+
+    return load
+
+
+def widened(values: Array) -> Array:
+    """Repeat the last instant of values (..., N) until a register is full."""
+    count = values.shape[-1]
+    return values if count >= LANES else values[..., np.minimum(np.arange(LANES), count - 1)]
 
 
 def extremes_of(rows: Array) -> Array:

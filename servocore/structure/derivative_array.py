@@ -135,11 +135,9 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
     equations = structure.equations
     c, d = structure.equation_offsets, structure.variable_offsets
     orders = max(equations.y.size2(), max(d) + 1)
-    y = ca.SX.sym("y", len(d), orders)
-    for j, name in enumerate(equations.names):
-        for order in range(orders):
-            # One symbol each, named with primes, so that printed expressions are readable.
-            y[j, order] = ca.SX.sym(name + "'" * order)
+    # One symbol each, named with primes, so that printed expressions are readable.
+    symbols = [ca.SX.sym(name + "'" * order) for order in range(orders) for name in equations.names]
+    y = ca.reshape(ca.vertcat(*symbols), len(d), orders)
     current = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
     rows: list[tuple[int, int]] = []
     residual: list[ca.SX] = []

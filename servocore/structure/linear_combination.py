@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import casadi as ca
 import numpy as np
@@ -77,10 +78,6 @@ class _Traced:
 
     def __neg__(self) -> _Traced:
         return _Traced(-self.expression, -self.values, self.errors)
-
-    def inverse(self) -> _Traced:
-        values = 1.0 / self.values
-        return _Traced(1 / self.expression, values, self.errors * values**2 + UNIT * np.abs(values))
 
     @property
     def constant(self) -> bool:
@@ -151,9 +148,12 @@ def convert(equations: SecondOrderEquations) -> Signature:
 def _combination(structure: Signature) -> _Combination:
     """Find a combination of equations that is free of the highest derivatives."""
     refusal = "round-off hides their linear dependence"
-    home = _at_home(structure)
-    points = [*probe_points(structure.equations, jacobian_function(structure)), home]
-    for taking_part in _dependent_rows(structure, home):
+    points = probe_points(structure.equations, jacobian_function(structure))
+    y, gamma, p = points[0]
+    y = y.copy()  # the home configuration, with velocities and forces without symmetry
+    y[: len(structure.equations.home.q), 0] = structure.equations.home.q
+    points.append((y, gamma, p))
+    for taking_part in _dependent_rows(structure, points[-1]):
         combination = _eliminate(structure, taking_part, points)
         if combination is not None:
             obstacle = _obstacle(structure, combination)
@@ -162,13 +162,6 @@ def _combination(structure: Signature) -> _Combination:
             refusal = obstacle
     lost = lost_rank(structure, jacobian_at_probes(structure)[0])
     raise InvalidModel(f"{structure.equations.name}: the system Jacobian is singular everywhere: {lost}; {refusal}")
-
-
-def _at_home(structure: Signature) -> Point:
-    """Return the system's home configuration with velocities and forces without symmetry."""
-    y, gamma, p = probe_points(structure.equations, jacobian_function(structure))[0]
-    y[: len(structure.equations.home.q), 0] = structure.equations.home.q
-    return y, gamma, p
 
 
 def _dependent_rows(structure: Signature, home: Point) -> Iterator[list[int]]:
@@ -228,13 +221,10 @@ def _eliminate(structure: Signature, taking_part: list[int], points: list[Point]
         for other in [i for i in left if i != pivot and column in left[i].columns]:
             first, second = left[pivot], left[other]
             a, b = first.entry(column), second.entry(column)
-            if a.constant:
-                left[other] = second + (-b * a.inverse()) * first
-            elif c[other] == c[pivot]:
-                left[pivot], left[other] = (a * first + b * second).scaled(), (b * first + -a * second).scaled()
+            left[other] = (a * second + -b * first).scaled()
+            if not a.constant and c[other] == c[pivot]:
+                left[pivot] = (a * first + b * second).scaled()
                 turned |= {pivot: left[pivot], other: left[other]} if c[pivot] == least else {}
-            else:
-                left[other] = (a * second + -b * first).scaled()
         turned |= {i: left[i] for i in turned if i in left}
         del left[pivot]
     null = next(i for i, row in left.items() if not row.columns)
@@ -244,7 +234,7 @@ def _eliminate(structure: Signature, taking_part: list[int], points: list[Point]
 def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Traced]) -> tuple[int, int] | None:
     """Choose the row and column of the next pivot: constant if possible, not weak at home, and of few neighbours."""
     last = sum(c[i] == least for i in left) == 1
-    best: tuple[tuple[bool, bool, int, float], tuple[int, int]] | None = None
+    choices: list[tuple[tuple[bool, bool, int, float], tuple[int, int]]] = []
     for column in sorted({j for row in left.values() for j in row.columns}):
         involved = {i: np.abs(row.entry(column).values[:, 0]) for i, row in left.items() if column in row.columns}
         highest, largest = max(c[i] for i in involved), max(np.nan_to_num(size[-1]) for size in involved.values())
@@ -254,10 +244,8 @@ def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Traced]) -> tuple[in
             sure = left[i].entry(column).constant or len(involved) == 1
             weak = not sure and not np.nan_to_num(size[-1]) > _WEAK * largest
             neighbours = (len(involved) - 1) * (len(left[i].columns) - 1)
-            cost = (not sure, weak, neighbours, -float(size[0]))
-            if best is None or cost < best[0]:
-                best = cost, (i, column)
-    return None if best is None else best[1]
+            choices.append(((not sure, weak, neighbours, -float(size[0])), (i, column)))
+    return min(choices, key=itemgetter(0))[1] if choices else None
 
 
 def _obstacle(structure: Signature, combination: _Combination) -> str:

@@ -297,29 +297,15 @@ def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple
 
     The parts are evaluated one by one: where constants cancel, their sum does not show the size of the terms.
     """
-    arguments = equations.arguments
     pattern = reduce(operator.add, (part.sparsity() for part in parts))
-    parts = [ca.project(part, pattern) for part in parts]
-
-    def compiled(chosen: list[int]) -> ca.Function:
-        entries = ca.densify(ca.horzcat(*[ca.vec(part.nz[chosen]) for part in parts]))
-        return ca.Function("sc_entries", arguments, [entries])
-
-    def present(function: ca.Function, points: list[Point]) -> npt.NDArray[np.bool_]:
-        values, errors = evaluate(function, points)
-        bound = errors.sum(axis=2) + (UNIT * np.abs(values).sum(axis=2) if len(parts) > 1 else 0.0)
-        is_present: npt.NDArray[np.bool_] = np.abs(values.sum(axis=2)) > bound
-        return is_present
-
-    everything = compiled(list(range(pattern.nnz())))
-    first, *others = probe_points(equations, everything)
-    disturbed = probe_points(equations, everything, disturbed=True)
-    here, special = present(everything, [first])[0], False
-    absent = [int(k) for k in np.flatnonzero(~here)]
-    if absent:  # an entry that is present at one point needs no other
-        seen = present(compiled(absent), [*others, *disturbed])
-        here[absent] = seen[: len(others)].any(axis=0)
-        special = bool((seen[len(others) :].any(axis=0) & ~here[absent]).any())
+    entries = ca.horzcat(*[ca.densify(ca.vec(ca.project(part, pattern).nz[:])) for part in parts])
+    function = ca.Function("sc_entries", equations.arguments, [entries])
+    points = probe_points(equations, function)
+    values, errors = evaluate(function, [*points, *probe_points(equations, function, disturbed=True)])
+    bound = errors.sum(axis=2) + (UNIT * np.abs(values).sum(axis=2) if len(parts) > 1 else 0.0)
+    present = np.abs(values.sum(axis=2)) > bound
+    here = present[: len(points)].any(axis=0)
+    special = bool((present[len(points) :].any(axis=0) & ~here).any())
     vanishing = np.zeros(pattern.shape, dtype=bool)
     vanishing[tuple(np.array(pattern.get_triplet()))] = ~here
     return vanishing, special

@@ -114,12 +114,8 @@ def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
     """Return rows that span the left invariant subspace of stable or unstable eigenvalues (ordered Schur form)."""
     import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    threshold = sorted(np.linalg.eigvals(A).real, reverse=True)
-    limit = (
-        -np.inf
-        if growing == len(A)
-        else (np.inf if growing == 0 else (threshold[growing - 1] + threshold[growing]) / 2)
-    )
+    limits = [np.inf, *sorted(np.linalg.eigvals(A).real, reverse=True), -np.inf]
+    limit = float(limits[growing] + limits[growing + 1]) / 2
 
     def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - called by SciPy with both
         return real <= limit if stable else real > limit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretization, instantaneous
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.components import triangular_blocks
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.profiles import TIME_LAWS, Profile
@@ -85,11 +87,9 @@ def live_model(problem: Problem) -> LiveModel:
     exact = ca.Function("exact", [path, p], [ca.densify(values)], {"cse": True})
     source = {"exact": written("exact", [path, p], [values])}
     sizes: dict[str, Any] = {}
-    try:
+    with suppress(ServocoreError):  # a model that cannot be projected has a page without the scheme of the paper
         functions, sizes = _stepping(problem, state, orders)
         source |= functions
-    except ServocoreError:
-        pass  # a model that cannot be projected has a page without the scheme of the paper
     return LiveModel(exact, tuple(quantity for quantity, _ in known), orders, source, sizes)
 
 
@@ -140,16 +140,11 @@ def _stepping(problem: Problem, state: ca.SX, orders: int) -> tuple[dict[str, st
 
 def _blocks(step: Discretization) -> list[tuple[list[int], list[int], bool]]:
     """Return rows, columns and whether they are linear, of the blocks of a step in the order of their solution."""
-    equations = step.equations
-    pattern = ca.jacobian_sparsity(equations.residual, equations.unknowns)
-    count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
-    blocks = []
-    for k in range(count):
-        block_rows = rows[row_starts[k] : row_starts[k + 1]]
-        block_columns = columns[column_starts[k] : column_starts[k + 1]]
-        unknowns = equations.unknowns[block_columns]
-        linear = not ca.depends_on(ca.jacobian(equations.residual[block_rows], unknowns), unknowns)
-        blocks.append((block_rows, block_columns, linear))
+    residual, unknowns, blocks = step.equations.residual, step.equations.unknowns, []
+    for block in triangular_blocks(ca.jacobian_sparsity(residual, unknowns)):
+        rows, columns = block.rows.tolist(), block.columns.tolist()
+        jacobian = ca.jacobian(residual[rows], unknowns[columns])
+        blocks.append((rows, columns, not ca.depends_on(jacobian, unknowns[columns])))
     return blocks
 
 

@@ -20,6 +20,7 @@ from servocore.model.drawing import picture_of
 from servocore.model.limits import Named
 from servocore.model.quantity import Quantity, run_quantities
 from servocore.model.scene import Scene
+from servocore.model.symbols import Parameter
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
@@ -198,11 +199,8 @@ def _template(name: str) -> Any:
 def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the data of the page, and its functions as JavaScript."""
     t = _thinned(solution.t)
-    quantities = (
-        live.outputs
-        if live
-        else tuple(quantity for quantity, _ in observed(problem.system) if quantity.name in solution)
-    )
+    known = tuple(quantity for quantity, _ in observed(problem.system) if quantity.name in solution)
+    quantities = live.outputs if live else known
     rows = {quantity.name: solution[quantity.name][t] for quantity in quantities if quantity.name in solution}
     times, system = solution.t[t], problem.system
     if live is not None and not _is_exact(problem, solution, live):
@@ -237,7 +235,10 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         ],
         "added_up": [{"of": names.index(each.of), "rms": each.rms} for each in added_up],
         "shown": _shown(system, names),
-        "parameters": _parameters(problem),
+        "parameters": [
+            {**_quantity(each), "value": float(value), "lower": _finite(each.lower), "upper": _finite(each.upper)}
+            for each, value in zip(system.parameters.declared, problem.p, strict=True)
+        ],
         "limits": limits,
         "path_limits": path_limits if live else [],
         "steps": steps or None,
@@ -278,7 +279,7 @@ def _can_march(problem: Problem, t: Array, orders: int) -> bool:
     return rests and bool(np.ptp(np.diff(t)) <= 1e-6 * (t[-1] - t[0]) / len(t))
 
 
-def _quantity(each: Quantity) -> dict[str, Any]:
+def _quantity(each: Quantity | Parameter) -> dict[str, Any]:
     return {"name": each.name, "unit": each.unit, "description": each.description}
 
 
@@ -296,20 +297,6 @@ def _is_inner(system: MechanicalSystem, each: Quantity) -> bool:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _parameters(problem: Problem) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": parameter.name,
-            "unit": parameter.unit,
-            "value": float(value),
-            "lower": _finite(parameter.lower),
-            "upper": _finite(parameter.upper),
-            "description": parameter.description,
-        }
-        for parameter, value in zip(problem.system.parameters.declared, problem.p, strict=True)
-    ]
 
 
 def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
