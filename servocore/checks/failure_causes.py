@@ -15,7 +15,7 @@ import numpy as np
 
 from servocore.checks.along_motion import jumps, slack_rope
 from servocore.checks.branches import constraint_rows
-from servocore.checks.findings import BISECTIONS, ROUND_OFF
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, bisected
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
@@ -25,7 +25,6 @@ from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
-from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
 
@@ -43,20 +42,20 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
-    reason = slack_rope(problem) or _jump(problem) or singular(problem)
+    reason = ""
+    if problem.flat and problem.reference.max_order >= problem.array.reference_order:
+        reason = slack_rope(problem) or _jump(problem)
+    reason = reason or singular(problem)
     return type(error)(reason) if reason else error
 
 
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
-    array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
-        return ""
-    if problem.reference.max_order < array.reference_order:
+    if not problem.resolved.holds(KINKS):
         return ""
     t = survey(problem.reference)
     jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
-    return f"{problem.system.name}: {jump}" if jump else ""
+    return f"{problem.system.name}: {jump.what}" if jump else ""
 
 
 @contextmanager
@@ -184,11 +183,9 @@ def _around(problem: Problem, x: Array) -> list[Array]:
 
 
 def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
-    for _ in range(BISECTIONS // 2):
-        middle = (good + bad) / 2
-        _, miss = reach.nearest(middle, [_guess(problem, good), *_around(problem, _guess(problem, good))])
-        good, bad = (good, middle) if reach.missed(miss) else (middle, bad)
-    return float(bad)
+    guess = _guess(problem, good)
+    starts = [guess, *_around(problem, guess)]
+    return bisected(lambda time: not reach.missed(reach.nearest(time, starts)[1]), good, bad, BISECTIONS // 2)[1]
 
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:

@@ -145,8 +145,8 @@ def passed(motion: Motion) -> Iterator[Finding]:
         ends = min(each.time - motion.t[0], motion.t[-1] - each.time) < 1e-6 * np.ptp(motion.t)
         how = "this one begins or ends there" if ends else "this one goes on smoothly"
         if each.of_constraints:
-            yield Finding(str(each), advice=how, warns=True)
-        yield Finding(f"{each}, {how}" if not each.of_constraints else str(each), advice=how * each.of_constraints)
+            yield Finding(f"{each}; {how}", warns=True)
+        yield Finding(f"{each}{';' if each.of_constraints else ','} {how}")
 
 
 def enough(t: Array) -> tuple[Array, int]:

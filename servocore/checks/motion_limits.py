@@ -26,7 +26,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
 from servocore.stepping.exact_evaluation import along_path
-from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.derivative_array import DerivativeArray, in_variables
 
 HIDDEN = "limit "
 """Prefix of the names of observables that only limits need."""
@@ -207,11 +207,8 @@ def limited_expressions(
     """
     array, system = resolved.array, resolved.system
     y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
-    n = len(system.coordinates)
-    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
-    values = ca.substitute([each for each, _ in expressions], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
-    marked = zip(values, expressions, strict=True)
-    return [time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in marked], y
+    known = [(in_variables(system, each, y), rate) for each, rate in expressions]
+    return [time_derivative(each, y, system.gamma) if rate else each for each, rate in known], y
 
 
 @dataclass(frozen=True, eq=False)
