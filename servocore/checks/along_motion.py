@@ -105,12 +105,13 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
 
     A constant one is checked when the system is made.
     """
-    function = _compiled_mass(problem.resolved)
-    if function is None:
+    if not problem.resolved.mass_varies:
         return
     few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
     t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
-    masses = at_instants(function, q, jets=jets, p=problem.p)[0].reshape(len(q), len(q), -1, order="F")
+    masses = at_instants(_compiled_mass(problem.resolved), q, jets=jets, p=problem.p)[0].reshape(
+        len(q), len(q), -1, order="F"
+    )
     eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
@@ -120,11 +121,9 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
 
 
 @made_once
-def _compiled_mass(resolved: ResolvedSystem) -> ca.Function | None:
-    """Compile (q, nothing of the path, p) -> mass matrix; None if it is constant."""
+def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (q, nothing of the path, p) -> mass matrix."""
     system = resolved.system
-    if not ca.depends_on(system.mass, system.q):
-        return None
     return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
@@ -200,11 +199,10 @@ _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 def jumps(motion: Motion) -> Iterator[Finding]:
     """Find where a motion jumps, or where there is none, in rising order."""
     problem = motion.problem
-    outcome = problem.resolved.outcome
-    if not (isinstance(outcome, DerivativeArray) and problem.resolved.holds(KINKS)) or len(motion.t) < 2:
+    if not problem.resolved.holds(KINKS) or len(motion.t) < 2:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
-    rows = _motion_rows(outcome)
+    rows = _motion_rows(problem.array)
     _, left, gaps = look(motion.beside, at, rows, _LEAST)
     found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))

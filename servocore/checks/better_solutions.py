@@ -291,20 +291,16 @@ def compared_closely(problem: Problem, better: BetterSolver, solution: Solution)
         if better.exact:
             return better.compared(problem, solution)
         for count in _COMPARED:
-            comparison = better.compared(problem, _thinned(solution, count))
+            every = max(1, (len(solution.t) - 1) // count)
+            kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
+            thinned = replace(solution, t=solution.t[kept], values=solution.values[kept])
+            comparison = better.compared(problem, thinned)
             largest = comparison.estimate.largest
             if largest is not None and largest < LARGEST_UNWARNED:
                 break
     except ServocoreError:
         return None
     return comparison
-
-
-def _thinned(solution: Solution, count: int) -> Solution:
-    """Return a solution at every so many of its instants, about `count`."""
-    every = max(1, (len(solution.t) - 1) // count)
-    kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-    return replace(solution, t=solution.t[kept], values=solution.values[kept])
 
 
 def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:

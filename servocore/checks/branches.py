@@ -276,13 +276,13 @@ def on_one_branch(
         begin, end = float(t[k]), float(t[k + 1])
         reached, time = branch.follow(kept[:, k], begin, end)
         if time != end:
-            singular = time
-            reached, time = branch.follow(kept[:, k], begin, end, across=True)
-            if time != end and not replaced and is_closed_form(problem, t, states):
+            try:
+                reached = branch.follow_to(kept[:, k], begin, end)
+            except IntegrationFailed:
+                if replaced or not is_closed_form(problem, t, states):
+                    raise
                 return states, CLOSED_FORM, (), far
-            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, singular))
-        if time != end:
-            branch.follow_to(kept[:, k], begin, end)  # raises
+            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
         if branch.same(reached, kept[:, k + 1]):
             continue
         kept = kept if replaced else kept.copy()
@@ -361,9 +361,6 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    lowest, highest = known.min(axis=1), known.max(axis=1)
-    if ((lowest > _ON_IT * highest) | (highest < _ON_IT * lowest)).all():
-        return [], []  # of one sign each, and of one size: no instant need be compared with its neighbours
     problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
     sizes = np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):

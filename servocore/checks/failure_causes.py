@@ -95,16 +95,13 @@ class _Reach:
 
     def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
         """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
-        best: tuple[float, Array, Array] | None = None
-        place = self.problem.reference.jet(time, 0)[0]
+        place, found = self.problem.reference.jet(time, 0)[0], list[tuple[Array, Array]]()
         for start in starts:
-            x, residual = _least_squares(lambda x: self._weighed(x, place), start)
-            if best is None or np.linalg.norm(residual) < best[0]:
-                best = float(np.linalg.norm(residual)), x, residual[len(residual) - len(self.size) :] * self.size
-            if best[0] < _REACHED:
+            found.append(_least_squares(lambda x: self._weighed(x, place), start))
+            if np.linalg.norm(found[-1][1]) < _REACHED:
                 break
-        assert best is not None
-        return best[1], best[2]
+        x, residual = min(found, key=lambda each: float(np.linalg.norm(each[1])))
+        return x, residual[len(residual) - len(self.size) :] * self.size
 
     def missed(self, miss: Array) -> bool:
         """Whether a miss is one."""

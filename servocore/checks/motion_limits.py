@@ -94,11 +94,8 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """
     if not motion.problem.motion_limits:
         return np.zeros((0, len(motion.t if t is None else t)))
-    watched = watched_limits(motion.problem)
-    if t is None:
-        values = watched.values(motion.problem, motion.t, motion.states)
-    else:
-        values = watched.values(motion.problem, t, motion.at(t))
+    watched, at = watched_limits(motion.problem), (motion.t, motion.states) if t is None else (t, motion.at(t))
+    values = watched.values(motion.problem, *at)
     angles = np.array(watched.wraps, dtype=bool)
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 

@@ -20,7 +20,6 @@ COARSEST = 0.02
 
 _STABLE = 1.0  # step times the fastest eigenvalue: the classical method is stable to 2.8
 _SMALLEST = 1e-5  # s: a plant that is stiffer is not run
-_CHUNK = 500  # steps in one call: one length of compiled loops serves all runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,13 +237,7 @@ def _sampled(t: Array, signals: Array, at: Array) -> Array:
 def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Array, Array], h: float) -> Array:
     """Return the states at the ends of all steps, shape (steps + 1, 2 n)."""
     steps = len(signals) // 2
-    blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1)
-    padded = np.concatenate([blocks, np.repeat(blocks[-1:], -steps % _CHUNK, axis=0)])
-    run, repeated = chained(loop.step, _CHUNK), [np.tile(argument[:, None], _CHUNK) for argument in held]
-    states, state = [start[:, None]], start
-    for k in range(0, len(padded), _CHUNK):
-        flat = padded[k : k + _CHUNK].reshape(3 * _CHUNK, -1).T
-        block = run(state, flat, *repeated, np.full(_CHUNK, h))[0].reshape(len(start), -1, order="F")
-        states.append(block)
-        state = block[:, -1]
-    return np.hstack(states)[:, : steps + 1].T
+    blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1).reshape(3 * steps, -1).T
+    repeated = [np.tile(argument[:, None], steps) for argument in held]
+    states = chained(loop.step, steps)(start, blocks, *repeated, np.full(steps, h))[0]
+    return np.vstack([start, states.reshape(len(start), -1, order="F").T])
