@@ -83,13 +83,6 @@ class Comparison:
         errors = {name: error if known else None for name, error, known in rows}
         return ErrorEstimate(errors, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
 
-    def far_from_better(self, columns: list[int]) -> float | None:
-        """Return the first time at which some columns are far from the better ones; None if there is none."""
-        run, better = self.solution.values[:, columns], self.better[:, columns]
-        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
-        far = (np.abs(run - better) > allowed).any(axis=1)
-        return float(self.solution.t[far.argmax()]) if far.any() else None
-
 
 def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
     """Return the steps of a motion (N, n) that are far from the mean of the ones before and after.
@@ -274,15 +267,20 @@ def stated_branch(
     columns = [places[name] for name in problem.system.coordinates.names]
     if comparison is not None:
         warn_of_wrong_inputs(problem, *how, solution, comparison)
-        far = comparison.far_from_better(columns)
-        if far is None:
+        run, better = comparison.solution.values[:, columns], comparison.better[:, columns]
+        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
+        far = np.abs(run - better) > allowed
+        if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
     if not len(odd):
         return STEPWISE
     t, k = solution.t, int(odd[0])
     said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
-    return f"{said}, and {comparison.basis} gives another motion from t = {far:.6g} s" if comparison else said
+    if comparison is None:
+        return said
+    time = comparison.solution.t[far.any(axis=1).argmax()]
+    return f"{said}, and {comparison.basis} gives another motion from t = {time:.6g} s"
 
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:

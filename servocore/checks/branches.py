@@ -240,20 +240,13 @@ class Branch:
         guess = ahead(problem.array, state[:, None], h)[:, 0]
         jet = side_by_side(problem.reference.jet(t, problem.array.reference_order))
         found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
-        if not (np.isfinite(found).all() and np.isfinite(residual).all()):
-            return None
+        good = bool(np.isfinite(found).all() and np.isfinite(residual).all())
         # With more room where branches meet, short steps would turn into the other one.
-        if self.apart(state[:, None], found[:, None], h, _SLIGHT if own is None else ROUND_OFF)[0]:
-            return None
-        if own is None:
-            return found
-        now = self.determinants(t, found[:, None])
-        return found if (now * np.sign(own) > LOST * np.abs(own)).all() else None
-
-    def same(self, one: Array, other: Array) -> bool:
-        """Whether two answers at one instant are the same."""
-        off = self.rows.missed(one[:, None], other[:, None], np.zeros(1))
-        return bool((off[:, 0] <= _SLIGHT * self.scale).all())
+        slight = _SLIGHT if own is None else ROUND_OFF
+        good = good and not self.apart(state[:, None], found[:, None], h, slight)[0]
+        if good and own is not None:
+            good = bool((self.determinants(t, found[:, None]) * np.sign(own) > LOST * np.abs(own)).all())
+        return found if good else None
 
 
 def on_one_branch(
@@ -283,7 +276,8 @@ def on_one_branch(
                     raise
                 return states, CLOSED_FORM, (), far
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
-        if branch.same(reached, kept[:, k + 1]):
+        off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
+        if (off[:, 0] <= _SLIGHT * branch.scale).all():
             continue
         kept = kept if replaced else kept.copy()
         kept[:, k + 1], replaced = reached, True

@@ -152,16 +152,20 @@ def out_of_reach(problem: Problem) -> str:
 
 
 def _guess(problem: Problem, time: float) -> Array:
-    """Return the guess of the model at an instant, in nominal magnitudes; home where that is not finite."""
+    """Return the guess of the model at an instant in nominal magnitudes."""
+    guess: Array = guessed_configuration(problem, time) / np.array(problem.system.coordinates.nominal)
+    return guess
+
+
+def guessed_configuration(problem: Problem, time: float) -> Array:
+    """Return the guess of the model at an instant, shape (n,); home where that is not finite."""
     system, reference = problem.system, problem.reference
     gamma = np.zeros(system.gamma.shape)
     order = min(system.gamma.size2() - 1, reference.max_order)
     gamma[:, : order + 1] = reference.jet(time, order).T
     evaluate = _compiled_guess(problem.resolved)
     guess = np.asarray(evaluate(gamma, problem.p)).ravel()
-    start: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
-    nominal: Array = np.array(system.coordinates.nominal)
-    return start / nominal
+    return guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
 
 
 @made_once

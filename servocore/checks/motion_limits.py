@@ -208,12 +208,11 @@ def limited_expressions(
     return [time_derivative(each, y, system.gamma) if rate else each for each, rate in known], y
 
 
-@dataclass(frozen=True, eq=False)
-class NextDerivatives:
-    """A derivative array differentiated once more: the new rows and unknowns.
+def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
+    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result.
 
-    Attributes
-    ----------
+    Returns
+    -------
     unknowns : casadi.SX, shape (variables,)
         The derivative of every variable that follows its last in the array.
     rows : casadi.SX, shape (variables,)
@@ -222,14 +221,6 @@ class NextDerivatives:
     function : casadi.Function
         (unknowns of the array, gamma, p) -> the new ones.
     """
-
-    unknowns: ca.SX
-    rows: ca.SX
-    function: ca.Function
-
-
-def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> NextDerivatives:
-    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result."""
     column, p = array.column(array.unknowns), array.system.p
     unknowns = ca.vertcat(*[y[j, k + 1] for j, k in dict(array.unknowns).items()])  # of each the highest comes last
     last = {i: row for row, (i, _) in enumerate(array.rows)}
@@ -238,7 +229,7 @@ def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> NextDeri
     matrix = ca.Function("sc_next", [column, gamma, p], linear, {"cse": True})
     given = [ca.MX.sym("given", *each.shape) for each in (column, gamma, p)]
     J, right = matrix(*given)
-    return NextDerivatives(unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")]))
+    return unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")])
 
 
 def _watching(
@@ -255,7 +246,8 @@ def _watching(
     state, G, p = (ca.MX.sym("x", *each.shape) for each in (column, gamma, system.p))
     known = ca.MX(0, 1)
     if beyond:
-        known = next_derivatives(array, y, gamma).function(state, G, p)[[j for j, _ in beyond]]
+        *_, following = next_derivatives(array, y, gamma)
+        known = following(state, G, p)[[j for j, _ in beyond]]
     return ca.Function("sc_watched", [state, G, p], [read(state, known, G, p)])
 
 

@@ -146,7 +146,7 @@ def run_loop(
     model : Inverted
         Motion of a model along the same path.
     gains : ndarray, shape (2, m)
-        See `gains_of`.
+        See `Inverted.gains`.
     change : ndarray, shape (N, m), or float
         Of the inputs of the model, at its instants.
     hanging : tuple of str
