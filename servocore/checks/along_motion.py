@@ -224,10 +224,8 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
-        for side, aside in (
-            (left, -_ASIDE),
-            (right, 0.0 if gap else _ASIDE),
-        ):  # a kink itself is neither before nor after
+        asides = -_ASIDE, 0.0 if gap else _ASIDE  # a kink itself is neither before nor after
+        for side, aside in zip((left, right), asides, strict=True):
             t = np.clip(side.t + aside * path.duration, path.start_time, path.end_time)
             values.append(motion.beside(side.t, side.states, t)[rows.values[row], 0])
         before, after = values
@@ -237,12 +235,9 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
                 f" {quantity.name} at {before:.6g} {quantity.unit} before and at {after:.6g} {quantity.unit} after"
             )
         else:
-            name, unit = (
-                (quantity.name, quantity.unit) if row < n else
-                (f"the velocity of {quantity.name}", f"{quantity.unit}/s")
-            )  # fmt: skip
-            what = f"at t = {begin:.9g} s {name} would have to jump from {before:.4g} to {after:.4g} {unit}"
-            what += ", and the inputs to strike"
+            of, per = ("", "") if row < n else ("the velocity of ", "/s")
+            what = f"at t = {begin:.9g} s {of}{quantity.name} would have to jump from {before:.4g} to {after:.4g}"
+            what += f" {quantity.unit}{per}, and the inputs to strike"
         yield begin, Finding(f"{what}: {_SMOOTH}", error=IntegrationFailed)
 
 

@@ -136,15 +136,15 @@ def _advice(problem: Problem, formulation: Formulation, method: Method | None) -
     if method is None:
         return "leave its horizon to StableInversion, with a smaller tolerance"
     index = problem.dae(formulation).index
-    default = ""
+    advice = list[str]()
     if problem.flat:
-        default = "the default route, solve without a form and a method, has no step"
+        advice.append("the default route, solve without a form and a method, has no step")
     elif index > 1 or method != RadauIIA(3):
-        default = "the default route, solve without a form and a method, errs less"
+        advice.append("the default route, solve without a form and a method, errs less")
     converges = method.orders(index).forces >= 1 and errs_less_with_smaller_steps(method, index)
     if converges and not isinstance(formulation, Original):
-        return f"{default}; a smaller step errs less" if default else "a smaller step errs less"
-    return default
+        advice.append("a smaller step errs less")
+    return "; ".join(advice)
 
 
 def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
@@ -153,12 +153,8 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     Bodies given by their directors exert a torque of J turn^3/h^2 too much on a turn a step, so that the error of the
     inputs is proportional to the turn at a given speed; `factor` scales it to the limit.
     """
-    values = solution.values
-    turns = {
-        channel.name: abs(float(values[k, j] - values[k - 1, j]))
-        for j, channel in enumerate(solution.channels)
-        if channel.unit == "rad"
-    }
+    step = np.abs(solution.values[k] - solution.values[k - 1])
+    turns = {each.name: float(turn) for each, turn in zip(solution.channels, step, strict=True) if each.unit == "rad"}
     name = max(turns, key=lambda each: turns[each], default="")
     if k == 0 or not name or turns[name] < _SMALLEST_TURN:
         return ""
@@ -263,8 +259,7 @@ def stated_branch(
     comparison : Comparison or None
         With better values; None where none are known.
     """
-    places = {name: k for k, name in enumerate(solution.names)}
-    columns = [places[name] for name in problem.system.coordinates.names]
+    columns = [solution.names.index(name) for name in problem.system.coordinates.names]
     if comparison is not None:
         warn_of_wrong_inputs(problem, *how, solution, comparison)
         run, better = comparison.solution.values[:, columns], comparison.better[:, columns]

@@ -169,22 +169,22 @@ def _velocity_rows(array: DerivativeArray) -> tuple[Places, Rows]:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Continuation of one branch of a problem along its path; `scale` (n,) are the ranges of the coordinates."""
+    """Continuation of one branch of a problem along its path.
+
+    `rows` are the coordinates, `scale` (n,) their ranges.
+    """
 
     problem: Problem
+    rows: Rows
     scale: Array
 
     @classmethod
     def of(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        known, still = states[coordinate_rows(problem.array).values], np.array(problem.system.coordinates.nominal)
-        known = known if np.isfinite(known).all() else known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
-
-    @property
-    def rows(self) -> Rows:
-        """The coordinates."""
-        return coordinate_rows(self.problem.array)
+        rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
+        known = states[rows.values]
+        known = known[:, np.isfinite(known).all(axis=0)]
+        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
@@ -311,15 +311,17 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
+def _equations_of(problem: Problem, blocks: Places) -> list[tuple[str, ...]]:
+    """Return the names of the equations of each of some diagonal blocks."""
+    names, every = problem.signature.equations.equations, diagonal_blocks(problem.array)
+    return [tuple(names[row] for row in every[k].rows) for k in blocks]
+
+
 def _passage(
     branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
 ) -> Passage:
     ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
-    blocks, names = diagonal_blocks(problem.array), problem.signature.equations.equations
-    changed = [
-        tuple(names[row] for row in blocks[k].rows)
-        for k in np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
-    ]
+    changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
     least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
     at_once = least[1] < _LESS * max(least[0], least[2])
@@ -355,12 +357,10 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
-    sizes = np.abs(known)
+    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        blocks = [diagonal_blocks(problem.array)[j] for j in lost]
-        found = (Passage(time, time, time, tuple(names[row] for row in block.rows)) for block in blocks)
+        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
         passages += [each for each in found if each.of_constraints][:1]
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():

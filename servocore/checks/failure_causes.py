@@ -21,7 +21,6 @@ from servocore.errors import InconsistentStart, IntegrationFailed, InvalidRefere
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
@@ -51,8 +50,6 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
-    if not problem.resolved.holds(KINKS):
-        return ""
     t = survey(problem.reference)
     jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
     return f"{problem.system.name}: {jump.what}" if jump else ""
@@ -219,19 +216,18 @@ def singular(problem: Problem) -> str:
         if not np.isfinite(values).all() and last is not None:
             values = unknowns_from(problem, times[k : k + 1], last[:, None])[:, 0]
         if not np.isfinite(values).all():
-            solved = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
-            if solved is None:
-                return ""
-            values = solved
+            values = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
+        if not np.isfinite(values).all():
+            return ""
         matrix = J(values, jet, problem.p)[0]
         if not condition_number(matrix) < SINGULAR_CONDITION:
             return singular_in_words(problem, float(time), values, matrix)
-        last = values if np.isfinite(values).all() else last
+        last = values
     return ""
 
 
-def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
-    """Return all unknowns of the derivative array, states as they start, by least squares; None if that fails."""
+def _solved(problem: Problem, jet: Array, start: Array) -> Array:
+    """Return all unknowns of the derivative array, states as they start, by least squares; NaN if that fails."""
     array = problem.array
     free, evaluate = array.places(array.determined), _compiled_array(problem.resolved)
 
@@ -241,12 +237,11 @@ def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
         residual, jacobian = evaluate(values, jet, problem.p)
         return residual, jacobian.reshape(len(residual), -1)
 
-    if not np.isfinite(start).all():
-        return None
-    x, _ = _least_squares(rows, start[free])
     values = start.copy()
-    values[free] = x
-    return values if np.linalg.norm(rows(x)[0]) < LARGEST_RESIDUAL else None
+    if np.isfinite(start).all():
+        x, residual = _least_squares(rows, start[free])
+        values[free] = x if np.linalg.norm(residual) < LARGEST_RESIDUAL else np.nan
+    return values
 
 
 @made_once

@@ -166,14 +166,12 @@ def unknowns_near(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
     array, t = problem.array, solution.t
     guess = guessed_unknowns(problem, t)
-    for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
-        for channel in (quantity for quantity in quantities if quantity.name in solution):
-            known = solution[channel.name]
-            for order in range(3):
-                entry = (array.names.index(f"{kind}.{channel.name}"), order)
-                if entry in array.unknowns:
-                    guess[array.places([entry])[0]] = known
-                known = np.gradient(known, t)
+    for k, (j, order) in enumerate(array.unknowns):
+        kind, _, name = array.names[j].partition(".")
+        if kind != "lam" and order < 3 and name in solution:
+            guess[k] = solution[name]
+            for _ in range(order):
+                guess[k] = np.gradient(guess[k], t)
     return unknowns_from(problem, t, guess)
 
 

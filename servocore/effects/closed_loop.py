@@ -83,14 +83,9 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
     rates, output = driven(x, signal), seen(x, p)[: len(system.outputs)]
     jacobians = ca.jacobian(rates, x), ca.jacobian(rates, signal)[:, :m], ca.jacobian(output, x)
-    return Loop(
-        step=ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after]),
-        read=Call(read),
-        linear=Call(
-            ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(jacobian) for jacobian in jacobians])
-        ),
-        seen=seen,
-    )
+    step = ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after])
+    linear = ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(each) for each in jacobians])
+    return Loop(step, Call(read), Call(linear), seen)
 
 
 @dataclass(frozen=True, eq=False)
