@@ -73,10 +73,8 @@ class Products:
 
         Those within the degrees come first, then those beyond.
         """
-        up, down = (
-            self.orders[:, :, None] + self.orders[:, None],
-            np.abs(self.orders[:, :, None] - self.orders[:, None]),
-        )
+        up = self.orders[:, :, None] + self.orders[:, None]
+        down = np.abs(self.orders[:, :, None] - self.orders[:, None])
         both, shape = zip(up, down, strict=True), [2 * d + 1 for d in self.degrees]
         places = np.stack([np.ravel_multi_index(choice, shape) for choice in product(*both)], axis=-1)
         beyond = (_orders([2 * d for d in self.degrees]) > np.array(self.degrees)[:, None]).any(axis=0)

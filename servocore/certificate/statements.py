@@ -120,11 +120,6 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 
 
 @made_once
-def _unbounded(limit: Limit) -> Limit:
-    return replace(limit, bound=-math.inf, upper=math.inf)
-
-
-@made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
     system, y, values = equations.array.system, equations.array.y, list[ca.SX]()
@@ -199,8 +194,8 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
     """Decide claims between the instants too: each statement is proved if all its claims are."""
     equations = proof.equations
     # Walks are kept, whatever the bounds are.
-    limits = {each: _unbounded(each.limit) for each in claims if not each.limit.over_run}
-    limits = {each: limit for each, limit in limits.items() if known(equations, limit)}
+    chosen = [each for each in claims if not each.limit.over_run and known(equations, each.limit)]
+    limits = {each: replace(each.limit, bound=-math.inf, upper=math.inf) for each in chosen}
     walk = walk_of_limits(equations, tuple(limits.values()))
     bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
     decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))

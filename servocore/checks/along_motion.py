@@ -21,7 +21,7 @@ import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
 from servocore.checks.branches import MANY, Rows
-from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, told
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
 from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
@@ -53,8 +53,8 @@ def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     broken = np.abs(shares) > LEFT_OUT_HOLDS
     if broken.any():
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
-        what = f"the holonomic constraint {_names(problem)[row]} does not hold, by {abs(values[row, k]):.3g}"
-        yield Finding(what, float(t[k]), _WHY, error=InvalidModel)
+        what = f"the holonomic constraint {_names(problem)[row]} does not hold, by {abs(values[row, k]):.3g}: {_WHY}"
+        yield Finding(f"at t = {t[k]:.6g} s {what}", error=InvalidModel)
 
 
 def require_redundant_constraints(problem: Problem, motion: Motion) -> None:
@@ -105,26 +105,25 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
 
     A constant one is checked when the system is made.
     """
-    function = _compiled_mass(problem.resolved)
-    if function is None:
+    if not problem.resolved.mass_varies:
         return
     few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
     t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
-    masses = at_instants(function, q, jets=jets, p=problem.p)[0].reshape(len(q), len(q), -1, order="F")
+    masses = at_instants(_compiled_mass(problem.resolved), q, jets=jets, p=problem.p)[0].reshape(
+        len(q), len(q), -1, order="F"
+    )
     eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])
-        what = f"the mass matrix has the negative eigenvalue {eigenvalues[k, 0]:.4g}"
-        yield Finding(what, float(t[k]), advice="no mechanism has negative mass", error=InvalidModel)
+        what = f"at t = {t[k]:.6g} s the mass matrix has the negative eigenvalue {eigenvalues[k, 0]:.4g}"
+        yield Finding(f"{what}; no mechanism has negative mass", error=InvalidModel)
 
 
 @made_once
-def _compiled_mass(resolved: ResolvedSystem) -> ca.Function | None:
-    """Compile (q, nothing of the path, p) -> mass matrix; None if it is constant."""
+def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (q, nothing of the path, p) -> mass matrix."""
     system = resolved.system
-    if not ca.depends_on(system.mass, system.q):
-        return None
     return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
@@ -136,15 +135,12 @@ def slack_rope(problem: Problem) -> str:
     """Say when a rope of a problem without internal dynamics goes slack, and what duration would do; else empty."""
     quantities = reported_quantities(problem.system).values()
     signed = [each for each in quantities if each.positive or (each.never_negative and each.unit == "N")]
-    if not (signed and problem.flat and isinstance(problem.resolved.outcome, DerivativeArray)):
+    said = _first_slack(problem, signed) if signed else ""
+    if not said:
         return ""
-    if problem.reference.max_order < problem.array.reference_order:
-        return ""
-    said = _first_slack(problem, signed)
-    duration = _least_duration(problem, signed) if said else 0.0
-    return f"{problem.name}: {said}" * bool(said) + (
-        f"; in more than {duration:.4g} s the same law keeps it taut" if duration else ""
-    )
+    duration = _least_duration(problem, signed)
+    remedy = f"; in more than {duration:.4g} s the same law keeps it taut" if duration else ""
+    return f"{problem.name}: {said}{remedy}"
 
 
 def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
@@ -160,10 +156,8 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     bad = np.flatnonzero(~(found > 0.0).all(axis=0))
     if not len(bad) or bad[0] == 0:
         return ""
-    good, beyond, usual = t[bad[0] - 1], t[bad[0]], np.median(found[:, : bad[0]], axis=1)
-    for _ in range(BISECTIONS):
-        middle = (good + beyond) / 2.0
-        good, beyond = (middle, beyond) if (values(np.array([middle])) > 0.0).all() else (good, middle)
+    usual = np.median(found[:, : bad[0]], axis=1)
+    good, _ = bisected(lambda at: bool((values(np.array([at])) > 0.0).all()), t[bad[0] - 1], t[bad[0]])
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
         if each.unit == "N" and share < _SLACK:
             return f"the rope goes slack at t = {good:.6g} s: {each.name} comes to 0 N, and a rope cannot push"
@@ -191,10 +185,7 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
         longest *= 2.0
         if longest > _LONGEST:
             return 0.0
-    shortest = longest / 2.0
-    for _ in range(BISECTIONS // 2):
-        middle = (shortest + longest) / 2.0
-        shortest, longest = (shortest, middle) if kept(middle) else (middle, longest)
+    longest, _ = bisected(kept, longest, longest / 2.0, BISECTIONS // 2)
     digits = 3 - int(np.floor(np.log10(longest * path.duration)))
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
 
@@ -208,11 +199,10 @@ _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 def jumps(motion: Motion) -> Iterator[Finding]:
     """Find where a motion jumps, or where there is none, in rising order."""
     problem = motion.problem
-    outcome = problem.resolved.outcome
-    if not (isinstance(outcome, DerivativeArray) and problem.resolved.holds(KINKS)) or len(motion.t) < 2:
+    if not problem.resolved.holds(KINKS) or len(motion.t) < 2:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
-    rows = _motion_rows(outcome)
+    rows = _motion_rows(problem.array)
     _, left, gaps = look(motion.beside, at, rows, _LEAST)
     found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
@@ -234,10 +224,8 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
-        for side, aside in (
-            (left, -_ASIDE),
-            (right, 0.0 if gap else _ASIDE),
-        ):  # a kink itself is neither before nor after
+        asides = -_ASIDE, 0.0 if gap else _ASIDE  # a kink itself is neither before nor after
+        for side, aside in zip((left, right), asides, strict=True):
             t = np.clip(side.t + aside * path.duration, path.start_time, path.end_time)
             values.append(motion.beside(side.t, side.states, t)[rows.values[row], 0])
         before, after = values
@@ -247,13 +235,10 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
                 f" {quantity.name} at {before:.6g} {quantity.unit} before and at {after:.6g} {quantity.unit} after"
             )
         else:
-            name, unit = (
-                (quantity.name, quantity.unit) if row < n else
-                (f"the velocity of {quantity.name}", f"{quantity.unit}/s")
-            )  # fmt: skip
-            what = f"at t = {begin:.9g} s {name} would have to jump from {before:.4g} to {after:.4g} {unit}"
-            what += ", and the inputs to strike"
-        yield begin, Finding(what, cause=_SMOOTH, error=IntegrationFailed)
+            of, per = ("", "") if row < n else ("the velocity of ", "/s")
+            what = f"at t = {begin:.9g} s {of}{quantity.name} would have to jump from {before:.4g} to {after:.4g}"
+            what += f" {quantity.unit}{per}, and the inputs to strike"
+        yield begin, Finding(f"{what}: {_SMOOTH}", error=IntegrationFailed)
 
 
 # Switches, and steps of mass and potential ----------------------------------------------------------------------------
@@ -337,4 +322,4 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
         quantity, time = stepped[1][row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()
         what = f"at t = {time:.9g} s {quantity.name} jumps from {values}, which is an impulse"
-        yield Finding(what, cause=_SMOOTH, error=IntegrationFailed)
+        yield Finding(f"{what}: {_SMOOTH}", error=IntegrationFailed)

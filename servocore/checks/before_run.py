@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -96,16 +97,15 @@ def _classified(eigenvalues: tuple[complex, ...], damped: float) -> str:
     return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
 
 
-_CALLER = 6  # the line that called `solve`
+_CALLER = 4  # the line that called `solve`
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge."""
-    _warn_of_growth(problem)
-    _warn_of_jumps(problem)
-    _warn_of_index(problem, formulation, method)
+    for text in _doubts(problem, formulation, method):
+        warnings.warn(text, ServocoreWarning, stacklevel=_CALLER)
 
 
 def require_smooth(problem: Problem) -> None:
@@ -122,37 +122,25 @@ def require_smooth(problem: Problem) -> None:
         )
 
 
-def _warn(text: str) -> None:
-    warnings.warn(text, ServocoreWarning, stacklevel=_CALLER)
-
-
-def _warn_of_growth(problem: Problem) -> None:
-    """Warn before unstable internal dynamics are integrated forward in time."""
+def _doubts(problem: Problem, formulation: Formulation, method: Method | None) -> Iterator[str]:
+    """Yield what is doubtful: unstable internal dynamics forward in time, inputs that jump, inputs that err."""
     dynamics, reference = internal_dynamics(problem), problem.reference
     if dynamics.grows:
-        _warn(
+        yield (
             f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
             f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
             f" t = {reference.end_time:g} s; the method StableInversion finds the bounded solution"
         )
-
-
-def _warn_of_jumps(problem: Problem) -> None:
-    """Warn if the path is not smooth enough for continuous inputs."""
-    order, reference = problem.array.reference_order, problem.reference
+    order = problem.array.reference_order
     if reference.smoothness < order <= reference.max_order:
-        _warn(
+        yield (
             f"the inputs of {problem.name} need the path's derivative of order {order}, but the path is continuous up"
             f" to order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
             f" {reference.end_time:g} s, the ends included, wherever that derivative does"
         )
-
-
-def _warn_of_index(problem: Problem, formulation: Formulation, method: Method | None) -> None:
-    """Warn before a method runs on a form of an index on which its inputs do not converge."""
     dae = problem.dae(formulation)
     if method is not None and dae.index > 3 and (order := method.orders(dae.index).forces) < 1:
-        _warn(
+        yield (
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
             f" the step to the power {order} and no step is small enough; use the form Reduced()"
         )

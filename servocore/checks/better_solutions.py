@@ -83,13 +83,6 @@ class Comparison:
         errors = {name: error if known else None for name, error, known in rows}
         return ErrorEstimate(errors, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
 
-    def far_from_better(self, columns: list[int]) -> float | None:
-        """Return the first time at which some columns are far from the better ones; None if there is none."""
-        run, better = self.solution.values[:, columns], self.better[:, columns]
-        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
-        far = (np.abs(run - better) > allowed).any(axis=1)
-        return float(self.solution.t[far.argmax()]) if far.any() else None
-
 
 def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
     """Return the steps of a motion (N, n) that are far from the mean of the ones before and after.
@@ -143,15 +136,15 @@ def _advice(problem: Problem, formulation: Formulation, method: Method | None) -
     if method is None:
         return "leave its horizon to StableInversion, with a smaller tolerance"
     index = problem.dae(formulation).index
-    default = ""
+    advice = list[str]()
     if problem.flat:
-        default = "the default route, solve without a form and a method, has no step"
+        advice.append("the default route, solve without a form and a method, has no step")
     elif index > 1 or method != RadauIIA(3):
-        default = "the default route, solve without a form and a method, errs less"
+        advice.append("the default route, solve without a form and a method, errs less")
     converges = method.orders(index).forces >= 1 and errs_less_with_smaller_steps(method, index)
     if converges and not isinstance(formulation, Original):
-        return f"{default}; a smaller step errs less" if default else "a smaller step errs less"
-    return default
+        advice.append("a smaller step errs less")
+    return "; ".join(advice)
 
 
 def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
@@ -160,12 +153,8 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     Bodies given by their directors exert a torque of J turn^3/h^2 too much on a turn a step, so that the error of the
     inputs is proportional to the turn at a given speed; `factor` scales it to the limit.
     """
-    values = solution.values
-    turns = {
-        channel.name: abs(float(values[k, j] - values[k - 1, j]))
-        for j, channel in enumerate(solution.channels)
-        if channel.unit == "rad"
-    }
+    step = np.abs(solution.values[k] - solution.values[k - 1])
+    turns = {each.name: float(turn) for each, turn in zip(solution.channels, step, strict=True) if each.unit == "rad"}
     name = max(turns, key=lambda each: turns[each], default="")
     if k == 0 or not name or turns[name] < _SMALLEST_TURN:
         return ""
@@ -270,19 +259,23 @@ def stated_branch(
     comparison : Comparison or None
         With better values; None where none are known.
     """
-    places = {name: k for k, name in enumerate(solution.names)}
-    columns = [places[name] for name in problem.system.coordinates.names]
+    columns = [solution.names.index(name) for name in problem.system.coordinates.names]
     if comparison is not None:
         warn_of_wrong_inputs(problem, *how, solution, comparison)
-        far = comparison.far_from_better(columns)
-        if far is None:
+        run, better = comparison.solution.values[:, columns], comparison.better[:, columns]
+        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
+        far = np.abs(run - better) > allowed
+        if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
     if not len(odd):
         return STEPWISE
     t, k = solution.t, int(odd[0])
     said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
-    return f"{said}, and {comparison.basis} gives another motion from t = {far:.6g} s" if comparison else said
+    if comparison is None:
+        return said
+    time = comparison.solution.t[far.any(axis=1).argmax()]
+    return f"{said}, and {comparison.basis} gives another motion from t = {time:.6g} s"
 
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
@@ -291,20 +284,16 @@ def compared_closely(problem: Problem, better: BetterSolver, solution: Solution)
         if better.exact:
             return better.compared(problem, solution)
         for count in _COMPARED:
-            comparison = better.compared(problem, _thinned(solution, count))
+            every = max(1, (len(solution.t) - 1) // count)
+            kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
+            thinned = replace(solution, t=solution.t[kept], values=solution.values[kept])
+            comparison = better.compared(problem, thinned)
             largest = comparison.estimate.largest
             if largest is not None and largest < LARGEST_UNWARNED:
                 break
     except ServocoreError:
         return None
     return comparison
-
-
-def _thinned(solution: Solution, count: int) -> Solution:
-    """Return a solution at every so many of its instants, about `count`."""
-    every = max(1, (len(solution.t) - 1) // count)
-    kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-    return replace(solution, t=solution.t[kept], values=solution.values[kept])
 
 
 def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:

@@ -145,8 +145,8 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
         _, worst_quantity, said = max(hidden, key=lambda each: each[0])
         others = ", ".join(quantity.name for _, quantity, _ in hidden if quantity is not worst_quantity)
         so_do = f"; so do {others} grow" if others else ""
-        advice = "limits by name refuse such a path"
-        yield Finding(f"the path passes close to a pole: {said}{so_do}", advice=advice, warns=True)
+        said = f"the path passes close to a pole: {said}{so_do}; limits by name refuse such a path"
+        yield Finding(said, warns=True)
 
 
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:

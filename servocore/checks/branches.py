@@ -169,22 +169,22 @@ def _velocity_rows(array: DerivativeArray) -> tuple[Places, Rows]:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Continuation of one branch of a problem along its path; `scale` (n,) are the ranges of the coordinates."""
+    """Continuation of one branch of a problem along its path.
+
+    `rows` are the coordinates, `scale` (n,) their ranges.
+    """
 
     problem: Problem
+    rows: Rows
     scale: Array
 
     @classmethod
     def of(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        known, still = states[coordinate_rows(problem.array).values], np.array(problem.system.coordinates.nominal)
-        known = known if np.isfinite(known).all() else known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
-
-    @property
-    def rows(self) -> Rows:
-        """The coordinates."""
-        return coordinate_rows(self.problem.array)
+        rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
+        known = states[rows.values]
+        known = known[:, np.isfinite(known).all(axis=0)]
+        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
@@ -240,20 +240,13 @@ class Branch:
         guess = ahead(problem.array, state[:, None], h)[:, 0]
         jet = side_by_side(problem.reference.jet(t, problem.array.reference_order))
         found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
-        if not (np.isfinite(found).all() and np.isfinite(residual).all()):
-            return None
+        good = bool(np.isfinite(found).all() and np.isfinite(residual).all())
         # With more room where branches meet, short steps would turn into the other one.
-        if self.apart(state[:, None], found[:, None], h, _SLIGHT if own is None else ROUND_OFF)[0]:
-            return None
-        if own is None:
-            return found
-        now = self.determinants(t, found[:, None])
-        return found if (now * np.sign(own) > LOST * np.abs(own)).all() else None
-
-    def same(self, one: Array, other: Array) -> bool:
-        """Whether two answers at one instant are the same."""
-        off = self.rows.missed(one[:, None], other[:, None], np.zeros(1))
-        return bool((off[:, 0] <= _SLIGHT * self.scale).all())
+        slight = _SLIGHT if own is None else ROUND_OFF
+        good = good and not self.apart(state[:, None], found[:, None], h, slight)[0]
+        if good and own is not None:
+            good = bool((self.determinants(t, found[:, None]) * np.sign(own) > LOST * np.abs(own)).all())
+        return found if good else None
 
 
 def on_one_branch(
@@ -276,14 +269,15 @@ def on_one_branch(
         begin, end = float(t[k]), float(t[k + 1])
         reached, time = branch.follow(kept[:, k], begin, end)
         if time != end:
-            singular = time
-            reached, time = branch.follow(kept[:, k], begin, end, across=True)
-            if time != end and not replaced and is_closed_form(problem, t, states):
+            try:
+                reached = branch.follow_to(kept[:, k], begin, end)
+            except IntegrationFailed:
+                if replaced or not is_closed_form(problem, t, states):
+                    raise
                 return states, CLOSED_FORM, (), far
-            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, singular))
-        if time != end:
-            branch.follow_to(kept[:, k], begin, end)  # raises
-        if branch.same(reached, kept[:, k + 1]):
+            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
+        off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
+        if (off[:, 0] <= _SLIGHT * branch.scale).all():
             continue
         kept = kept if replaced else kept.copy()
         kept[:, k + 1], replaced = reached, True
@@ -317,15 +311,17 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
+def _equations_of(problem: Problem, blocks: Places) -> list[tuple[str, ...]]:
+    """Return the names of the equations of each of some diagonal blocks."""
+    names, every = problem.signature.equations.equations, diagonal_blocks(problem.array)
+    return [tuple(names[row] for row in every[k].rows) for k in blocks]
+
+
 def _passage(
     branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
 ) -> Passage:
     ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
-    blocks, names = diagonal_blocks(problem.array), problem.signature.equations.equations
-    changed = [
-        tuple(names[row] for row in blocks[k].rows)
-        for k in np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
-    ]
+    changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
     least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
     at_once = least[1] < _LESS * max(least[0], least[2])
@@ -361,15 +357,10 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    lowest, highest = known.min(axis=1), known.max(axis=1)
-    if ((lowest > _ON_IT * highest) | (highest < _ON_IT * lowest)).all():
-        return [], []  # of one sign each, and of one size: no instant need be compared with its neighbours
-    problem, passages, names = branch.problem, list[Passage](), branch.problem.signature.equations.equations
-    sizes = np.abs(known)
+    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        blocks = [diagonal_blocks(problem.array)[j] for j in lost]
-        found = (Passage(time, time, time, tuple(names[row] for row in block.rows)) for block in blocks)
+        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
         passages += [each for each in found if each.of_constraints][:1]
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():

@@ -15,17 +15,15 @@ import numpy as np
 
 from servocore.checks.along_motion import jumps, slack_rope
 from servocore.checks.branches import constraint_rows
-from servocore.checks.findings import BISECTIONS, ROUND_OFF
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, bisected
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
 from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
-from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
 
@@ -43,20 +41,18 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
-    reason = slack_rope(problem) or _jump(problem) or singular(problem)
+    reason = ""
+    if problem.flat and problem.reference.max_order >= problem.array.reference_order:
+        reason = slack_rope(problem) or _jump(problem)
+    reason = reason or singular(problem)
     return type(error)(reason) if reason else error
 
 
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
-    array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.holds(KINKS)):
-        return ""
-    if problem.reference.max_order < array.reference_order:
-        return ""
     t = survey(problem.reference)
     jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
-    return f"{problem.system.name}: {jump}" if jump else ""
+    return f"{problem.system.name}: {jump.what}" if jump else ""
 
 
 @contextmanager
@@ -96,16 +92,13 @@ class _Reach:
 
     def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
         """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
-        best: tuple[float, Array, Array] | None = None
-        place = self.problem.reference.jet(time, 0)[0]
+        place, found = self.problem.reference.jet(time, 0)[0], list[tuple[Array, Array]]()
         for start in starts:
-            x, residual = _least_squares(lambda x: self._weighed(x, place), start)
-            if best is None or np.linalg.norm(residual) < best[0]:
-                best = float(np.linalg.norm(residual)), x, residual[len(residual) - len(self.size) :] * self.size
-            if best[0] < _REACHED:
+            found.append(_least_squares(lambda x: self._weighed(x, place), start))
+            if np.linalg.norm(found[-1][1]) < _REACHED:
                 break
-        assert best is not None
-        return best[1], best[2]
+        x, residual = min(found, key=lambda each: float(np.linalg.norm(each[1])))
+        return x, residual[len(residual) - len(self.size) :] * self.size
 
     def missed(self, miss: Array) -> bool:
         """Whether a miss is one."""
@@ -156,16 +149,20 @@ def out_of_reach(problem: Problem) -> str:
 
 
 def _guess(problem: Problem, time: float) -> Array:
-    """Return the guess of the model at an instant, in nominal magnitudes; home where that is not finite."""
+    """Return the guess of the model at an instant in nominal magnitudes."""
+    guess: Array = guessed_configuration(problem, time) / np.array(problem.system.coordinates.nominal)
+    return guess
+
+
+def guessed_configuration(problem: Problem, time: float) -> Array:
+    """Return the guess of the model at an instant, shape (n,); home where that is not finite."""
     system, reference = problem.system, problem.reference
     gamma = np.zeros(system.gamma.shape)
     order = min(system.gamma.size2() - 1, reference.max_order)
     gamma[:, : order + 1] = reference.jet(time, order).T
     evaluate = _compiled_guess(problem.resolved)
     guess = np.asarray(evaluate(gamma, problem.p)).ravel()
-    start: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
-    nominal: Array = np.array(system.coordinates.nominal)
-    return start / nominal
+    return guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
 
 
 @made_once
@@ -184,11 +181,9 @@ def _around(problem: Problem, x: Array) -> list[Array]:
 
 
 def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
-    for _ in range(BISECTIONS // 2):
-        middle = (good + bad) / 2
-        _, miss = reach.nearest(middle, [_guess(problem, good), *_around(problem, _guess(problem, good))])
-        good, bad = (good, middle) if reach.missed(miss) else (middle, bad)
-    return float(bad)
+    guess = _guess(problem, good)
+    starts = [guess, *_around(problem, guess)]
+    return bisected(lambda time: not reach.missed(reach.nearest(time, starts)[1]), good, bad, BISECTIONS // 2)[1]
 
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
@@ -221,19 +216,18 @@ def singular(problem: Problem) -> str:
         if not np.isfinite(values).all() and last is not None:
             values = unknowns_from(problem, times[k : k + 1], last[:, None])[:, 0]
         if not np.isfinite(values).all():
-            solved = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
-            if solved is None:
-                return ""
-            values = solved
+            values = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
+        if not np.isfinite(values).all():
+            return ""
         matrix = J(values, jet, problem.p)[0]
         if not condition_number(matrix) < SINGULAR_CONDITION:
             return singular_in_words(problem, float(time), values, matrix)
-        last = values if np.isfinite(values).all() else last
+        last = values
     return ""
 
 
-def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
-    """Return all unknowns of the derivative array, states as they start, by least squares; None if that fails."""
+def _solved(problem: Problem, jet: Array, start: Array) -> Array:
+    """Return all unknowns of the derivative array, states as they start, by least squares; NaN if that fails."""
     array = problem.array
     free, evaluate = array.places(array.determined), _compiled_array(problem.resolved)
 
@@ -243,12 +237,11 @@ def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
         residual, jacobian = evaluate(values, jet, problem.p)
         return residual, jacobian.reshape(len(residual), -1)
 
-    if not np.isfinite(start).all():
-        return None
-    x, _ = _least_squares(rows, start[free])
     values = start.copy()
-    values[free] = x
-    return values if np.linalg.norm(rows(x)[0]) < LARGEST_RESIDUAL else None
+    if np.isfinite(start).all():
+        x, residual = _least_squares(rows, start[free])
+        values[free] = x if np.linalg.norm(residual) < LARGEST_RESIDUAL else np.nan
+    return values
 
 
 @made_once

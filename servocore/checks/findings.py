@@ -36,11 +36,7 @@ class Finding:
     Attributes
     ----------
     what : str
-        What is the case, with the amount.
-    time : float or None
-        When, in s; None if `what` says it.
-    cause, advice : str
-        Why that is so, and what to do; may be empty.
+        What is the case and when, with the amount, the cause and an advice where these are known.
     error : type of ServocoreError, optional
         Of a finding that refuses the motion.
     warns : bool
@@ -48,17 +44,18 @@ class Finding:
     """
 
     what: str
-    time: float | None = None
-    cause: str = ""
-    advice: str = ""
     error: type[ServocoreError] | None = None
     warns: bool = False
 
-    def __str__(self) -> str:
-        when = "" if self.time is None else f"at t = {self.time:.6g} s "
-        return (
-            when + self.what + (f": {self.cause}" if self.cause else "") + (f"; {self.advice}" if self.advice else "")
-        )
+
+def bisected(
+    holds: Callable[[float], bool], good: float, bad: float, halvings: int = BISECTIONS
+) -> tuple[float, float]:
+    """Return numbers close together of which the first is good and the second bad, between such numbers."""
+    for _ in range(halvings):
+        middle = (good + bad) / 2.0
+        good, bad = (middle, bad) if holds(middle) else (good, middle)
+    return good, bad
 
 
 def told(name: str, route: str, findings: Iterable[Finding]) -> str:
@@ -84,9 +81,9 @@ def told(name: str, route: str, findings: Iterable[Finding]) -> str:
     statements = ""
     for finding in findings:
         if finding.error is not None:
-            raise finding.error(f"{name}: {finding}")
+            raise finding.error(f"{name}: {finding.what}")
         if finding.warns:
-            warnings.warn(f"{route}: {finding}", ServocoreWarning, stacklevel=4)
+            warnings.warn(f"{route}: {finding.what}", ServocoreWarning, stacklevel=4)
         else:
-            statements += f"; {finding}"
+            statements += f"; {finding.what}"
     return statements

@@ -145,8 +145,8 @@ def passed(motion: Motion) -> Iterator[Finding]:
         ends = min(each.time - motion.t[0], motion.t[-1] - each.time) < 1e-6 * np.ptp(motion.t)
         how = "this one begins or ends there" if ends else "this one goes on smoothly"
         if each.of_constraints:
-            yield Finding(str(each), advice=how, warns=True)
-        yield Finding(f"{each}, {how}" if not each.of_constraints else str(each), advice=how * each.of_constraints)
+            yield Finding(f"{each}; {how}", warns=True)
+        yield Finding(f"{each}{';' if each.of_constraints else ','} {how}")
 
 
 def enough(t: Array) -> tuple[Array, int]:
@@ -166,14 +166,12 @@ def unknowns_near(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
     array, t = problem.array, solution.t
     guess = guessed_unknowns(problem, t)
-    for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
-        for channel in (quantity for quantity in quantities if quantity.name in solution):
-            known = solution[channel.name]
-            for order in range(3):
-                entry = (array.names.index(f"{kind}.{channel.name}"), order)
-                if entry in array.unknowns:
-                    guess[array.places([entry])[0]] = known
-                known = np.gradient(known, t)
+    for k, (j, order) in enumerate(array.unknowns):
+        kind, _, name = array.names[j].partition(".")
+        if kind != "lam" and order < 3 and name in solution:
+            guess[k] = solution[name]
+            for _ in range(order):
+                guess[k] = np.gradient(guess[k], t)
     return unknowns_from(problem, t, guess)
 
 

@@ -26,7 +26,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
 from servocore.stepping.exact_evaluation import along_path
-from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.derivative_array import DerivativeArray, in_variables
 
 HIDDEN = "limit "
 """Prefix of the names of observables that only limits need."""
@@ -94,11 +94,8 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """
     if not motion.problem.motion_limits:
         return np.zeros((0, len(motion.t if t is None else t)))
-    watched = watched_limits(motion.problem)
-    if t is None:
-        values = watched.values(motion.problem, motion.t, motion.states)
-    else:
-        values = watched.values(motion.problem, t, motion.at(t))
+    watched, at = watched_limits(motion.problem), (motion.t, motion.states) if t is None else (t, motion.at(t))
+    values = watched.values(motion.problem, *at)
     angles = np.array(watched.wraps, dtype=bool)
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
@@ -207,19 +204,15 @@ def limited_expressions(
     """
     array, system = resolved.array, resolved.system
     y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
-    n = len(system.coordinates)
-    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
-    values = ca.substitute([each for each, _ in expressions], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
-    marked = zip(values, expressions, strict=True)
-    return [time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in marked], y
+    known = [(in_variables(system, each, y), rate) for each, rate in expressions]
+    return [time_derivative(each, y, system.gamma) if rate else each for each, rate in known], y
 
 
-@dataclass(frozen=True, eq=False)
-class NextDerivatives:
-    """A derivative array differentiated once more: the new rows and unknowns.
+def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
+    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result.
 
-    Attributes
-    ----------
+    Returns
+    -------
     unknowns : casadi.SX, shape (variables,)
         The derivative of every variable that follows its last in the array.
     rows : casadi.SX, shape (variables,)
@@ -228,14 +221,6 @@ class NextDerivatives:
     function : casadi.Function
         (unknowns of the array, gamma, p) -> the new ones.
     """
-
-    unknowns: ca.SX
-    rows: ca.SX
-    function: ca.Function
-
-
-def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> NextDerivatives:
-    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result."""
     column, p = array.column(array.unknowns), array.system.p
     unknowns = ca.vertcat(*[y[j, k + 1] for j, k in dict(array.unknowns).items()])  # of each the highest comes last
     last = {i: row for row, (i, _) in enumerate(array.rows)}
@@ -244,7 +229,7 @@ def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> NextDeri
     matrix = ca.Function("sc_next", [column, gamma, p], linear, {"cse": True})
     given = [ca.MX.sym("given", *each.shape) for each in (column, gamma, p)]
     J, right = matrix(*given)
-    return NextDerivatives(unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")]))
+    return unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")])
 
 
 def _watching(
@@ -261,7 +246,8 @@ def _watching(
     state, G, p = (ca.MX.sym("x", *each.shape) for each in (column, gamma, system.p))
     known = ca.MX(0, 1)
     if beyond:
-        known = next_derivatives(array, y, gamma).function(state, G, p)[[j for j, _ in beyond]]
+        *_, following = next_derivatives(array, y, gamma)
+        known = following(state, G, p)[[j for j, _ in beyond]]
     return ca.Function("sc_watched", [state, G, p], [read(state, known, G, p)])
 
 

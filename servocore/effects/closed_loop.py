@@ -20,7 +20,6 @@ COARSEST = 0.02
 
 _STABLE = 1.0  # step times the fastest eigenvalue: the classical method is stable to 2.8
 _SMALLEST = 1e-5  # s: a plant that is stiffer is not run
-_CHUNK = 500  # steps in one call: one length of compiled loops serves all runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +83,9 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
     rates, output = driven(x, signal), seen(x, p)[: len(system.outputs)]
     jacobians = ca.jacobian(rates, x), ca.jacobian(rates, signal)[:, :m], ca.jacobian(output, x)
-    return Loop(
-        step=ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after]),
-        read=Call(read),
-        linear=Call(
-            ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(jacobian) for jacobian in jacobians])
-        ),
-        seen=seen,
-    )
+    step = ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after])
+    linear = ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(each) for each in jacobians])
+    return Loop(step, Call(read), Call(linear), seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +141,7 @@ def run_loop(
     model : Inverted
         Motion of a model along the same path.
     gains : ndarray, shape (2, m)
-        See `gains_of`.
+        See `Inverted.gains`.
     change : ndarray, shape (N, m), or float
         Of the inputs of the model, at its instants.
     hanging : tuple of str
@@ -238,13 +232,7 @@ def _sampled(t: Array, signals: Array, at: Array) -> Array:
 def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Array, Array], h: float) -> Array:
     """Return the states at the ends of all steps, shape (steps + 1, 2 n)."""
     steps = len(signals) // 2
-    blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1)
-    padded = np.concatenate([blocks, np.repeat(blocks[-1:], -steps % _CHUNK, axis=0)])
-    run, repeated = chained(loop.step, _CHUNK), [np.tile(argument[:, None], _CHUNK) for argument in held]
-    states, state = [start[:, None]], start
-    for k in range(0, len(padded), _CHUNK):
-        flat = padded[k : k + _CHUNK].reshape(3 * _CHUNK, -1).T
-        block = run(state, flat, *repeated, np.full(_CHUNK, h))[0].reshape(len(start), -1, order="F")
-        states.append(block)
-        state = block[:, -1]
-    return np.hstack(states)[:, : steps + 1].T
+    blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1).reshape(3 * steps, -1).T
+    repeated = [np.tile(argument[:, None], steps) for argument in held]
+    states = chained(loop.step, steps)(start, blocks, *repeated, np.full(steps, h))[0]
+    return np.vstack([start, states.reshape(len(start), -1, order="F").T])

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.effects.position_loops import PositionLoops, gains_of, measured_in
-from servocore.errors import InconsistentStart
+from servocore.checks.failure_causes import guessed_configuration
+from servocore.effects.position_loops import PositionLoops, measured_in
+from servocore.errors import InconsistentStart, InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
@@ -59,8 +60,27 @@ class Inverted:
         return np.column_stack([self.inputs, self.positions, self.rates])
 
     def gains(self, loops: PositionLoops | None) -> Array:
-        """Return the gains of position loops at the end, see `gains_of`."""
-        return gains_of(self.problem.system, self.measured, self.end, self.problem.p, loops)
+        """Return the gains of the drives at the end, shape (2, m): per unit of each position, and of its rate.
+
+        Parameters
+        ----------
+        loops : PositionLoops or None
+            Bandwidth and damping; zeros for None.
+        """
+        system = self.problem.system
+        _, y = measured_in(system, self.measured)
+        if loops is None:
+            return np.zeros((2, len(system.inputs)))
+        wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
+        matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(expression) for expression in wanted])
+        M, G, B, J = (np.asarray(matrix) for matrix in matrices(self.end, self.problem.p))
+        bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
+        mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
+        accelerations = np.diag(J @ mobility)  # acceleration of each position by its own input
+        for name, each in zip(self.measured, accelerations, strict=True):
+            if not abs(each) > 0.0:
+                raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
+        return np.stack([loops.bandwidth**2 / accelerations, 2 * loops.damping * loops.bandwidth / accelerations])
 
 
 def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverted:
@@ -142,10 +162,10 @@ def _equilibrium(problem: Problem, time: float) -> Array:
     """Return (q, lam, u) at rest with the output where the path is at a time."""
     import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    guess, balance = _statics(problem.resolved)
+    balance = _statics(problem.resolved)
     place, n = problem.reference.jet(time, 0)[0], len(problem.system.coordinates)
     unknowns = np.zeros(n + problem.system.lam.numel() + len(problem.system.inputs))
-    unknowns[:n] = guess(place, problem.p)[0]
+    unknowns[:n] = guessed_configuration(problem, time)
     # With no force in the rope the Jacobian would be singular: those are taken that hold the guess.
     residual, jacobian = balance(unknowns, place, problem.p)
     unknowns[n:] = np.linalg.lstsq(jacobian[:n, n:], -residual[:n])[0]
@@ -159,15 +179,11 @@ def _equilibrium(problem: Problem, time: float) -> Array:
 
 
 @made_once
-def _statics(resolved: ResolvedSystem) -> tuple[Call, Call]:
-    """Compile (place, p) -> guess of q, and ((q, lam, u), place, p) -> residual of the statics, Jacobian."""
+def _statics(resolved: ResolvedSystem) -> Call:
+    """Compile ((q, lam, u), place, p) -> residual of the statics, Jacobian."""
     system = resolved.system
     place, unknowns = system.gamma[:, 0], ca.vertcat(system.q, system.lam, system.u)
     forces = ca.substitute(system.bias, system.v, ca.SX.zeros(len(system.coordinates))) + system.constraint_forces
     rows = ca.vertcat(forces, system.constraints, system.output - place)
-    guess = ca.substitute(system.guess, ca.vec(system.gamma[:, 1:]), ca.SX.zeros(system.gamma[:, 1:].numel()))
     balance = [ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))]
-    return (
-        Call(ca.Function("sc_rest_guess", [place, system.p], [ca.densify(guess)])),
-        Call(ca.Function("sc_rest", [unknowns, place, system.p], balance)),
-    )
+    return Call(ca.Function("sc_rest", [unknowns, place, system.p], balance))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
 from servocore.errors import InvalidModel, require_positive
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array
 from servocore.stepping.observation import observed
 
 
@@ -71,37 +69,6 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
     if not is_position(system, column):
         raise InvalidModel(f"{system.name}: {', '.join(names)} are not all positions, which drives measure")
     return tuple(each for each, _ in expressions), column
-
-
-def gains_of(
-    system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, loops: PositionLoops | None
-) -> Array:
-    """Return the gains of drives at a configuration, shape (2, m): per unit of each position, and of its rate.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-        Where the drives feel their inertia.
-    names : tuple of str
-        Measured quantities, one an input.
-    q, p : ndarray
-        Configuration and parameter values.
-    loops : PositionLoops or None
-        Bandwidth and damping; zeros for None.
-    """
-    _, y = measured_in(system, names)
-    if loops is None:
-        return np.zeros((2, len(system.inputs)))
-    wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
-    matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(expression) for expression in wanted])
-    M, G, B, J = (np.asarray(matrix) for matrix in matrices(q, p))
-    bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
-    mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
-    accelerations = np.diag(J @ mobility)  # acceleration of each position by its own input
-    for name, each in zip(names, accelerations, strict=True):
-        if not abs(each) > 0.0:
-            raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
-    return np.stack([loops.bandwidth**2 / accelerations, 2 * loops.damping * loops.bandwidth / accelerations])
 
 
 def held(quantities: tuple[Quantity, ...], signal: ca.MX, position: ca.MX, rate: ca.MX, gains: ca.MX) -> ca.MX:

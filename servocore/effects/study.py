@@ -107,11 +107,9 @@ def effects(
         refused = row.how == REFUSED
         total += 0.0 if refused else row.error
         judged.insert(0, replace(row, needed=total > tolerance and not refused))
-    of_plant = (
-        "With the inputs alone"
-        if loops is None
-        else (f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}")
-    )
+    of_plant = "With the inputs alone"
+    if loops is not None:
+        of_plant = f"With drives of {loops.bandwidth:g} rad/s and damping {loops.damping:g}"
     return EffectsReport(scene, tuple(judged), float(tolerance), of_plant)
 
 

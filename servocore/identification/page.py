@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from html import escape
 
+from servocore.files import figure_file
 from servocore.identification.result import Identified
 from servocore.presentation import Curve, figure_of
 
@@ -67,7 +67,5 @@ def _figure(found: Identified) -> str:
         for label, values in (("measured", measured), ("by the model", measured - residual)):
             curves.append(Curve(quantity.name, quantity.unit, "", values, {"label": label}))
         curves.append(Curve(f"{quantity.name}, residual", quantity.unit, "", residual, {"color": "0.4"}))
-    stream = io.StringIO()
     figure = figure_of(found.residuals["time"][::every], curves, "inputs")
-    figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "<svg" + stream.getvalue().partition("<svg")[2]
+    return "<svg" + figure_file(figure, ".svg").decode().partition("<svg")[2]

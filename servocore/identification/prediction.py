@@ -165,11 +165,8 @@ def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tupl
     column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
     given = ca.vertcat(ca.vec(gamma), system.p[list(columns)])
     channels = read(column, gamma, system.p)
-    terms = ca.Function(
-        "sc_terms",
-        [column, gamma, system.p],
-        [channels, *(ca.jacobian(each, by) for each in (channels, array.residual) for by in (column, given))],
-    )
+    jacobians = (ca.jacobian(each, by) for each in (channels, array.residual) for by in (column, given))
+    terms = ca.Function("sc_terms", [column, gamma, system.p], [channels, *jacobians])
     symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
     values, by_unknowns, by_given, J, right = terms(*symbols)
     total = by_given - ca.mtimes(by_unknowns, ca.solve(J, right, "qr"))

@@ -177,9 +177,9 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[
     state = inversion(resolved.array).function(G[:, : array.reference_order + 1], p)[0]
     if {(c % y.size1(), c // y.size1()) for c in entries} <= set(array.unknowns):
         return column, array.residual, values, ca.Function("sc_lifted", [G, p], [state]), order
-    following = next_derivatives(array, y, gamma)
-    start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, following.function(state, G, p))])
-    return ca.vertcat(column, following.unknowns), ca.vertcat(array.residual, following.rows), values, start, order
+    unknowns, rows, following = next_derivatives(array, y, gamma)
+    start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, following(state, G, p))])
+    return ca.vertcat(column, unknowns), ca.vertcat(array.residual, rows), values, start, order
 
 
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:

@@ -21,6 +21,7 @@ from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula, Reference
 from servocore.stepping.observation import observed
+from servocore.structure.derivative_array import in_variables
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
 _FEW = 400  # instants: for so many the interpreter evaluates the path in less time than NumPy
@@ -237,9 +238,7 @@ def exact_quantities(resolved: ResolvedSystem, names: tuple[str, ...], native: b
 def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Function:
     """Compile (unknowns of the derivative array, gamma (m, reference_order + 1), p) -> expressions of the system."""
     array, system = resolved.array, resolved.system
-    n, y = len(system.coordinates), array.y
-    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
-    (values,) = ca.substitute([ca.vertcat(*expressions)], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
+    values = in_variables(system, ca.vertcat(*expressions), array.y)
     arguments = [array.column(array.unknowns), system.gamma[:, : array.reference_order + 1], system.p]
     return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
 
