@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,8 +25,6 @@ from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_evaluation, reading
 from servocore.stepping.observation import observed
-
-_Expression = TypeVar("_Expression", ca.SX, ca.MX)
 
 SWING = "swing"
 """The observable whose peak is reported beside those of the inputs, where a model has it."""
@@ -140,10 +138,7 @@ def _in_time(function: ca.Function) -> ca.Function:
 
     Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
     """
-    return _time_scaled(function, ca.SX) if function.is_a("SXFunction") else _time_scaled(function, ca.MX)
-
-
-def _time_scaled(function: ca.Function, kind: type[_Expression]) -> ca.Function:
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
     rate, powers = 1.0 / numbers[0], [kind(1.0)]
     for _ in range(gamma.size2() - 1):

@@ -39,18 +39,14 @@ def peaks(profile: Profile, order: int) -> Array:
     return largest
 
 
-def law_of(task: Task, profile: Profile, duration: float, intervals: int) -> Law:
-    """Return a law of one profile for all chains, on a grid."""
-    return _law_between(task.start, task.end, task.length, profile, duration, intervals)
-
-
 def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
     """Return a curve with the polynomial law in a duration, for pictures: nearly exact."""
-    law = _law_between(np.zeros(1), np.ones(1), length, smooth_polynomial(length), duration, _DRAWN)
+    law = law_between(np.zeros(1), np.ones(1), length, smooth_polynomial(length), duration, _DRAWN)
     return TimedPath.of(curve, law.path())
 
 
-def _law_between(start: Array, end: Array, length: int, profile: Profile, duration: float, intervals: int) -> Law:
+def law_between(start: Array, end: Array, length: int, profile: Profile, duration: float, intervals: int) -> Law:
+    """Return a law of one profile for all chains, on a grid."""
     jets = _jets(start, end, profile, length, intervals + 1) / duration ** np.arange(length + 1)[:, None]
     return sampled_law(jets.transpose(1, 2, 0), duration, length)
 
