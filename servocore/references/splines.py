@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
 from servocore.references.base import FloatArray, numbers_of, points, positive_time, times_of
-from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
+from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, joined, to_path
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 
@@ -98,12 +98,13 @@ def joined_legs(
     at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
     ends = [0, *_inner_stops(stops, len(table)), len(table) - 1]
     speeds = _speeds(velocities, table, ends, called)
+    speeds[ends] = np.nan  # the path rests there
     legs = []
     for first, last in pairwise(ends):
         leg = slice(first, last + 1)
-        known = 1 + np.flatnonzero(np.isfinite(speeds[leg][1:-1]).all(axis=1))
+        known = np.isfinite(speeds[leg]).all(axis=1)
         knots = np.sort(np.concatenate([interpolation_knots(at[leg], resting), at[leg][known]]))
-        spline = fit(at[leg], table[leg], knots, resting, Slopes(known, speeds[leg][known]))
+        spline = fit(at[leg], table[leg], knots, resting, speeds[leg])
         legs.append(to_path(spline, resting, None))
     return joined(legs)
 
@@ -124,7 +125,7 @@ def _speeds(
     """Return velocities (n, dimension), NaN where none is given; refuse those that move where the path rests."""
     if velocities is None:
         return np.full_like(waypoints, np.nan)
-    speeds = numbers_of(velocities, "the velocities of waypoints")
+    speeds = numbers_of(velocities, "the velocities of waypoints").copy()
     if speeds.shape != waypoints.shape or np.isinf(speeds).any():
         raise InvalidReference(
             f"{waypoints.shape} waypoints need as many finite velocities (NaN where any is right), not an array of"
@@ -340,8 +341,7 @@ def _refitted(
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(a - b, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(a - b, axis=1))
 
 
 def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:
