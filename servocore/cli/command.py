@@ -51,6 +51,12 @@ def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str =
     return field(metadata=declared, **{"default": about["default"]} if "default" in about else {})
 
 
+def given_options(group: Any) -> list[str]:
+    """Return the names of a group's options that are given."""
+    values = {each.metadata["flags"][0]: getattr(group, each.name) for each in fields(group)}
+    return [flag for flag, value in values.items() if value is not None and value is not False]
+
+
 class Argument(click.Argument):
     """A positional argument with a row in the help."""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
-from servocore.cli.command import option
+from servocore.cli.command import given_options, option
 from servocore.cli.kinds import (
     FILE,
     FILE_READ,
@@ -83,10 +84,7 @@ class Subject:
         ' motor_inertia = "0.012 kg m^2", ...',
     )  # fmt: skip
     model: str | None = option(
-        "--model",
-        kind=text("points"),
-        metavar="NAME",
-        help="Model of the scene. Default: the first, the smallest.",
+        "--model", kind=text("points"), metavar="NAME", help="Model of the scene. Default: the first, the smallest."
     )
     servo_output: tuple[str, ...] = option(
         "--servo-output", kind=text("tool0"), metavar="NAME", default=(),
@@ -167,7 +165,7 @@ class GivenPath:
 
     def options(self) -> list[str]:
         """Return the options that describe a path; raises `InvalidSetting` if they exclude each other."""
-        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) is not None]
+        given = given_options(self)
         if self.tolerance is not None:
             given.remove("--tolerance")
             if self.reference is None:
@@ -366,8 +364,5 @@ class Certified:
             return []
         from servocore.certificate.certify import certify, require_certified  # noqa: PLC0415 - few commands certify
 
-        if strict:
-            certificate = require_certified(subject, tolerance, model=model, warn=False)
-        else:
-            certificate = certify(subject, tolerance=tolerance, model=model)
-        return [f"  certificate: {certificate.summary}"]
+        prove = partial(require_certified, warn=False) if strict else certify
+        return [f"  certificate: {prove(subject, tolerance=tolerance, model=model).summary}"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import platform
-import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 
@@ -87,11 +86,6 @@ def summary(solution: Solution) -> list[str]:
     if fitting is not None and fitting.largest is not None:
         lines.append(f"  inputs: from path fitting about {fitting.largest:.1e} of their peaks, by {fitting.basis}")
     return lines
-
-
-def clocks() -> tuple[float, float]:
-    """Return processor time and wall-clock time, in s."""
-    return time.process_time(), time.perf_counter()
 
 
 def details(solution: Solution, seconds: Sequence[float]) -> list[str]:
