@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import Field, field, fields
+from dataclasses import field, fields
 from typing import Any, get_type_hints
 
 import click
@@ -87,8 +87,10 @@ class Command(click.Command):
         self.fixed, self.examples, self.function = dict(fixed or {}), tuple(examples), function
         self.sections: dict[str, list[click.Parameter]] = {}
         for group in self.groups.values():
-            offered = [_parameter(each) for each in fields(group) if each.name not in self.fixed]
-            self.sections.setdefault(group.title, []).extend(offered)
+            for each in (each for each in fields(group) if each.name not in self.fixed):
+                flags, about = each.metadata["flags"], each.metadata["about"]
+                parameter = (click.Option if flags else Argument)([each.name, *flags], **about)
+                self.sections.setdefault(group.title, []).append(parameter)
         params = [each for section in self.sections.values() for each in section]
         text = inspect.getdoc(function) or ""
         super().__init__(name, callback=self._run, params=params, help=text, short_help=text.partition("\n\n")[0])
@@ -174,9 +176,3 @@ def _continued(line: str, width: int) -> str:
             lines += ["     "]
         lines[-1] += f" {part}" if lines[-1].strip() or len(lines) > 1 else part
     return " \\\n".join(lines) + "\n"
-
-
-def _parameter(declared: Field[Any]) -> click.Parameter:
-    """Return the parameter of a field that `option` has declared."""
-    flags, about = declared.metadata["flags"], declared.metadata["about"]
-    return (click.Option if flags else Argument)([declared.name, *flags], **about)

@@ -53,11 +53,11 @@ def law_between(start: Array, end: Array, length: int, profile: Profile, duratio
 
 def shortest(task: Task, profile: Profile) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
-    coarse, fine = (partial(_kept, task, _jets_of(task, profile, count)) for count in _instants(task))
+    coarse, fine = (partial(_kept, task, _jets_of(task, profile, k)) for k in range(2))
     return shortest_kept(fine, coarse)
 
 
-def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] | None = None) -> float:
+def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool]) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none.
 
     A longer one may break a limit again, so that durations are tried from short to long.
@@ -66,19 +66,19 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
     ----------
     kept : callable
         Whether a law of a duration keeps all limits.
-    roughly : callable, optional
+    roughly : callable
         The same at less cost; False must be right.
     """
+
+    def both(duration: float) -> bool:
+        return roughly(duration) and kept(duration)
+
     longest = 1.0
-    while not kept(longest):
+    while not both(longest):
         longest *= 2.0
         if longest > LONGEST:
             return np.inf
-    return _first_kept(
-        lambda duration: (roughly is None or roughly(duration)) and kept(duration),
-        longest * _FACTOR ** np.arange(-_TRIED, 1),
-        _HALVINGS,
-    )
+    return _first_kept(both, longest * _FACTOR ** np.arange(-_TRIED, 1), _HALVINGS)
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
@@ -89,7 +89,7 @@ def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
             if ramp not in durations:
-                jets = _jets_of(task, three_phase(ramp), _instants(task)[0])
+                jets = _jets_of(task, three_phase(ramp), 0)
                 durations[ramp] = _first_kept(partial(_kept, task, jets), tried, _HALVINGS // 3)
         best = min(durations, key=lambda each: durations[each])
         reach = (high - low) / (_TRIED_RAMPS - 1)
@@ -107,12 +107,9 @@ def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[An
     return good
 
 
-def _instants(task: Task) -> tuple[int, int]:
-    return _SEARCHED_AT if task.inner.size else _LOOKED_AT
-
-
-def _jets_of(task: Task, profile: Profile, count: int) -> Array:
-    return _jets(task.start, task.end, profile, task.orders - 1, count)
+def _jets_of(task: Task, profile: Profile, fine: int) -> Array:
+    counts = _SEARCHED_AT if task.inner.size else _LOOKED_AT
+    return _jets(task.start, task.end, profile, task.orders - 1, counts[fine])
 
 
 def _jets(start: Array, end: Array, profile: Profile, order: int, count: int) -> Array:

@@ -212,21 +212,12 @@ def fewest_samples(rest_order: int = REST_ORDER) -> int:
     return 4 * (rest_order + 1)
 
 
-def _within(t: FloatArray, positions: FloatArray, free: Ends, allowed: float, doubt: float) -> PiecewisePolynomial:
-    """Return the path with the fewest knots within `allowed` of the samples, or through them, if it can be trusted."""
-    return _checked(
-        t, positions, _fewest_knots(t, positions, free, allowed) or _interpolation(t, positions, free), doubt
-    )
-
-
 def _tolerance_that_does(t: FloatArray, positions: FloatArray, free: Ends, doubt: float) -> float | None:
     """Return the least tolerance, in two digits, with which rough samples make a path; None if none is worth it."""
     if len(t) > _MANY_ROUGH:
         return None  # dozens of fits
-    extent, pieces = float(np.ptp(positions, axis=0).max()), 1 << max(len(t) // 3 - free.degree, 1).bit_length() - 1
-    while pieces:
-        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
-        pieces //= 2
+    extent = float(np.ptp(positions, axis=0).max())
+    for inner_knots in reversed([*_even_knots(t, max(len(t) // 3 - free.degree, 1))]):
         distance = float(_distance(fit(t, positions, inner_knots, free)(t), positions).max())
         digit = 10.0 ** (np.floor(np.log10(max(distance, 1e-300))) - 1.0)
         tolerance = float(np.ceil(distance / digit) * digit)
@@ -246,12 +237,15 @@ class _Fit(NamedTuple):
     inner_knots: FloatArray | None
 
 
+def _even_knots(t: FloatArray, most: int) -> Iterator[FloatArray]:
+    """Yield the inner knots of 1, 2, 4, ... pieces, at most so many: evenly chosen samples."""
+    for k in range(max(most, 0).bit_length()):
+        yield t[np.linspace(0, len(t) - 1, 2**k + 1).round().astype(int)[1:-1]]
+
+
 def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: float) -> _Fit | None:
     """Return the coarsest fit within `allowed` (m), preferably at rest at its ends, or None."""
-    pieces = 1
-    while pieces + free.degree <= len(t) // 3:
-        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
-        pieces *= 2
+    for inner_knots in _even_knots(t, len(t) // 3 - free.degree):
         if _surely_too_few(t, positions, inner_knots, free, allowed):
             continue
         fitted = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
@@ -308,8 +302,12 @@ def _half_fits(
         yield fit(t[kept], positions[kept], knots, ends)
 
 
-def _checked(t: FloatArray, positions: FloatArray, fitted: _Fit, share: float) -> PiecewisePolynomial:
-    """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
+def _within(t: FloatArray, positions: FloatArray, free: Ends, allowed: float, share: float) -> PiecewisePolynomial:
+    """Return the path with the fewest knots within `allowed` of the samples, or through them; see `sampled`.
+
+    It is trusted if fits to every second sample agree with it.
+    """
+    fitted = _fewest_knots(t, positions, free, allowed) or _interpolation(t, positions, free)
     order, near = fitted.ends.order, fitted.ends.degree + 1
     judged, halves = fitted.spline(t, nu=order), list(_half_fits(t, positions, fitted.ends, fitted.inner_knots))
     error = max(_distance(curve(t), positions).max() for curve in (fitted.spline, *halves))
