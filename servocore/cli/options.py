@@ -38,7 +38,7 @@ from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_drives, read_limits, read_parameters, read_table
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.references.base import Reference
+from servocore.references.base import LONGEST_TIME, Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
 from servocore.references.profiles import (
     TIME_LAWS,
@@ -54,8 +54,6 @@ from servocore.solvers.route import Adaptive
 
 MOST_ROWS = 1e7
 """Largest number of rows of a table: more are taken for a mistake, for they would fill the memory."""
-
-_LONGEST_DURATION = 1e9  # s; with a longer one the derivatives of a path are round-off
 
 
 def output(metavar: str, help: str, kind: Kind = FILE, default: Any = None) -> Any:  # noqa: A002
@@ -84,7 +82,10 @@ class Subject:
         ' motor_inertia = "0.012 kg m^2", ...',
     )  # fmt: skip
     model: str | None = option(
-        "--model", kind=text("points"), metavar="NAME", help="Model of the scene. Default: the first, the smallest."
+        "--model",
+        kind=text("points"),
+        metavar="NAME",
+        help="Model of the scene. Default: the first, the smallest.",
     )
     servo_output: tuple[str, ...] = option(
         "--servo-output", kind=text("tool0"), metavar="NAME", default=(),
@@ -223,10 +224,8 @@ class GivenPath:
     def _line(self, scene: Scene, model: str | None, rest_order: int) -> Reference:
         (first, last), duration, law = self.points(scene, model), self.duration, self.profile
         assert duration is not None
-        if duration > _LONGEST_DURATION:
-            raise InvalidReference(
-                f"the duration of {duration:g} s is longer than the limit of {_LONGEST_DURATION:g} s"
-            )
+        if duration > LONGEST_TIME:
+            raise InvalidReference(f"the duration of {duration:g} s is longer than the limit of {LONGEST_TIME:g} s")
         if law is None:
             fewest = 2 * rest_order + 1
             law = polynomial(next(degree for degree in (9, 13, fewest) if degree >= fewest))

@@ -254,14 +254,14 @@ def planned(
     PlanningFailed
         If no start leads to one, with the status of the solver from each.
     """
-    half, whole = (Transcription.of(task, count, scale) for count in (intervals // 2, intervals))
+    half, whole = (Transcription(task, count, scale) for count in (intervals // 2, intervals))
     free = np.zeros((len(task.upper), half.intervals * CHECKS)), np.full(len(task.totals), EXCESS)
     failures = []
     for doubled in (True, False):  # half as many intervals may be too few
         for name, start in begun:
             coarse = half.solve(start, *free, progress) if doubled else Outcome(start, SOLVED, 0)
-            outcome = _refined(whole, coarse, progress) if coarse.solved else coarse
-            if outcome.solved:
+            outcome = _refined(whole, coarse, progress) if coarse.status == SOLVED else coarse
+            if outcome.status == SOLVED:
                 return outcome, coarse.law.duration if doubled else np.nan, name
             failures += [f"{in_words(outcome.status)}, from the {name}"] if doubled else []
     raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
@@ -270,7 +270,7 @@ def planned(
 def _refined(whole: Transcription, found: Outcome, progress: Callable[[str], None]) -> Outcome:
     """Solve on a grid twice as fine, and on still finer ones where limits stay broken between the points."""
     for doubled in range(_REFINEMENTS + 1):
-        finer = Transcription.of(whole.task, whole.intervals * 2**doubled, whole.scale) if doubled else whole
+        finer = Transcription(whole.task, whole.intervals * 2**doubled, whole.scale) if doubled else whole
         found = _tightened(finer, found, progress)
         if found.status != _BETWEEN:
             break
@@ -288,7 +288,7 @@ def _tightened(program: Transcription, found: Outcome, progress: Callable[[str],
         outcome = program.solve(law, narrowed, less, progress)
         law, iterations = outcome.law, iterations + outcome.iterations
         outcome = replace(outcome, iterations=iterations, rounds=rounds)
-        if not outcome.solved:
+        if outcome.status != SOLVED:
             return outcome
         parts = np.linspace(0.0, 1.0, finer * m + 1)
         jets = law.jets(parts)

@@ -143,17 +143,11 @@ class Outcome:
     iterations: int
     rounds: int = 0
 
-    @property
-    def solved(self) -> bool:
-        """Whether the solver reports success."""
-        return self.status == SOLVED
 
-
-@dataclass(frozen=True, eq=False)
 class Transcription:
-    """A task on a grid.
+    """A task on a grid, as a program for the solver.
 
-    Attributes
+    Parameters
     ----------
     task : Task
         Boundary conditions and limits of the law.
@@ -163,19 +157,13 @@ class Transcription:
         T0, in s.
     """
 
-    task: Task
-    intervals: int
-    scale: float
-    _solver: ca.Function
-    _sizes: Array
-
-    @classmethod
-    def of(cls, task: Task, intervals: int, scale: float) -> Transcription:
-        """Write the program down."""
+    def __init__(self, task: Task, intervals: int, scale: float) -> None:
+        self.task, self.intervals, self.scale = task, intervals, scale
+        self._scales = task.peaks / scale ** np.arange(task.length + 1)[:, None]  # of states and snaps, (K + 1, C)
         typical = Law(scale, task.start, task.end, np.zeros((_SAMPLES + 1, len(task.start))), task.length)
-        sizes = task.scales(_looked_at(task, typical.resting(), _SAMPLES))
-        solver = ca.nlpsol("sc_plan", "ipopt", _program(task, intervals, scale, sizes), _OPTIONS)
-        return cls(task, intervals, scale, solver, sizes[0])
+        self._sizes, of_equations = task.scales(_looked_at(task, typical.resting(), _SAMPLES))
+        program = _program(task, intervals, scale, self._scales, self._sizes, of_equations)
+        self._solver = ca.nlpsol("sc_plan", "ipopt", program, _OPTIONS)
 
     def solve(self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None]) -> Outcome:
         """Solve from a law.
@@ -209,14 +197,9 @@ class Transcription:
         law = self._unpacked(np.asarray(result["x"]).ravel())
         return Outcome(law, str(statistics["return_status"]), int(statistics["iter_count"]))
 
-    def _scales(self) -> Array:
-        """Return the scales of states and snaps, shape (K + 1, C)."""
-        orders = np.arange(self.task.length + 1)[:, None]
-        return self.task.peaks / self.scale**orders
-
     def _packed(self, law: Law) -> Array:
         states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
-        path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
+        path = np.append((states / self._scales[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
         inner = self.task.unknowns(_looked_at(self.task, law, CHECKS)) / self._sizes[:, None]
         return np.append(path, np.nan_to_num(inner).ravel(order="F"))
 
@@ -224,7 +207,7 @@ class Transcription:
         task = self.task
         size = (self.intervals + 1) * len(task.start) * (task.length + 1)
         table = unknowns[:size].reshape(self.intervals + 1, len(task.start), task.length + 1)
-        snaps = table[:, :, -1] * self._scales()[-1]
+        snaps = table[:, :, -1] * self._scales[-1]
         return Law(float(unknowns[size]) * self.scale, task.start, task.end, snaps, task.length).resting()
 
     def _bounds(self) -> tuple[Array, Array]:
@@ -235,7 +218,7 @@ class Transcription:
         high = np.full_like(low, np.inf)
         for knot, place in ((0, task.start), (-1, task.end)):
             low[knot] = high[knot] = 0.0
-            low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
+            low[knot, :, 0] = high[knot, :, 0] = place / self._scales[0]
         inner = np.full(self.intervals * CHECKS * task.inner.size, np.inf)
         return np.concatenate([low.ravel(), [_SHORTEST], -inner]), np.concatenate([high.ravel(), [_LONGEST], inner])
 
@@ -245,19 +228,20 @@ def _looked_at(task: Task, law: Law, checks: int) -> Array:
     return law.jets(np.arange(checks) / checks)[:, : task.orders]
 
 
-def _program(task: Task, intervals: int, scale: float, sizes: tuple[Array, Array]) -> dict[str, ca.MX]:
-    """Return x, f, g of the program for CasADi's solvers; `sizes` divide inner unknowns and their equations."""
+def _program(
+    task: Task, intervals: int, scale: float, scales: Array, of_unknowns: Array, of_equations: Array
+) -> dict[str, ca.MX]:
+    """Return x, f, g of the program for CasADi's solvers; sizes divide inner unknowns and their equations."""
     C, K = len(task.start), task.length
-    scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
     left, right, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
-    begin, end = (ca.reshape(knot * scales, K + 1, C).T for knot in (left, right))  # (C, K + 1)
+    begin, end = (ca.reshape(knot * scales.T.ravel(), K + 1, C).T for knot in (left, right))  # (C, K + 1)
     states, u, change = [begin[:, d] for d in range(K)], begin[:, K], end[:, K] - begin[:, K]
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
-    defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
+    defect = (end[:, :K] - arrived) / ca.SX(scales[:K].T)
     step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
     rows, equations, size, added = [], [], task.inner.size, ca.SX.zeros(len(task.totals))
     inner = ca.SX.sym("inner", size * CHECKS)
-    unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in sizes)
+    unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in (of_unknowns, of_equations))
     for k in range(CHECKS):
         jets = ca.horzcat(*advanced(states, u, change, k / CHECKS, h)[: task.orders])
         limited, residual, integrands = task.inner.local(jets, inner[k * size : (k + 1) * size] * unknown_sizes)
