@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
@@ -35,8 +33,7 @@ def smooth_polynomial(length: int) -> PolynomialProfile:
 
 def peaks(profile: Profile, order: int) -> Array:
     """Return the largest derivatives 0 to `order` at duration one."""
-    largest: Array = np.abs(_jets(np.zeros(1), np.ones(1), profile, order, _FINE)[0]).max(axis=1)
-    return largest
+    return np.asarray(np.abs(_jets(np.zeros(1), np.ones(1), profile, order, _FINE)[0]).max(axis=1))
 
 
 def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
@@ -78,14 +75,14 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
         longest *= 2.0
         if longest > LONGEST:
             return np.inf
-    return _first_kept(both, longest * _FACTOR ** np.arange(-_TRIED, 1), _HALVINGS)
+    return _first_kept(both, (longest * _FACTOR ** np.arange(-_TRIED, 1)).tolist(), _HALVINGS)
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
     durations = dict[float, float]()
     low, high = _RAMPS
-    tried = near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)
+    tried = (near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)).tolist()
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
             if ramp not in durations:
@@ -97,9 +94,9 @@ def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     return shortest(task, three_phase(best)), best
 
 
-def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[Any]], halvings: int) -> float:
+def _first_kept(kept: Callable[[float], bool], tried: Sequence[float], halvings: int) -> float:
     """Return the first of some durations at which limits are kept, less what bisection saves; infinite without one."""
-    good = next((duration for duration in tried.tolist() if kept(duration)), np.inf)
+    good = next((duration for duration in tried if kept(duration)), np.inf)
     bad = good / _FACTOR
     for _ in range(halvings if good < np.inf else 0):
         middle = (bad + good) / 2.0
