@@ -69,9 +69,8 @@ def summary(solution: Solution) -> list[str]:
         if gaps.size:
             first = f"first at t = {solution.t[gaps[0]]:.6g} s"
             lines.append(f"  {name}: undefined in {len(gaps)} of {len(solution.t)} rows, {first}")
-    lines.append(
-        f"  ends: {_rest(path, problem.array.reference_order, [quantity.unit for quantity in system.outputs])}"
-    )
+    units = [quantity.unit for quantity in system.outputs]
+    lines.append(f"  ends: {_rest(path, problem.array.reference_order, units)}")
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
     if len(solution.t) > _MANY:

@@ -314,11 +314,9 @@ def along(reference: Reference) -> PiecewisePolynomial:
         raise InvalidReference("the path stays where it is: there is nothing to be passed through")
     moving = np.append(True, np.diff(way) > 0.0)
     way, t = way[moving], t[moving]
-    deviation = np.inf
     for count in _SAMPLES:
         at = np.interp(np.linspace(0.0, way[-1], count), way, t)
-        chosen = reference.jet(at, 0)[:, 0]
-        curve = _spline(chosen, np.interp(at, t, way), None)
+        curve = _spline(reference.jet(at, 0)[:, 0], np.interp(at, t, way), None)
         finer = np.interp(np.linspace(0.0, way[-1], 20 * count), way, t)
         s = np.interp(finer, t, way) / way[-1]
         deviation = float(_distance(curve, reference.jet(finer, 0)[:, 0], s).max()) / way[-1]

@@ -181,8 +181,7 @@ class Transcription:
         """
         progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
-        zeros = self.intervals * (self.task.length * len(self.task.start) + CHECKS * self.task.inner.size)
-        defects = np.zeros(zeros)
+        defects = np.zeros(self.intervals * (self.task.length * len(self.task.start) + CHECKS * self.task.inner.size))
         most = np.array([each.most for each in self.task.totals]) - less
         low = np.append((self.task.lower[:, None] + tightened).ravel(order="F"), np.full(len(most), -np.inf))
         high = np.append((self.task.upper[:, None] - tightened).ravel(order="F"), most)
