@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import Field, field, fields
+from dataclasses import field, fields
 from typing import Any, get_type_hints
 
 import click
@@ -51,6 +51,12 @@ def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str =
     return field(metadata=declared, **{"default": about["default"]} if "default" in about else {})
 
 
+def given_options(group: Any) -> list[str]:
+    """Return the names of a group's options that are given."""
+    values = {each.metadata["flags"][0]: getattr(group, each.name) for each in fields(group)}
+    return [flag for flag, value in values.items() if value is not None and value is not False]
+
+
 class Argument(click.Argument):
     """A positional argument with a row in the help."""
 
@@ -81,8 +87,10 @@ class Command(click.Command):
         self.fixed, self.examples, self.function = dict(fixed or {}), tuple(examples), function
         self.sections: dict[str, list[click.Parameter]] = {}
         for group in self.groups.values():
-            offered = [_parameter(each) for each in fields(group) if each.name not in self.fixed]
-            self.sections.setdefault(group.title, []).extend(offered)
+            for each in (each for each in fields(group) if each.name not in self.fixed):
+                flags, about = each.metadata["flags"], each.metadata["about"]
+                parameter = (click.Option if flags else Argument)([each.name, *flags], **about)
+                self.sections.setdefault(group.title, []).append(parameter)
         params = [each for section in self.sections.values() for each in section]
         text = inspect.getdoc(function) or ""
         super().__init__(name, callback=self._run, params=params, help=text, short_help=text.partition("\n\n")[0])
@@ -168,9 +176,3 @@ def _continued(line: str, width: int) -> str:
             lines += ["     "]
         lines[-1] += f" {part}" if lines[-1].strip() or len(lines) > 1 else part
     return " \\\n".join(lines) + "\n"
-
-
-def _parameter(declared: Field[Any]) -> click.Parameter:
-    """Return the parameter of a field that `option` has declared."""
-    flags, about = declared.metadata["flags"], declared.metadata["about"]
-    return (click.Option if flags else Argument)([declared.name, *flags], **about)

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from servocore.cli.command import option
+from servocore.cli.command import given_options, option
 from servocore.cli.console import PatientProgress
 from servocore.cli.kinds import COUNT, FILE, FILE_READ, FOLDER, Kind
 from servocore.cli.options import Certified, GivenPath, Platforms, Subject, output
@@ -80,11 +80,6 @@ class Component:
         """Return the rules of the hosts."""
         return HostRules(stdio=not self.no_stdio, internal_steps=self.max_internal_steps or HostRules.internal_steps)
 
-    def given(self) -> Mapping[str, object]:
-        """Return the options that are for FMUs only."""
-        return {"--fmi": self.fmi, "--about": self.about, "--no-stdio": self.no_stdio,
-                "--max-internal-steps": self.max_internal_steps}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Products:
@@ -105,19 +100,19 @@ class Products:
     plant: bool = option("--plant", help="Export the forward dynamics of the scene instead.")
     trajectory: bool = option("--trajectory", help="Export a trajectory generator for the scene instead.")
 
-    def require_consistent(self, path: GivenPath, of_fmu: Mapping[str, object]) -> None:
+    def require_consistent(self, path: GivenPath, component: Component, platforms: Platforms) -> None:
         """Raise `InvalidSetting` if options exclude each other, or there is nothing to write."""
         if self.plant and self.trajectory:
             raise InvalidSetting("--plant and --trajectory are separate FMUs: export one at a time")
         if path.options() and not (self.trajectory or self.cross_check):
             raise InvalidSetting(f"{path.options()[0]} belongs to --trajectory or --cross-check")
         other = "--plant" if self.plant else "--trajectory" if self.trajectory else ""
-        inverse = _first({"--c": self.c, "--wasm": self.wasm, "--cross-check": self.cross_check})
+        inverse = [flag for flag in ("--c", "--wasm", "--cross-check") if flag in given_options(self)]
         if inverse and other:
-            raise InvalidSetting(f"{inverse} is for inverse models: not with {other}")
-        named = _first({**of_fmu, "--cross-check": self.cross_check})
-        if self.output is None and named:
-            raise InvalidSetting(f"{named} belongs to an FMU: name it with -o FILE.fmu")
+            raise InvalidSetting(f"{inverse[0]} is for inverse models: not with {other}")
+        of_fmu = [*given_options(component), *given_options(platforms), *(["--cross-check"] * self.cross_check)]
+        if self.output is None and of_fmu:
+            raise InvalidSetting(f"{of_fmu[0]} belongs to an FMU: name it with -o FILE.fmu")
         if not (self.output or inverse):
             more = "" if other else ", a folder for C source with --c DIR, or a module with --wasm FILE"
             raise InvalidSetting(f"name the file to write with -o FILE.fmu{more}")
@@ -139,7 +134,7 @@ def export_scene(
     machine.
     """
     targets = platforms.targets
-    products.require_consistent(path, {**component.given(), "--targets": targets})
+    products.require_consistent(path, component, platforms)
     require_package("jinja2")
     file, fmi = products.output, NEWEST if component.fmi is None else component.fmi
     scene, model, kind = subject.chosen(), subject.model, ""
@@ -198,11 +193,6 @@ def _export_inverse(scene: Scene, products: Products, common: Mapping[str, Any])
             export_wasm(scene, made / wasm.name, model=model)
             results |= {place: (made / place.name).read_bytes() for place in (wasm, loader_beside(wasm))}
         write_together(results)
-
-
-def _first(options: Mapping[str, object]) -> str:
-    """Return the name of the first option that is given, empty without one."""
-    return next((name for name, value in options.items() if value), "")
 
 
 @dataclass(frozen=True)

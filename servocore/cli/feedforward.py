@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
+import time
 
 import numpy as np
 
 from servocore.checks.better_solutions import LARGEST_UNWARNED
 from servocore.cli.console import PatientProgress, ResultOfNoUse, deliver
 from servocore.cli.options import Certified, Computation, GivenLimits, GivenPath, Subject, Table
-from servocore.cli.run_summary import chosen_columns, clocks, details, summary, table_pieces
+from servocore.cli.run_summary import chosen_columns, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
@@ -44,13 +45,13 @@ def feed_forward(
     with PatientProgress("computing the inputs") as progress, np.errstate(all="ignore"):  # not finite is refused
         moved = path.along(scene.with_limits(**limits.bounds()), subject.model)
         how.require(moved.reference.duration)
-        began = clocks()
+        began = time.process_time(), time.perf_counter()
         with shortest_duration_told(moved, subject.model):
             solution = solve(
                 moved, how.formulation, how.method, step=accuracy, output_step=how.output_step, model=subject.model,
                 progress=progress,
             )  # fmt: skip
-        seconds = [end - begin for begin, end in zip(began, clocks(), strict=True)]
+        seconds = time.process_time() - began[0], time.perf_counter() - began[1]
         useless = None if isinstance(how.formulation, Reduced | None) else _far_off(moved, solution, subject.model)
         lines = [] if useless else [*summary(solution), *_certificate(certified, how, moved, subject.model, solution)]
         lines += details(solution, seconds) if table.verbose and not useless else []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,10 +50,6 @@ class Estimated:
             raise InvalidSetting("--estimate says which parameters: write it as in --estimate load_mass,*_friction")
         return _split(self.estimate)
 
-    def added(self) -> list[str]:
-        """Return the names of effects."""
-        return _split(self.effects or "")
-
     def believed(self) -> float:
         """Return the uncertainty as a fraction."""
         return UNCERTAINTY if self.uncertainty is None else quantity("--uncertainty", self.uncertainty, "1", "20%")
@@ -102,7 +97,7 @@ def identify_scene(subject: Subject, logs: Logs, estimated: Estimated) -> None:
     """
     if not logs.logs:
         raise InvalidSetting("identify needs a log: write it as in servocore identify rotary_crane log.csv")
-    scene = _with_effects(subject, estimated.added())
+    scene = _with_effects(subject, estimated)
     jobs = [GivenPath(reference=each).along(scene).reference for each in logs.job]
     with PatientProgress("identifying"):
         found = identify(
@@ -126,7 +121,7 @@ def excite_scene(subject: Subject, limits: GivenLimits, estimated: Estimated, ex
     The path starts and ends at rest; the limits are certified between instants, as of plans. The table compares
     predicted standard errors with those of the scene's own path.
     """
-    scene = _with_effects(subject, estimated.added())
+    scene = _with_effects(subject, estimated)
     with PatientProgress("searching"):
         path, report = excitation(
             scene, estimated.names(), limits.bounds(), duration=excited.duration, believed=estimated.believed(),
@@ -142,8 +137,8 @@ def _split(names: str) -> list[str]:
     return [name.strip() for name in names.split(",") if name.strip()]
 
 
-def _with_effects(subject: Subject, effects: Sequence[str]) -> Scene:
+def _with_effects(subject: Subject, estimated: Estimated) -> Scene:
     """Return the scene of a command with effects, and with the parameters of both."""
-    scene = subject.driven()
+    scene, effects = subject.driven(), _split(estimated.effects or "")
     scene = scene.with_effects(*effects) if effects else scene
     return scene.with_parameters(**subject.changes(scene))

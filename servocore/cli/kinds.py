@@ -149,8 +149,7 @@ def _point(text: str) -> tuple[float, ...]:
 def _names(text: str) -> dict[str, object]:
     if text.endswith(".toml") and "=" not in text:
         return read_table(Path(text))
-    ours, theirs = _assigned(text)
-    return {ours: theirs}
+    return dict([_assigned(text)])
 
 
 def _assigned(text: str) -> tuple[str, str]:

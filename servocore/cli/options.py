@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 from servocore.cli.choices import FORMULATIONS, METHODS
 from servocore.cli.chosen_scene import chosen_scene
-from servocore.cli.command import option
+from servocore.cli.command import given_options, option
 from servocore.cli.kinds import (
     FILE,
     FILE_READ,
@@ -37,7 +38,7 @@ from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_drives, read_limits, read_parameters, read_table
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.references.base import Reference
+from servocore.references.base import LONGEST_TIME, Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
 from servocore.references.profiles import (
     TIME_LAWS,
@@ -53,8 +54,6 @@ from servocore.solvers.route import Adaptive
 
 MOST_ROWS = 1e7
 """Largest number of rows of a table: more are taken for a mistake, for they would fill the memory."""
-
-_LONGEST_DURATION = 1e9  # s; with a longer one the derivatives of a path are round-off
 
 
 def output(metavar: str, help: str, kind: Kind = FILE, default: Any = None) -> Any:  # noqa: A002
@@ -167,7 +166,7 @@ class GivenPath:
 
     def options(self) -> list[str]:
         """Return the options that describe a path; raises `InvalidSetting` if they exclude each other."""
-        given = [each.metadata["flags"][0] for each in fields(self) if getattr(self, each.name) is not None]
+        given = given_options(self)
         if self.tolerance is not None:
             given.remove("--tolerance")
             if self.reference is None:
@@ -225,10 +224,8 @@ class GivenPath:
     def _line(self, scene: Scene, model: str | None, rest_order: int) -> Reference:
         (first, last), duration, law = self.points(scene, model), self.duration, self.profile
         assert duration is not None
-        if duration > _LONGEST_DURATION:
-            raise InvalidReference(
-                f"the duration of {duration:g} s is longer than the limit of {_LONGEST_DURATION:g} s"
-            )
+        if duration > LONGEST_TIME:
+            raise InvalidReference(f"the duration of {duration:g} s is longer than the limit of {LONGEST_TIME:g} s")
         if law is None:
             fewest = 2 * rest_order + 1
             law = polynomial(next(degree for degree in (9, 13, fewest) if degree >= fewest))
@@ -366,8 +363,5 @@ class Certified:
             return []
         from servocore.certificate.certify import certify, require_certified  # noqa: PLC0415 - few commands certify
 
-        if strict:
-            certificate = require_certified(subject, tolerance, model=model, warn=False)
-        else:
-            certificate = certify(subject, tolerance=tolerance, model=model)
-        return [f"  certificate: {certificate.summary}"]
+        prove = partial(require_certified, warn=False) if strict else certify
+        return [f"  certificate: {prove(subject, tolerance=tolerance, model=model).summary}"]

@@ -126,16 +126,12 @@ def _draw(axes: Axes, swept: Any, varied: Sequence[str], name: str) -> None:
         axes.clabel(lines, fontsize="small")
 
 
-def _order(name: str) -> tuple[int, str]:
-    """Return the sort key of a variable of a dataset: a store has no order."""
-    return (name.startswith("margin_") - name.startswith("peak_"), name)
-
-
 def _page(swept: Any, varied: Mapping[str, Any], title: str, first: str, picture: bytes, store: str) -> str:
     failures = swept.failure.to_numpy().ravel()
     reasons = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
     rows = []
-    for name in sorted(swept, key=_order):
+    # A store has no order.
+    for name in sorted(swept, key=lambda name: (name.startswith("margin_") - name.startswith("peak_"), name)):
         if name == "failure" or "instant" in swept[name].dims:
             continue
         values = swept[name].to_numpy()

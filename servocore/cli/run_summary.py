@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import platform
-import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 
@@ -70,9 +69,8 @@ def summary(solution: Solution) -> list[str]:
         if gaps.size:
             first = f"first at t = {solution.t[gaps[0]]:.6g} s"
             lines.append(f"  {name}: undefined in {len(gaps)} of {len(solution.t)} rows, {first}")
-    lines.append(
-        f"  ends: {_rest(path, problem.array.reference_order, [quantity.unit for quantity in system.outputs])}"
-    )
+    units = [quantity.unit for quantity in system.outputs]
+    lines.append(f"  ends: {_rest(path, problem.array.reference_order, units)}")
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
     if len(solution.t) > _MANY:
@@ -87,11 +85,6 @@ def summary(solution: Solution) -> list[str]:
     if fitting is not None and fitting.largest is not None:
         lines.append(f"  inputs: from path fitting about {fitting.largest:.1e} of their peaks, by {fitting.basis}")
     return lines
-
-
-def clocks() -> tuple[float, float]:
-    """Return processor time and wall-clock time, in s."""
-    return time.process_time(), time.perf_counter()
 
 
 def details(solution: Solution, seconds: Sequence[float]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 import numpy as np
@@ -61,22 +61,18 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     rows = limit_rows(problem, places[0])
     require_at_rest(rows, problem, places)
     jets = path.jet(t, rows.order)
-    at_instants_kept = partial(_kept, rows, problem.p, jets, path.duration)
     sums_kept = partial(_sums_kept, scene, problem, model)
-    duration = shortest_kept(lambda tried: at_instants_kept(tried) and sums_kept(tried), at_instants_kept)
+    duration = shortest_kept(sums_kept, partial(_kept, rows, problem.p, jets, path.duration))
     for _ in range(_MOST_BUMPS):
         if not math.isfinite(duration):
             break
         step = 10.0 ** (math.floor(math.log10(duration)) + 1 - _DIGITS)
         rounded = round(math.ceil(duration / step) * step, 12)
-        try:
+        with suppress(LimitBroken):  # between two instants of the grid
             ExactInversion(scene.with_reference(TimeScaled.to(path, rounded)), model)
-        except LimitBroken:  # between two instants of the grid
-            duration = rounded + 0.5 * step
-        else:
             if sums_kept(rounded):
                 return rounded
-            duration = rounded + 0.5 * step
+        duration = rounded + 0.5 * step
     raise PlanningFailed(f"{scene.name}: no duration was found at which the law keeps all limits")
 
 
@@ -86,17 +82,14 @@ def shortest_duration_told(scene: Scene, model: str | None = None) -> Iterator[N
     try:
         yield
     except LimitBroken as error:
-        raise LimitBroken(f"{error}; {_advice(scene, model)}") from None
-
-
-def _advice(scene: Scene, model: str | None) -> str:
-    try:
-        shortest = shortest_duration(scene, model)
-    except LimitBroken:
-        return "no duration helps, for a limit is broken even at rest somewhere on that path"
-    except ServocoreError:
-        return "no duration is known at which it is kept"
-    return f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
+        try:
+            shortest = shortest_duration(scene, model)
+            advice = f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
+        except LimitBroken:
+            advice = "no duration helps, for a limit is broken even at rest somewhere on that path"
+        except ServocoreError:
+            advice = "no duration is known at which it is kept"
+        raise LimitBroken(f"{error}; {advice}") from None
 
 
 def _kept(rows: Rows, p: Array, jets: Array, original: float, duration: float) -> bool:

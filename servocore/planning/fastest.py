@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from servocore.planning.tasks import (
     with_a_formula,
 )
 from servocore.planning.time_laws import LONGEST, shortest, shortest_three_phase, smooth_polynomial
-from servocore.planning.transcription import SOLVED, Outcome, Task, Transcription
+from servocore.planning.transcription import CHECKS, SOLVED, Outcome, Task, Transcription
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
@@ -117,7 +117,9 @@ def fastest(
         raise InvalidSetting(
             f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
         )
-    told = _told(progress)
+    if progress is not None:
+        require_callable(progress, "progress", "a function of a text")
+    told = progress or (lambda _: None)
     bounded = within_limits(scene, limits)
     if isinstance(path, Reference) and path.dimension == scene.reference.dimension:
         scene.with_reference(path)  # which refuses units that are implausible for the scene
@@ -126,8 +128,8 @@ def fastest(
     length = corners[0].array.reference_order + smooth
     quick = with_a_formula(bounded, corners, robust or {}, curve)
     task, begun, scale = _begun(bounded, curve, quick, length, free, intervals, told)
-    result = planned(task, begun, 1.02 * scale, intervals, told)
-    law = result.outcome.law.path()
+    outcome, coarse, start = planned(task, begun, 1.02 * scale, intervals, told)
+    law = outcome.law.path()
     reference = TimedPath.of(curve, law) if free is None else law
     clearance = np.inf if free is None else free.clearance(law, gravity_of(quick[0]))
     if free is not None and clearance < 0.0:
@@ -148,22 +150,14 @@ def fastest(
         three_phase=ramped,
         degree=2 * length + 1,
         limits=kept,
-        grid_error=result.coarse - reference.duration,
-        status=result.outcome.status,
-        iterations=result.iterations,
-        rounds=result.rounds,
-        start=result.start,
+        grid_error=coarse - reference.duration,
+        status=outcome.status,
+        iterations=outcome.iterations,
+        rounds=outcome.rounds,
+        start=start,
         deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )
-
-
-def _told(progress: Callable[[str], None] | None) -> Callable[[str], None]:
-    """Return what takes texts on the progress."""
-    if progress is None:
-        return lambda _: None
-    require_callable(progress, "progress", "a function of a text")
-    return progress
 
 
 def _begun(
@@ -228,21 +222,9 @@ EXCESS = 1e-4
 
 _ROUNDS = 8  # of solving and narrowing bounds, at the most
 _FINER, _FINEST = 10, 4800  # points of the finer grid between two of the program, and at least in all
-_CHECKS = 3  # points of an interval at which the program keeps the limits
 _REFINEMENTS = 2  # how often the grid is doubled
 _NARROWEST = 0.9  # of half the range
 _BETWEEN = "limits broken between the points of the grid"
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """A law that the solver and a finer grid agree about, and how it was found."""
-
-    outcome: Outcome
-    coarse: float
-    iterations: int
-    rounds: int
-    start: str
 
 
 def planned(
@@ -251,8 +233,8 @@ def planned(
     scale: float,
     intervals: int,
     progress: Callable[[str], None],
-) -> SearchResult:
-    """Return the fastest law for a task.
+) -> tuple[Outcome, float, str]:
+    """Return the fastest law for a task, its duration on half as many intervals, and the law that it began with.
 
     Parameters
     ----------
@@ -272,53 +254,49 @@ def planned(
     PlanningFailed
         If no start leads to one, with the status of the solver from each.
     """
-    half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
-    free = np.zeros((len(task.upper), half.intervals * _CHECKS)), np.full(len(task.totals), EXCESS)
+    half, whole = (Transcription(task, count, scale) for count in (intervals // 2, intervals))
+    free = np.zeros((len(task.upper), half.intervals * CHECKS)), np.full(len(task.totals), EXCESS)
     failures = []
     for doubled in (True, False):  # half as many intervals may be too few
         for name, start in begun:
             coarse = half.solve(start, *free, progress) if doubled else Outcome(start, SOLVED, 0)
-            outcome, iterations, rounds = coarse, 0, 0
-            if coarse.solved:
-                outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
-            if outcome.solved:
-                duration = coarse.law.duration if doubled else np.nan
-                return SearchResult(outcome, duration, coarse.iterations + iterations, rounds, name)
+            outcome = _refined(whole, coarse, progress) if coarse.status == SOLVED else coarse
+            if outcome.status == SOLVED:
+                return outcome, coarse.law.duration if doubled else np.nan, name
             failures += [f"{in_words(outcome.status)}, from the {name}"] if doubled else []
     raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
 
 
-def _refined(whole: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
-    """Solve, and go on on grids twice as fine where limits stay broken between the points."""
-    outcome, iterations, rounds = _tightened(whole, start, progress)
-    for doubled in range(1, _REFINEMENTS + 1):
-        if outcome.status != _BETWEEN:
+def _refined(whole: Transcription, found: Outcome, progress: Callable[[str], None]) -> Outcome:
+    """Solve on a grid twice as fine, and on still finer ones where limits stay broken between the points."""
+    for doubled in range(_REFINEMENTS + 1):
+        finer = Transcription(whole.task, whole.intervals * 2**doubled, whole.scale) if doubled else whole
+        found = _tightened(finer, found, progress)
+        if found.status != _BETWEEN:
             break
-        program = Transcription.of(whole.task, whole.intervals * 2**doubled, whole.checks, whole.scale)
-        outcome, more, again = _tightened(program, outcome.law.refined(), progress)
-        iterations, rounds = iterations + more, rounds + again
-    return outcome, iterations, rounds
+    return found
 
 
-def _tightened(program: Transcription, start: Law, progress: Callable[[str], None]) -> tuple[Outcome, int, int]:
-    """Solve, look on a finer grid, narrow bounds where something went beyond them, and solve again."""
-    task, m = program.task, program.checks
+def _tightened(program: Transcription, found: Outcome, progress: Callable[[str], None]) -> Outcome:
+    """Solve from a law on half as many intervals, narrow bounds where a finer grid is beyond them, and solve again."""
+    task, m = program.task, CHECKS
     finer = max(_FINER, -(-_FINEST // (program.intervals * m)))
     narrowed = np.zeros((len(task.upper), program.intervals * m))
     less = np.full(len(task.totals), EXCESS)
-    iterations, outcome = 0, Outcome(start, "not run", 0)
-    for rounds in range(_ROUNDS):
-        outcome = program.solve(start, narrowed, less, progress)
-        iterations += outcome.iterations
-        if not outcome.solved:
-            return outcome, iterations, rounds
+    law, iterations, begun = found.law.refined(), found.iterations, found.rounds
+    for rounds in range(begun, begun + _ROUNDS):
+        outcome = program.solve(law, narrowed, less, progress)
+        law, iterations = outcome.law, iterations + outcome.iterations
+        outcome = replace(outcome, iterations=iterations, rounds=rounds)
+        if outcome.status != SOLVED:
+            return outcome
         parts = np.linspace(0.0, 1.0, finer * m + 1)
-        jets = outcome.law.jets(parts)
+        jets = law.jets(parts)
         over = task.excess(jets).reshape(len(task.upper), program.intervals, len(parts))
         once = np.append(np.arange(jets.shape[2] - 1) % len(parts) < len(parts) - 1, True)  # ends of intervals
-        beyond = task.over_all(jets[:, :, once], outcome.law.duration)
+        beyond = task.over_all(jets[:, :, once], law.duration)
         if over.max(initial=0.0) <= EXCESS and beyond.max(initial=0.0) <= 0.0:
-            return outcome, iterations, rounds
+            return outcome
         spans = np.stack([over[:, :, finer * j : finer * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)
         after = spans.reshape(len(task.upper), -1)
         before = np.concatenate([np.zeros((len(task.upper), 1)), after[:, :-1]], axis=1)
@@ -326,5 +304,4 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
         # More would leave nothing between two bounds.
         narrowed = np.minimum(narrowed + np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0), _NARROWEST)
         less = less + np.maximum(1.05 * beyond, 0.0)
-        start = outcome.law
-    return replace(outcome, status=_BETWEEN), iterations, _ROUNDS
+    return Outcome(law, _BETWEEN, iterations, begun + _ROUNDS)

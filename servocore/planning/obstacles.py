@@ -276,8 +276,6 @@ def segment_distance(begin: Array, end: Array, distance: Distance) -> Array:
     """
     low, high = np.zeros((len(begin), 1)), np.ones((len(begin), 1))
     least = np.minimum(distance(begin), distance(end))
-    if np.array_equal(begin, end):
-        return least
     for _ in range(_SHRINKS):
         inner = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
         values = [distance(begin + fraction * (end - begin)) for fraction in inner]

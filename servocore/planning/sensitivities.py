@@ -67,8 +67,7 @@ class Sensitivities:
         known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:
             raise KeyError(f"{quantity}, {parameter}; there are {', '.join(known)} by {', '.join(self.parameters)}")
-        derivatives: Array = self.values[:, known.index(quantity), self.parameters.index(parameter)]
-        return derivatives
+        return np.asarray(self.values[:, known.index(quantity), self.parameters.index(parameter)])
 
     def table(self) -> str:
         """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass.

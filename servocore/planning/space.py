@@ -187,20 +187,15 @@ class Space:
 
         The rope lies along the load's acceleration less gravity, up to the trolley at height zero.
         """
-        last = load.shape[0] - 1
-        place = [load[k] for k in range(last + 1)]
         if not set(self.clearance_of) - {"load"}:
-            return [(_column(place), _column(place))] if self.clearance_of else []
-        slope = -place[last] / (gravity + acceleration[last])
-        trolley = _column([*(place[k] + slope * acceleration[k] for k in range(last)), 0.0 * place[last]])
-        segments = [(_column([0.0 * x for x in place]), trolley)] if "bridge" in self.clearance_of else []
+            return [(load, load)] if self.clearance_of else []
+        last = load.shape[0] - 1
+        trolley = load - load[last] / (gravity + acceleration[last]) * acceleration
+        trolley[last] = 0.0
+        segments = [(0.0 * load, trolley)] if "bridge" in self.clearance_of else []
         if "rope" in self.clearance_of:  # it ends at the load
-            return [(_column(place), trolley), *segments]
-        return [(_column(place), _column(place)), *segments] if "load" in self.clearance_of else segments
-
-
-def _column(rows: list[Any]) -> Any:
-    return ca.vertcat(*rows) if isinstance(rows[0], ca.SX) else np.stack(rows)
+            return [(load, trolley), *segments]
+        return [(load, load), *segments] if "load" in self.clearance_of else segments
 
 
 def _obstacle(text: str, dimension: int) -> Obstacle:

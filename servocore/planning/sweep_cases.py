@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,8 +25,6 @@ from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_evaluation, reading
 from servocore.stepping.observation import observed
-
-_Expression = TypeVar("_Expression", ca.SX, ca.MX)
 
 SWING = "swing"
 """The observable whose peak is reported beside those of the inputs, where a model has it."""
@@ -140,10 +138,7 @@ def _in_time(function: ca.Function) -> ca.Function:
 
     Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
     """
-    return _time_scaled(function, ca.SX) if function.is_a("SXFunction") else _time_scaled(function, ca.MX)
-
-
-def _time_scaled(function: ca.Function, kind: type[_Expression]) -> ca.Function:
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
     rate, powers = 1.0 / numbers[0], [kind(1.0)]
     for _ in range(gamma.size2() - 1):
@@ -171,34 +166,31 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
 
     Inputs that are kept have shape (cases, N). Cases that are not solved at some instant hold NaN.
     """
-    functions, m, parts = _rebuilt(work), len(work.inputs), []
-    extremes = np.empty((len(cases.numbers), 2, functions.rows.function.numel_out(0)))
+    rows_of, extremes_at, by_newton = _rebuilt(work)
+    kept = len(work.inputs) if work.kept else 0
+    inputs = np.empty((len(cases.numbers), kept, next(iter(cases.jets.values())).shape[1]))
+    extremes = np.empty((len(cases.numbers), 2, rows_of.function.numel_out(0)))
     for path, jets in cases.jets.items():
         of_path = np.flatnonzero(cases.path == path)
         for some in np.split(of_path, range(_AT_ONCE, len(of_path), _AT_ONCE)):
-            if functions.extremes is not None:
-                extremes[some] = functions.extremes(jets, cases.numbers[some])[0]
+            if extremes_at is not None:
+                extremes[some] = extremes_at(jets, cases.numbers[some])[0]
                 continue
-            rows = _rows(functions, jets, cases.numbers[some])
+            rows = _rows(rows_of, by_newton, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
             for k, rms in work.of_run:
                 mean = np.trapezoid(rows[:, k], dx=1.0 / (rows.shape[2] - 1), axis=1)
                 value = np.sqrt(mean) if rms else mean * cases.numbers[some, 0] * cases.durations[path]
                 rows[:, k] = value[:, None]
             extremes[some] = extremes_of(rows)
-            parts.append((some, rows[:, :m]))
-    if functions.extremes is not None:
+            inputs[some] = rows[:, :kept]
+    if extremes_at is not None:
         for case in np.flatnonzero(~np.isfinite(extremes).all(axis=(1, 2))):
             jets = cases.jets[int(cases.path[case])]
-            extremes[case] = extremes_of(_rows(functions, jets, cases.numbers[case : case + 1]))[0]
+            extremes[case] = extremes_of(_rows(rows_of, by_newton, jets, cases.numbers[case : case + 1]))[0]
     answers = _told(work, extremes)
-    if work.kept:
-        inputs = np.empty((len(extremes), m, next(iter(cases.jets.values())).shape[1]))
-        for some, rows in parts:
-            inputs[some] = rows
-        inputs[answers["solved"] == 0.0] = np.nan
-        answers |= dict(zip(work.inputs, inputs.transpose(1, 0, 2), strict=True))
-    return answers
+    inputs[answers["solved"] == 0.0] = np.nan
+    return answers | dict(zip(work.inputs[:kept], inputs.transpose(1, 0, 2), strict=True))
 
 
 def _told(work: Work, extremes: Array) -> dict[str, Array]:
@@ -213,33 +205,24 @@ def _told(work: Work, extremes: Array) -> dict[str, Array]:
     return {**answers, "solved": solved.astype(float)}
 
 
-def _rows(functions: _Functions, jets: Array, numbers: Array) -> Array:
+def _rows(rows_of: Vectorized, by_newton: ca.Function, jets: Array, numbers: Array) -> Array:
     """Return all rows of cases of one path, shape (cases, rows, N)."""
-    rows = functions.rows(jets, numbers)[0]
+    rows = rows_of(jets, numbers)[0]
     if np.isfinite(rows.sum()):
         return rows
     left = np.asarray(~np.isfinite(rows).all(axis=1))
     for case in np.flatnonzero(left.any(axis=1)):
         at = np.flatnonzero(left[case])
-        gamma = jets.T[at].reshape(len(at), -1, functions.by_newton.size1_in(0))
-        rows[case][:, at] = at_instants(functions.by_newton, jets=gamma, p=numbers[case])[0]
+        gamma = jets.T[at].reshape(len(at), -1, by_newton.size1_in(0))
+        rows[case][:, at] = at_instants(by_newton, jets=gamma, p=numbers[case])[0]
     return rows
 
 
-@dataclass(frozen=True)
-class _Functions:
-    """The functions of a work: all rows, their extremes where nothing else is kept, and all rows by Newton's method."""
-
-    rows: Vectorized
-    extremes: Extremes | None
-    by_newton: ca.Function
-
-
 @made_once  # a process gets the same work with every block, and nothing else lives as long as it does
-def _rebuilt(work: Work) -> _Functions:
-    """Return the functions of a work: made once in every process."""
+def _rebuilt(work: Work) -> tuple[Vectorized, Extremes | None, ca.Function]:
+    """Return all rows, their extremes where nothing else is kept, and all rows by Newton's method."""
     by_expression, by_newton = (ca.Function.deserialize(text) for text in (work.by_expression, work.by_newton))
     how = (by_expression, (True, False))
     if work.kept or work.turns or work.of_run:
-        return _Functions(Vectorized(*how, work.native, work.title), None, by_newton)
-    return _Functions(Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), by_newton)
+        return Vectorized(*how, work.native, work.title), None, by_newton
+    return Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), by_newton

@@ -74,8 +74,7 @@ def varied(blank: Any, name: str, block: Slices) -> Array:
     part = blank[FAILURE][block]
     if name not in part.coords:
         return np.zeros(part.size)
-    values: Array = part.coords[name].broadcast_like(part).to_numpy().ravel()
-    return values
+    return np.asarray(part.coords[name].broadcast_like(part)).ravel()
 
 
 def _meaning(name: str, quantity: Quantity) -> str:

@@ -19,7 +19,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Inner, Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
-from servocore.planning.time_laws import law_of, peaks, polynomial_path, shortest, smooth_polynomial
+from servocore.planning.time_laws import law_between, peaks, polynomial_path, shortest, smooth_polynomial
 from servocore.planning.transcription import Task, Total, totals_of
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
@@ -198,12 +198,10 @@ def rope_is_depth(problem: Problem, places: Array) -> bool:
 def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:
     """Return laws to start from, the best first."""
     own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
+    tried = ((own, "", 1.02), (own, ", slow", 3.0), (three_phase(), "", 1.5), (far, "", 1.02), (own, ", fast", 0.5))
     return [
-        (f"{own.name} law", law_of(task, own, 1.02 * polynomial, intervals)),
-        (f"{own.name} law, slow", law_of(task, own, 3.0 * polynomial, intervals)),
-        ("three-phase law", law_of(task, three_phase(), 1.5 * polynomial, intervals)),
-        (f"{far.name} law", law_of(task, far, 1.02 * polynomial, intervals)),
-        (f"{own.name} law, fast", law_of(task, own, 0.5 * polynomial, intervals)),
+        (f"{law.name} law{pace}", law_between(task.start, task.end, task.length, law, share * polynomial, intervals))
+        for law, pace, share in tried
     ]
 
 
@@ -294,7 +292,7 @@ def through_points(waypoints: Array) -> PiecewisePolynomial:
         factors: Array = np.linalg.solve(np.vander(u, increasing=True), waypoints).astype(np.float64)
         return _curve(np.array([0.0, 1.0]), factors[None])
     natural = [(order, np.zeros(waypoints.shape[1])) for order in (4, 5, 6)]
-    return _spline(waypoints, chords, (natural, natural))
+    return _spline(waypoints, np.append(0.0, np.cumsum(chords)), (natural, natural))
 
 
 def along(reference: Reference) -> PiecewisePolynomial:
@@ -316,11 +314,9 @@ def along(reference: Reference) -> PiecewisePolynomial:
         raise InvalidReference("the path stays where it is: there is nothing to be passed through")
     moving = np.append(True, np.diff(way) > 0.0)
     way, t = way[moving], t[moving]
-    deviation = np.inf
     for count in _SAMPLES:
         at = np.interp(np.linspace(0.0, way[-1], count), way, t)
-        chosen = reference.jet(at, 0)[:, 0]
-        curve = _spline(chosen, np.interp(at, t, way), None)
+        curve = _spline(reference.jet(at, 0)[:, 0], np.interp(at, t, way), None)
         finer = np.interp(np.linspace(0.0, way[-1], 20 * count), way, t)
         s = np.interp(finer, t, way) / way[-1]
         deviation = float(_distance(curve, reference.jet(finer, 0)[:, 0], s).max()) / way[-1]
@@ -343,11 +339,10 @@ def _distance(curve: PiecewisePolynomial, places: Array, s: Array) -> Array:
     return np.asarray(np.linalg.norm(places - curve.jet(np.clip(s, 0.0, 1.0), 0)[:, 0], axis=1))
 
 
-def _spline(points: Array, chords: Array, ends: Any) -> PiecewisePolynomial:
-    """Interpolate points; `chords` are the distances between them, or the ways to them."""
+def _spline(points: Array, s: Array, ends: Any) -> PiecewisePolynomial:
+    """Interpolate points; `s` are the ways to them."""
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - the library is imported where SciPy is not
 
-    s = np.append(0.0, np.cumsum(chords)) if len(chords) < len(points) else chords
     spline = make_interp_spline(s / s[-1], points, k=_DEGREE, bc_type=ends)
     return _curve(*pieces_of(spline))
 

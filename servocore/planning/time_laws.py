@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import Law, sampled_law
@@ -35,33 +33,28 @@ def smooth_polynomial(length: int) -> PolynomialProfile:
 
 def peaks(profile: Profile, order: int) -> Array:
     """Return the largest derivatives 0 to `order` at duration one."""
-    largest: Array = np.abs(_jets(np.zeros(1), np.ones(1), profile, order, _FINE)[0]).max(axis=1)
-    return largest
-
-
-def law_of(task: Task, profile: Profile, duration: float, intervals: int) -> Law:
-    """Return a law of one profile for all chains, on a grid."""
-    return _law_between(task.start, task.end, task.length, profile, duration, intervals)
+    return np.asarray(np.abs(_jets(np.zeros(1), np.ones(1), profile, order, _FINE)[0]).max(axis=1))
 
 
 def polynomial_path(curve: PiecewisePolynomial, duration: float, length: int) -> TimedPath:
     """Return a curve with the polynomial law in a duration, for pictures: nearly exact."""
-    law = _law_between(np.zeros(1), np.ones(1), length, smooth_polynomial(length), duration, _DRAWN)
+    law = law_between(np.zeros(1), np.ones(1), length, smooth_polynomial(length), duration, _DRAWN)
     return TimedPath.of(curve, law.path())
 
 
-def _law_between(start: Array, end: Array, length: int, profile: Profile, duration: float, intervals: int) -> Law:
+def law_between(start: Array, end: Array, length: int, profile: Profile, duration: float, intervals: int) -> Law:
+    """Return a law of one profile for all chains, on a grid."""
     jets = _jets(start, end, profile, length, intervals + 1) / duration ** np.arange(length + 1)[:, None]
     return sampled_law(jets.transpose(1, 2, 0), duration, length)
 
 
 def shortest(task: Task, profile: Profile) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
-    coarse, fine = (partial(_kept, task, _jets_of(task, profile, count)) for count in _instants(task))
+    coarse, fine = (partial(_kept, task, _jets_of(task, profile, k)) for k in range(2))
     return shortest_kept(fine, coarse)
 
 
-def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] | None = None) -> float:
+def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool]) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none.
 
     A longer one may break a limit again, so that durations are tried from short to long.
@@ -70,30 +63,30 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
     ----------
     kept : callable
         Whether a law of a duration keeps all limits.
-    roughly : callable, optional
+    roughly : callable
         The same at less cost; False must be right.
     """
+
+    def both(duration: float) -> bool:
+        return roughly(duration) and kept(duration)
+
     longest = 1.0
-    while not kept(longest):
+    while not both(longest):
         longest *= 2.0
         if longest > LONGEST:
             return np.inf
-    return _first_kept(
-        lambda duration: (roughly is None or roughly(duration)) and kept(duration),
-        longest * _FACTOR ** np.arange(-_TRIED, 1),
-        _HALVINGS,
-    )
+    return _first_kept(both, (longest * _FACTOR ** np.arange(-_TRIED, 1)).tolist(), _HALVINGS)
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
     durations = dict[float, float]()
     low, high = _RAMPS
-    tried = near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)
+    tried = (near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8)).tolist()
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
             if ramp not in durations:
-                jets = _jets_of(task, three_phase(ramp), _instants(task)[0])
+                jets = _jets_of(task, three_phase(ramp), 0)
                 durations[ramp] = _first_kept(partial(_kept, task, jets), tried, _HALVINGS // 3)
         best = min(durations, key=lambda each: durations[each])
         reach = (high - low) / (_TRIED_RAMPS - 1)
@@ -101,9 +94,9 @@ def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     return shortest(task, three_phase(best)), best
 
 
-def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[Any]], halvings: int) -> float:
+def _first_kept(kept: Callable[[float], bool], tried: Sequence[float], halvings: int) -> float:
     """Return the first of some durations at which limits are kept, less what bisection saves; infinite without one."""
-    good = next((duration for duration in tried.tolist() if kept(duration)), np.inf)
+    good = next((duration for duration in tried if kept(duration)), np.inf)
     bad = good / _FACTOR
     for _ in range(halvings if good < np.inf else 0):
         middle = (bad + good) / 2.0
@@ -111,12 +104,9 @@ def _first_kept(kept: Callable[[float], bool], tried: npt.NDArray[np.floating[An
     return good
 
 
-def _instants(task: Task) -> tuple[int, int]:
-    return _SEARCHED_AT if task.inner.size else _LOOKED_AT
-
-
-def _jets_of(task: Task, profile: Profile, count: int) -> Array:
-    return _jets(task.start, task.end, profile, task.orders - 1, count)
+def _jets_of(task: Task, profile: Profile, fine: int) -> Array:
+    counts = _SEARCHED_AT if task.inner.size else _LOOKED_AT
+    return _jets(task.start, task.end, profile, task.orders - 1, counts[fine])
 
 
 def _jets(start: Array, end: Array, profile: Profile, order: int, count: int) -> Array:

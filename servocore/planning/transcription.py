@@ -25,11 +25,15 @@ _OPTIONS = {
     "ipopt.sb": "yes",
     "ipopt.mu_strategy": "adaptive",
     "ipopt.tol": 1e-6,
+    "ipopt.max_iter": 300,
 }
 _SHORTEST, _LONGEST = 0.02, 50.0  # theta
 _SAMPLES = 12  # intervals of a law that says how large inner unknowns are
 _NOTHING = 1e-9  # an unknown that stays smaller has no size
 SOLVED = "Solve_Succeeded"
+
+CHECKS = 3
+"""Points of an interval at which the program keeps the limits."""
 
 
 class Total(NamedTuple):
@@ -132,52 +136,34 @@ def _at_each(function: ca.Function, jets: Array) -> list[Array]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of the solver: a law, its status, and its iterations."""
+    """The results of the solver: a law, its status, its iterations, and how often bounds were narrowed."""
 
     law: Law
     status: str
     iterations: int
-
-    @property
-    def solved(self) -> bool:
-        """Whether the solver reports success."""
-        return self.status == SOLVED
+    rounds: int = 0
 
 
-@dataclass(frozen=True, eq=False)
 class Transcription:
-    """A task on a grid.
+    """A task on a grid, as a program for the solver.
 
-    Attributes
+    Parameters
     ----------
     task : Task
         Boundary conditions and limits of the law.
-    intervals, checks : int
-        N, and how many points of each interval the rows are kept at.
+    intervals : int
+        N; the rows are kept at `CHECKS` points of each.
     scale : float
         T0, in s.
     """
 
-    task: Task
-    intervals: int
-    checks: int
-    scale: float
-    _solver: ca.Function
-    _sizes: Array
-
-    @classmethod
-    def of(cls, task: Task, intervals: int, checks: int, scale: float, iterations: int = 300) -> Transcription:
-        """Write the program down."""
+    def __init__(self, task: Task, intervals: int, scale: float) -> None:
+        self.task, self.intervals, self.scale = task, intervals, scale
+        self._scales = task.peaks / scale ** np.arange(task.length + 1)[:, None]  # of states and snaps, (K + 1, C)
         typical = Law(scale, task.start, task.end, np.zeros((_SAMPLES + 1, len(task.start))), task.length)
-        sizes = task.scales(_looked_at(task, typical.resting(), _SAMPLES))
-        problem = _program(task, intervals, checks, scale, sizes)
-        solver = ca.nlpsol("sc_plan", "ipopt", problem, {**_OPTIONS, "ipopt.max_iter": iterations})
-        return cls(task, intervals, checks, scale, solver, sizes[0])
-
-    @property
-    def parts(self) -> Array:
-        """Where in an interval the rows are kept."""
-        return np.arange(self.checks) / self.checks
+        self._sizes, of_equations = task.scales(_looked_at(task, typical.resting(), _SAMPLES))
+        program = _program(task, intervals, scale, self._scales, self._sizes, of_equations)
+        self._solver = ca.nlpsol("sc_plan", "ipopt", program, _OPTIONS)
 
     def solve(self, start: Law, tightened: Array, less: Array, progress: Callable[[str], None]) -> Outcome:
         """Solve from a law.
@@ -186,7 +172,7 @@ class Transcription:
         ----------
         start : Law
             On this grid.
-        tightened : ndarray, shape (rows, N * checks)
+        tightened : ndarray, shape (rows, N * CHECKS)
             By how much bounds are narrowed.
         less : ndarray, shape (totals,)
             By how much those of totals are.
@@ -195,8 +181,7 @@ class Transcription:
         """
         progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
-        zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * self.task.inner.size)
-        defects = np.zeros(zeros)
+        defects = np.zeros(self.intervals * (self.task.length * len(self.task.start) + CHECKS * self.task.inner.size))
         most = np.array([each.most for each in self.task.totals]) - less
         low = np.append((self.task.lower[:, None] + tightened).ravel(order="F"), np.full(len(most), -np.inf))
         high = np.append((self.task.upper[:, None] - tightened).ravel(order="F"), most)
@@ -211,22 +196,17 @@ class Transcription:
         law = self._unpacked(np.asarray(result["x"]).ravel())
         return Outcome(law, str(statistics["return_status"]), int(statistics["iter_count"]))
 
-    def _scales(self) -> Array:
-        """Return the scales of states and snaps, shape (K + 1, C)."""
-        orders = np.arange(self.task.length + 1)[:, None]
-        return self.task.peaks / self.scale**orders
-
     def _packed(self, law: Law) -> Array:
         states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
-        path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
-        inner = self.task.unknowns(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
+        path = np.append((states / self._scales[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
+        inner = self.task.unknowns(_looked_at(self.task, law, CHECKS)) / self._sizes[:, None]
         return np.append(path, np.nan_to_num(inner).ravel(order="F"))
 
     def _unpacked(self, unknowns: Array) -> Law:
         task = self.task
         size = (self.intervals + 1) * len(task.start) * (task.length + 1)
         table = unknowns[:size].reshape(self.intervals + 1, len(task.start), task.length + 1)
-        snaps = table[:, :, -1] * self._scales()[-1]
+        snaps = table[:, :, -1] * self._scales[-1]
         return Law(float(unknowns[size]) * self.scale, task.start, task.end, snaps, task.length).resting()
 
     def _bounds(self) -> tuple[Array, Array]:
@@ -237,39 +217,40 @@ class Transcription:
         high = np.full_like(low, np.inf)
         for knot, place in ((0, task.start), (-1, task.end)):
             low[knot] = high[knot] = 0.0
-            low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
-        inner = np.full(self.intervals * self.checks * task.inner.size, np.inf)
+            low[knot, :, 0] = high[knot, :, 0] = place / self._scales[0]
+        inner = np.full(self.intervals * CHECKS * task.inner.size, np.inf)
         return np.concatenate([low.ravel(), [_SHORTEST], -inner]), np.concatenate([high.ravel(), [_LONGEST], inner])
 
 
 def _looked_at(task: Task, law: Law, checks: int) -> Array:
-    """Return the jets (C, orders, N * checks) of a law at the points of its grid where rows are kept."""
+    """Return the jets (C, orders, N * CHECKS) of a law at the points of its grid where rows are kept."""
     return law.jets(np.arange(checks) / checks)[:, : task.orders]
 
 
-def _program(task: Task, intervals: int, checks: int, scale: float, sizes: tuple[Array, Array]) -> dict[str, ca.MX]:
-    """Return x, f, g of the program for CasADi's solvers; `sizes` divide inner unknowns and their equations."""
+def _program(
+    task: Task, intervals: int, scale: float, scales: Array, of_unknowns: Array, of_equations: Array
+) -> dict[str, ca.MX]:
+    """Return x, f, g of the program for CasADi's solvers; sizes divide inner unknowns and their equations."""
     C, K = len(task.start), task.length
-    scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
     left, right, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
-    begin, end = (ca.reshape(knot * scales, K + 1, C).T for knot in (left, right))  # (C, K + 1)
+    begin, end = (ca.reshape(knot * scales.T.ravel(), K + 1, C).T for knot in (left, right))  # (C, K + 1)
     states, u, change = [begin[:, d] for d in range(K)], begin[:, K], end[:, K] - begin[:, K]
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
-    defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
+    defect = (end[:, :K] - arrived) / ca.SX(scales[:K].T)
     step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
     rows, equations, size, added = [], [], task.inner.size, ca.SX.zeros(len(task.totals))
-    inner = ca.SX.sym("inner", size * checks)
-    unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in sizes)
-    for k in range(checks):
-        jets = ca.horzcat(*advanced(states, u, change, k / checks, h)[: task.orders])
+    inner = ca.SX.sym("inner", size * CHECKS)
+    unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in (of_unknowns, of_equations))
+    for k in range(CHECKS):
+        jets = ca.horzcat(*advanced(states, u, change, k / CHECKS, h)[: task.orders])
         limited, residual, integrands = task.inner.local(jets, inner[k * size : (k + 1) * size] * unknown_sizes)
         rows.append(limited)
-        added += integrands / checks
+        added += integrands / CHECKS
         equations.append(residual / equation_sizes)
     results = [ca.vertcat(*equations), ca.vertcat(*rows), added]
     local = ca.Function("sc_local", [left, right, h, inner], results, {"cse": True})
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
-    inside = ca.MX.sym("inside", size * checks, intervals)
+    inside = ca.MX.sym("inside", size * CHECKS, intervals)
     length = ca.repmat(theta * (scale / intervals), 1, intervals)
     arguments = knots[:, :-1], knots[:, 1:], length
     steps = step.map(intervals)(*arguments)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 PATIENCE = 60.0
@@ -105,10 +106,8 @@ class Cluster:
         from distributed import wait as first_of  # noqa: PLC0415 - an extra
 
         with self._connected():
-            finished = self._patiently(
-                lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED")
-            )
-            done: Collection[Any] = finished.done
+            first = self._patiently(partial(first_of, list(waiting), return_when="FIRST_COMPLETED"))
+            done: Collection[Any] = first.done
             return done
 
     def forget(self, waiting: Collection[Any]) -> None:
@@ -122,7 +121,7 @@ class Cluster:
 
         try:
             with self._connected():
-                return self._patiently(lambda wait: future.result(timeout=wait))
+                return self._patiently(future.result)
         except KilledWorker as error:
             raise _broken(error) from error
 
@@ -138,7 +137,7 @@ class Cluster:
                 raise
             raise PoolLost("the cluster's scheduler does not answer") from error
 
-    def _patiently(self, fetch: Callable[[float], Any]) -> Any:
+    def _patiently(self, fetch: Callable[..., Any]) -> Any:
         """Wait in intervals; a result of a worker that died before it was fetched is computed again.
 
         Raises
@@ -149,7 +148,7 @@ class Cluster:
         seen = time.monotonic()
         while True:
             try:
-                return fetch(PATIENCE / _LOOKS)
+                return fetch(timeout=PATIENCE / _LOOKS)
             except TimeoutError:
                 if self.client.ncores():
                     seen = time.monotonic()

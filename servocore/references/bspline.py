@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import factorial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidReference
 from servocore.references.base import FloatArray
@@ -89,23 +88,8 @@ def interpolation_knots(t: FloatArray, ends: Ends) -> FloatArray:
     return t[first : len(t) - last]
 
 
-class Slopes(NamedTuple):
-    """First derivatives that a spline shall have.
-
-    Attributes
-    ----------
-    rows : ndarray of int, shape (k,)
-        At which samples; their times are knots twice.
-    values : ndarray, shape (k, dimension)
-        In m/s.
-    """
-
-    rows: npt.NDArray[np.intp]
-    values: FloatArray
-
-
 def fit(
-    t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: Ends, slopes: Slopes | None = None
+    t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: Ends, speeds: FloatArray | None = None
 ) -> BSpline:
     """Least-squares spline, C^(degree - 1); an interpolating one if there are as many unknowns as samples.
 
@@ -124,8 +108,8 @@ def fit(
         Knots strictly between first and last sample.
     ends : Ends
         Which ends rest.
-    slopes : Slopes, optional
-        First derivatives to be met as well.
+    speeds : ndarray, shape (n, dimension), optional
+        First derivatives in m/s, to be met as well where they are no NaN: such times are inner knots twice.
 
     Returns
     -------
@@ -145,10 +129,10 @@ def fit(
     knots = np.concatenate([np.full(degree + 1, t[0]), inner_knots, np.full(degree + 1, t[-1])])
     spread = _spread(len(knots) - degree - 1, ends)
     matrix = BSpline.design_matrix(t, knots, degree) @ spread
-    if slopes is not None and len(slopes.rows):
-        rates = BSpline(knots, np.eye(len(knots) - degree - 1), degree)(t[slopes.rows], nu=1)
+    if speeds is not None and (known := np.isfinite(speeds).all(axis=1)).any():
+        rates = BSpline(knots, np.eye(len(knots) - degree - 1), degree)(t[known], nu=1)
         matrix = vstack([matrix, csc_array(rates @ spread)])
-        positions = np.concatenate([positions, slopes.values])
+        positions = np.concatenate([positions, speeds[known]])
     samples, unknowns = matrix.shape
     try:
         if samples == unknowns:
@@ -236,8 +220,6 @@ def pieces_of(spline: BSpline) -> tuple[FloatArray, FloatArray]:
 
 def joined(legs: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
     """Return one path of several, each of which starts at rest where and when the one before ends at rest."""
-    if len(legs) == 1:
-        return legs[0]
     return replace(
         legs[0],
         end_time=legs[-1].end_time,

@@ -40,9 +40,8 @@ def require_consistent(path: Reference) -> None:
     for k in range(min(order, path.smoothness + 1)):
         change = last[:, k] - first[:, k]
         off = np.abs(change - integrals[:, k + 1])
-        allowed = _WRONG * np.maximum(np.abs(change), sizes[:, k + 1]) + _ROUND_OFF * np.abs(slopes[:, :, k]).max(
-            axis=1
-        )
+        largest = np.abs(slopes[:, :, k]).max(axis=1)
+        allowed = _WRONG * np.maximum(np.abs(change), sizes[:, k + 1]) + _ROUND_OFF * largest
         wrong = off > allowed
         if (wrong.sum(axis=0) > _WINDOWS // 2).any():
             w, d = (int(place) for place in np.argwhere(wrong & (wrong.sum(axis=0) > _WINDOWS // 2))[0])

@@ -241,10 +241,9 @@ def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     if table.derivatives.shape[1] > 2:
         raise InvalidReference(f"{table.path}: waypoints have velocities at most, no accelerations")
     speeds = table.derivatives[:, 1] if table.derivatives.shape[1] > 1 else None
-    positions = table.derivatives[:, 0]
     try:
         path = joined_legs(
-            positions, table.t, None, rest_order, speeds, table.stops, lambda k: f"line {table.lines[k]}"
+            table.derivatives[:, 0], table.t, None, rest_order, speeds, table.stops, lambda k: f"line {table.lines[k]}"
         )
     except InvalidReference as error:
         raise InvalidReference(f"{table.path}: {error}") from None

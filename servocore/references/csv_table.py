@@ -330,9 +330,7 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             f"up to {names[-1]}{hint}"
         )
     values = []
-    for k, (cell, name) in enumerate(zip(cells, names, strict=True)):
-        if name == STOP and layout.stops:
-            continue
+    for k, (cell, name) in enumerate(zip(cells[: len(layout.factors)], names, strict=False)):
         if k == 0 and layout.clock:
             try:
                 values.append(layout.clock(cell))
@@ -343,10 +341,7 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             value = float(cell) if "_" not in cell else float("nan")  # only Python reads underscores
         except ValueError:
             value = float("nan")
-        if cell == "" and k >= layout.free:
-            values.append(value)
-            continue
-        if not np.isfinite(value):
+        if not np.isfinite(value) and (cell or k < layout.free):
             hint = "; digits are not grouped, and decimals follow a point" if "," in cell or "'" in cell else ""
             if k == 0 and _CLOCK.search(cell):
                 hint = f"; times are numbers of seconds, or dates such as {EXAMPLE}"

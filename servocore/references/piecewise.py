@@ -235,8 +235,7 @@ def _peaks(derivatives: FloatArray, duration: float) -> FloatArray:
     columns = np.abs(derivatives).max(axis=0)
     groups = columns.max(axis=1)
     least = NEGLIGIBLE * groups[0] / duration ** np.arange(len(groups)) + np.finfo(np.float64).tiny
-    whole: FloatArray = np.maximum(columns, np.maximum(MINOR * groups, least)[:, None])
-    return whole
+    return np.asarray(np.maximum(columns, np.maximum(MINOR * groups, least)[:, None]))
 
 
 def _resting_ends(derivatives: FloatArray, duration: float) -> tuple[FloatArray, tuple[bool, bool]]:

@@ -83,8 +83,7 @@ class Profile(ABC):
         ndarray, shape (N, order+1)
             s^(k) in 1/s^k.
         """
-        numbers = self.numbers(duration, order)
-        return np.stack(self.law(elapsed, remaining, numbers, order), axis=1)
+        return np.stack(self.law(elapsed, remaining, self.numbers(duration, order), order), axis=1)
 
     @abstractmethod
     def numbers(self, duration: Values, order: int) -> list[Values]:

@@ -21,6 +21,7 @@ from servocore.references.base import (
     most,
     points,
     positive_time,
+    where,
 )
 from servocore.references.profiles import DEGREE9, Profile
 
@@ -57,17 +58,9 @@ class RestToRest(Reference):
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         numbers = [self.start_time, self.end_time, *self.profile.numbers(self.duration, order)]
-        law, outside = _law(self.profile, t, numbers, order)
-        s = np.stack(law, axis=1)
-        s[outside, 1:] = 0.0
         first, last = np.array(self.start), np.array(self.end)
-        way = last - first
-        gamma: FloatArray = s[:, :, None] * way
-        gamma += 0.0  # turns -0.0 into 0.0
-        late = s[:, 0] > 0.5
-        gamma[~late, 0] += first
-        gamma[late, 0] = last - (1.0 - s[late, :1]) * way
-        return gamma
+        derivatives = _on_line(self.profile, t[:, None], (first, last, last - first), numbers, order)
+        return np.stack(derivatives, axis=1) + 0.0  # turns -0.0 into 0.0
 
     @property
     def formula(self) -> Formula:
@@ -79,20 +72,20 @@ class RestToRest(Reference):
             return [*ends, self.start_time, self.end_time, *profile.numbers(self.duration, order)]
 
         def jet(t: ca.SX, arguments: list[ca.SX], order: int) -> list[ca.SX]:
-            first, last, way = (ca.vertcat(*arguments[k * size : (k + 1) * size]) for k in range(3))
-            s, outside = _law(profile, t, arguments[3 * size :], order)
-            place = ca.if_else(s[0] > 0.5, last - (1.0 - s[0]) * way, s[0] * way + first)
-            return [place, *(ca.if_else(outside, 0.0, derivative) * way for derivative in s[1:])]
+            line = [ca.vertcat(*arguments[k * size : (k + 1) * size]) for k in range(3)]
+            return _on_line(profile, t, line, arguments[3 * size :], order)
 
         return Formula((type(self), profile, size), numbers, jet)
 
 
-def _law(profile: Profile, t: Values, numbers: list[Values], order: int) -> tuple[list[Values], Values]:
-    """Return s and its derivatives, and where the path rests; `numbers` are start, end and those of the profile."""
-    start, end, *law_numbers = numbers
-    duration = end - start
-    elapsed, remaining = (least(most(elapsed, 0.0), duration) for elapsed in (t - start, end - t))
-    return profile.law(elapsed, remaining, law_numbers, order), either(t < start, t >= end)
+def _on_line(profile: Profile, t: Values, line: Sequence[Values], numbers: list[Values], order: int) -> list[Values]:
+    """Return the place and its derivatives: `line` are its ends and the way, `numbers` the times and the profile's."""
+    (first, last, way), (start, end, *of_law) = line, numbers
+    elapsed, remaining = (least(most(elapsed, 0.0), end - start) for elapsed in (t - start, end - t))
+    s, *rates = profile.law(elapsed, remaining, of_law, order)
+    outside = either(t < start, t >= end)
+    place = where(s > 0.5, last - (1.0 - s) * way, s * way + first)
+    return [place, *(where(outside, 0.0, rate) * way for rate in rates)]
 
 
 def rest_to_rest(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidReference, require_real
 from servocore.references.base import FloatArray, numbers_of, points, positive_time, times_of
-from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
+from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, joined, to_path
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 
@@ -98,12 +98,13 @@ def joined_legs(
     at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
     ends = [0, *_inner_stops(stops, len(table)), len(table) - 1]
     speeds = _speeds(velocities, table, ends, called)
+    speeds[ends] = np.nan  # the path rests there
     legs = []
     for first, last in pairwise(ends):
         leg = slice(first, last + 1)
-        known = 1 + np.flatnonzero(np.isfinite(speeds[leg][1:-1]).all(axis=1))
+        known = np.isfinite(speeds[leg]).all(axis=1)
         knots = np.sort(np.concatenate([interpolation_knots(at[leg], resting), at[leg][known]]))
-        spline = fit(at[leg], table[leg], knots, resting, Slopes(known, speeds[leg][known]))
+        spline = fit(at[leg], table[leg], knots, resting, speeds[leg])
         legs.append(to_path(spline, resting, None))
     return joined(legs)
 
@@ -124,7 +125,7 @@ def _speeds(
     """Return velocities (n, dimension), NaN where none is given; refuse those that move where the path rests."""
     if velocities is None:
         return np.full_like(waypoints, np.nan)
-    speeds = numbers_of(velocities, "the velocities of waypoints")
+    speeds = numbers_of(velocities, "the velocities of waypoints").copy()
     if speeds.shape != waypoints.shape or np.isinf(speeds).any():
         raise InvalidReference(
             f"{waypoints.shape} waypoints need as many finite velocities (NaN where any is right), not an array of"
@@ -211,21 +212,12 @@ def fewest_samples(rest_order: int = REST_ORDER) -> int:
     return 4 * (rest_order + 1)
 
 
-def _within(t: FloatArray, positions: FloatArray, free: Ends, allowed: float, doubt: float) -> PiecewisePolynomial:
-    """Return the path with the fewest knots within `allowed` of the samples, or through them, if it can be trusted."""
-    return _checked(
-        t, positions, _fewest_knots(t, positions, free, allowed) or _interpolation(t, positions, free), doubt
-    )
-
-
 def _tolerance_that_does(t: FloatArray, positions: FloatArray, free: Ends, doubt: float) -> float | None:
     """Return the least tolerance, in two digits, with which rough samples make a path; None if none is worth it."""
     if len(t) > _MANY_ROUGH:
         return None  # dozens of fits
-    extent, pieces = float(np.ptp(positions, axis=0).max()), 1 << max(len(t) // 3 - free.degree, 1).bit_length() - 1
-    while pieces:
-        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
-        pieces //= 2
+    extent = float(np.ptp(positions, axis=0).max())
+    for inner_knots in reversed([*_even_knots(t, max(len(t) // 3 - free.degree, 1))]):
         distance = float(_distance(fit(t, positions, inner_knots, free)(t), positions).max())
         digit = 10.0 ** (np.floor(np.log10(max(distance, 1e-300))) - 1.0)
         tolerance = float(np.ceil(distance / digit) * digit)
@@ -245,12 +237,15 @@ class _Fit(NamedTuple):
     inner_knots: FloatArray | None
 
 
+def _even_knots(t: FloatArray, most: int) -> Iterator[FloatArray]:
+    """Yield the inner knots of 1, 2, 4, ... pieces, at most so many: evenly chosen samples."""
+    for k in range(max(most, 0).bit_length()):
+        yield t[np.linspace(0, len(t) - 1, 2**k + 1).round().astype(int)[1:-1]]
+
+
 def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: float) -> _Fit | None:
     """Return the coarsest fit within `allowed` (m), preferably at rest at its ends, or None."""
-    pieces = 1
-    while pieces + free.degree <= len(t) // 3:
-        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
-        pieces *= 2
+    for inner_knots in _even_knots(t, len(t) // 3 - free.degree):
         if _surely_too_few(t, positions, inner_knots, free, allowed):
             continue
         fitted = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
@@ -307,8 +302,12 @@ def _half_fits(
         yield fit(t[kept], positions[kept], knots, ends)
 
 
-def _checked(t: FloatArray, positions: FloatArray, fitted: _Fit, share: float) -> PiecewisePolynomial:
-    """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
+def _within(t: FloatArray, positions: FloatArray, free: Ends, allowed: float, share: float) -> PiecewisePolynomial:
+    """Return the path with the fewest knots within `allowed` of the samples, or through them; see `sampled`.
+
+    It is trusted if fits to every second sample agree with it.
+    """
+    fitted = _fewest_knots(t, positions, free, allowed) or _interpolation(t, positions, free)
     order, near = fitted.ends.order, fitted.ends.degree + 1
     judged, halves = fitted.spline(t, nu=order), list(_half_fits(t, positions, fitted.ends, fitted.inner_knots))
     error = max(_distance(curve(t), positions).max() for curve in (fitted.spline, *halves))
@@ -340,8 +339,7 @@ def _refitted(
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(a - b, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(a - b, axis=1))
 
 
 def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:

@@ -96,7 +96,27 @@ def chained(slopes: list[Any], inner: list[Any]) -> list[Any]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TimeScaled(Reference):
+class _MadeOf(Reference):
+    """A path made of another one, whose pieces it has."""
+
+    path: Reference
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the path."""
+        return self._own_times(self.path.stretches)
+
+    @property
+    def joints(self) -> FloatArray:
+        """Those of the path."""
+        return self._own_times(self.path.joints)
+
+    def _own_times(self, t: FloatArray) -> FloatArray:
+        return t
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeScaled(_MadeOf):
     """gamma(t) = path(t0 + (t - t0)/factor): `factor` times as long.
 
     Attributes
@@ -107,7 +127,6 @@ class TimeScaled(Reference):
         New duration divided by the original one; positive.
     """
 
-    path: Reference
     factor: float
 
     @classmethod
@@ -116,17 +135,7 @@ class TimeScaled(Reference):
         longer = {**path.common, "end_time": path.start_time + duration}
         return cls(**longer, path=path, factor=duration / path.duration)
 
-    @property
-    def stretches(self) -> FloatArray:
-        """Those of the path."""
-        return self._scaled(self.path.stretches)
-
-    @property
-    def joints(self) -> FloatArray:
-        """Those of the path."""
-        return self._scaled(self.path.joints)
-
-    def _scaled(self, t: FloatArray) -> FloatArray:
+    def _own_times(self, t: FloatArray) -> FloatArray:
         inner = self.start_time + (t[1:-1] - self.start_time) * self.factor
         return np.array([self.start_time, *inner, self.end_time])
 
@@ -142,7 +151,7 @@ class TimeScaled(Reference):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TimeAugmented(Reference):
+class TimeAugmented(_MadeOf):
     """(gamma(t), t): a path with the time below it, whose derivatives are 1, 0, 0, ...
 
     Attributes
@@ -151,22 +160,10 @@ class TimeAugmented(Reference):
         The path without the time.
     """
 
-    path: Reference
-
     @classmethod
     def of(cls, path: Reference) -> TimeAugmented:
         """Append the time to a path."""
         return cls(**{**path.common, "dimension": path.dimension + 1}, path=path)
-
-    @property
-    def stretches(self) -> FloatArray:
-        """Those of the path."""
-        return self.path.stretches
-
-    @property
-    def joints(self) -> FloatArray:
-        """Those of the path."""
-        return self.path.joints
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
         """Bound derivatives by those of the path, the time by its ends."""
