@@ -109,7 +109,9 @@ def wasm_module(scene: Scene, model: str | None = None) -> bytes:
     path = path_variables(problem.system.outputs, scene.tracked, orders, home)
     about = described(model_to_export, path, marched)
     compiled = _compiled(_source(model_to_export, inverting, marched, orders), model_to_export.title)
-    return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
+    # Engines ignore a custom section, and JavaScript can read it by its name.
+    described_by = _counted(SECTION.encode()) + json.dumps(about, separators=(",", ":")).encode()
+    return compiled + b"\0" + _counted(described_by)
 
 
 def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
@@ -130,12 +132,6 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
     }
 
 
-def custom_section(name: str, content: bytes) -> bytes:
-    """Return a custom section, which engines ignore and JavaScript can read by its name."""
-    body = _counted(name.encode()) + content
-    return b"\0" + _counted(body)
-
-
 def _counted(content: bytes) -> bytes:
     """Return bytes after their length in LEB128."""
     length, encoded = len(content), bytearray()
@@ -154,20 +150,13 @@ def _source(model: InverseModel, inverting: Mapping[str, ca.Function], marched: 
         functions |= marched.functions
     return rendered(
         "module.c.j2",
-        title=model.title,
-        model=model.model,
-        identifier=model.identifier,
-        components=model.components,
+        model=model,
+        marched=marched,
         orders=orders,
-        outputs=model.outputs,
-        limits=model.limits,
         functions=tuple(functions),
         has_quick="quick" in functions,
         inverts=bool(inverting),
         margins_once=margins_once,
-        marches=marched is not None,
-        instants=marched.instants if marched else (),
-        state_size=marched.state_size if marched else 0,
         scratch=scratch_of(functions.values()),
         mathematics_source=copied_in_one_place(checked_once(c_source("mathematics", functions.values())[1])),
     )
