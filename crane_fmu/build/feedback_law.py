@@ -44,6 +44,7 @@ from crane_fmu.build.sampling import (
     STATES,
     advance,
     continued,
+    dense,
     fastest_pendulum,
     flat_motion,
     forgotten,
@@ -174,7 +175,7 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     """Return (state, p) -> apparent mass of the load (kg), shape (3, 3)."""
     given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
     state = ca.vertcat(system.q, system.v)
-    return ca.Function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))], {"cse": True})
+    return dense("resisting", [state, system.p], [ca.inv(system.C @ given)])
 
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
@@ -194,7 +195,7 @@ def _weights(h: ca.SX, strain: ca.SX | float) -> ca.SX:
 def _inlined(name: str, rule: Callable[..., Sequence[ca.SX]], *given: ca.MX) -> Any:
     """Return the results of a function as one scalar expression, faster here than loops over two or three numbers."""
     symbols = [ca.SX.sym(f"i{k}", *each.shape) for k, each in enumerate(given)]
-    return ca.Function(name, symbols, [ca.densify(each) for each in rule(*symbols)], {"cse": True}).call(list(given))
+    return dense(name, symbols, rule(*symbols)).call(list(given))
 
 
 def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any, ...]:

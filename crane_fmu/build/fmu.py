@@ -43,7 +43,6 @@ PREFIX = "rotary_crane_"
 REAL_BINARY = "pythonfmu.so"
 """Name of PythonFMU's own binary, which `shim.c` loads in Python processes."""
 
-_TOOL = "servocore"
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
 
@@ -256,7 +255,7 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
     for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
         unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
     annotations = ET.Element("VendorAnnotations")
-    ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
+    ET.SubElement(ET.SubElement(annotations, "Tool", name="servocore"), "Build", dict(notes))
     root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
     return xml_document(root)
 

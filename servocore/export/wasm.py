@@ -71,8 +71,24 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     >>> sc.export_wasm(sc.scenes.rotary_crane(), "crane.wasm").name
     'crane.wasm'
     """
-    file = require_module(path)
-    write_together({file: wasm_module(scene, model), loader_beside(file): (SHARED / LOADER).read_bytes()})
+    file, exported = require_module(path), inverse_model(scene, model)
+    called = () if exported.state_size else _INVERTING
+    inverting = {name: each for name, each in exported.functions.items() if name in called}
+    problem = followed(Problem.of(scene, model))
+    try:
+        marched = marching(problem, exported.identifier)
+    except InvalidModel:
+        if not inverting:
+            raise
+        marched = None
+    orders = max(exported.orders, marched.orders if marched else 0)
+    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
+    about = described(exported, path_variables(problem.system.outputs, scene.tracked, orders, home), marched)
+    compiled = _compiled(_source(exported, inverting, marched, orders), exported.title)
+    # Engines ignore a custom section, and JavaScript can read it by its name.
+    section = _counted(SECTION.encode()) + json.dumps(about, separators=(",", ":")).encode()
+    module = compiled + b"\0" + _counted(section)
+    write_together({file: module, loader_beside(file): (SHARED / LOADER).read_bytes()})
     return file
 
 
@@ -90,28 +106,6 @@ def require_module(path: str | Path) -> Path:
 def loader_beside(file: Path) -> Path:
     """Return the file of the loader of a module."""
     return file.with_suffix(".mjs")
-
-
-def wasm_module(scene: Scene, model: str | None = None) -> bytes:
-    """Return the module as bytes; see `export_wasm`."""
-    model_to_export = inverse_model(scene, model)
-    called = () if model_to_export.state_size else _INVERTING
-    inverting = {name: each for name, each in model_to_export.functions.items() if name in called}
-    problem = followed(Problem.of(scene, model))
-    try:
-        marched = marching(problem, model_to_export.identifier)
-    except InvalidModel:
-        if not inverting:
-            raise
-        marched = None
-    orders = max(model_to_export.orders, marched.orders if marched else 0)
-    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
-    path = path_variables(problem.system.outputs, scene.tracked, orders, home)
-    about = described(model_to_export, path, marched)
-    compiled = _compiled(_source(model_to_export, inverting, marched, orders), model_to_export.title)
-    # Engines ignore a custom section, and JavaScript can read it by its name.
-    described_by = _counted(SECTION.encode()) + json.dumps(about, separators=(",", ":")).encode()
-    return compiled + b"\0" + _counted(described_by)
 
 
 def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
