@@ -176,11 +176,15 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     }
     of_linux = [path for path in behind if path.startswith("linux64/")]
     if of_linux:
+        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`.
         library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
-        headers = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
         texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
-        place, binary = _in_front(kind, headers, texts)
-        members |= {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}
+        sources = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
+        sources["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
+        sources["shim_config.h"] = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
+        ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+        members[f"{Path(place).parent.as_posix()}/{REAL_BINARY}"] = members[place]
+        members[place] = built.content
     return zipped(members)
 
 
@@ -258,15 +262,3 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
     ET.SubElement(ET.SubElement(annotations, "Tool", name="servocore"), "Build", dict(notes))
     root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
     return xml_document(root)
-
-
-def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:
-    """Return path and content of the binary for 64-bit Linux: hosts that are not Python run the FMU with it too.
-
-    In such hosts it forwards every call to the native library of the slave; see `shim.c`, where the texts are macros.
-    """
-    shim = (_HERE / "shim.c").read_text(encoding="utf-8")
-    config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
-    sources = {"shim.c": shim, "shim_config.h": config, **headers}
-    ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
-    return place, built.content
