@@ -40,9 +40,6 @@ _CHECK_SECONDS = 300.0
 PREFIX = "rotary_crane_"
 """Prefix of the names of all entry modules."""
 
-REAL_BINARY = "pythonfmu.so"
-"""Name of PythonFMU's own binary, which `shim.c` loads in Python processes."""
-
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
 
@@ -178,12 +175,13 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     if of_linux:
         # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`.
         library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
-        texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
+        # In Python processes it loads PythonFMU's own binary.
+        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": library}
         sources = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
         sources["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
         sources["shim_config.h"] = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
         ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
-        members[f"{Path(place).parent.as_posix()}/{REAL_BINARY}"] = members[place]
+        members[f"{Path(place).parent.as_posix()}/{texts['REAL_BINARY']}"] = members[place]
         members[place] = built.content
     return zipped(members)
 

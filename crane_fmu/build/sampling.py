@@ -275,14 +275,14 @@ def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     alone = ca.SX(DRIVES, STATES)
     alone[:, LOAD] = ca.ldl_solve(crossed[LOAD, :].T, *ca.ldl(effort))
     goes_on = A - acting @ alone
-    results = [ca.densify(each) for each in (alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort)]
-    shared = ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True})
-    cost, *given = (ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate([A, *results[1:]]))
+    results = alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort
+    shared = dense("shared", [A, new, old, efforts, weights], results)
+    cost, *given = (ca.MX.sym(f"g{k}", *each.shape) for k, each in enumerate([A, *results[1:]]))
     C, C_T, Q, G, R = given
     choice = _choice()
     left, K = choice(cost, cost @ G, G, R)
     step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
-    return shared, step, ca.Function("gain", [cost, G, R], [choice(cost, cost @ G, G, R)[1]])
+    return shared, step, ca.Function("gain", [cost, G, R], [K])
 
 
 def _choice() -> ca.Function:
@@ -303,14 +303,10 @@ def riccati_steps(doublings: int) -> ca.Function:
     C, H, Q, C_T = (ca.MX.sym(name, *_SQUARE) for name in ("C", "H", "Q", "C_T"))
     G, R = ca.MX.sym("G", *_TALL), ca.MX.sym("R", *_SMALL)
     reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(STATES) + H @ Q, ca.horzcat(C, H), "qr"), STATES)
-    doubled = [C @ reached, _symmetric(H + C @ spread @ C.T), _symmetric(Q + C.T @ Q @ reached)]
+    sums = H + C @ spread @ C.T, Q + C.T @ Q @ reached
+    doubled = [C @ reached, *((each + each.T) / 2 for each in sums)]  # symmetric, to the last digit
     doubling = ca.Function("doubling", [C, H, Q], doubled)
     steps = [C, G @ ca.solve(R, G.T, "qr"), Q]
     for _ in range(doublings):
         steps = doubling.call(steps)
     return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [steps[-1]])
-
-
-def _symmetric(matrix: ca.MX) -> ca.MX:
-    """Return the symmetric part, which differs from a cost-to-go by round-off only."""
-    return (matrix + matrix.T) / 2

@@ -50,7 +50,6 @@ class _Callbacks(ctypes.Structure):
 
 
 Callback = TypeVar("Callback", bound=Callable[..., Any])
-Value = TypeVar("Value")
 
 
 def guarded(fallback: Callable[..., Any] = lambda *_: None) -> Callable[[Callback], Callback]:
@@ -240,7 +239,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
         """Log a warning; return False."""
         return self._refused(vrs, False)
 
-    def _refused(self, vrs: list[int], value: Value) -> list[Value]:
+    def _refused(self, vrs: list[int], value: Any) -> list[Any]:
         if vrs:
             self.log("the FMU has no String and no Boolean variables; the call is ignored", Fmi2Status.warning)
         return [value] * len(vrs)
