@@ -34,7 +34,6 @@ USUAL_TARGETS = "host,x86_64-windows"
 """Platforms that an FMU is built for by default."""
 
 _HERE = Path(__file__).parent
-_CHECK = _HERE / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
 
 PREFIX = "rotary_crane_"
@@ -131,7 +130,8 @@ def page_of(kind: FmuKind) -> str:
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs_with(starts))]
+        script = str(_HERE / "resources" / "check_fmu.py")
+        command = [sys.executable, "-I", script, kind.file_name, json.dumps(kind.runs_with(starts))]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False

@@ -279,19 +279,14 @@ def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     shared = dense("shared", [A, new, old, efforts, weights], results)
     cost, *given = (ca.MX.sym(f"g{k}", *each.shape) for k, each in enumerate([A, *results[1:]]))
     C, C_T, Q, G, R = given
-    choice = _choice()
+    M, reach, along = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
+    own = ca.SX.sym("R", *_SMALL)
+    best = ca.ldl_solve(reach.T, *ca.ldl(own + along.T @ reach))
+    after = ca.triu2symm(ca.triu(M - reach @ best))  # with the optimal v; symmetric, to the last digit
+    choice = ca.Function("choice", [M, reach, along, own], [after, best], {"cse": True})
     left, K = choice(cost, cost @ G, G, R)
     step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
     return shared, step, ca.Function("gain", [cost, G, R], [K])
-
-
-def _choice() -> ca.Function:
-    """Return (cost M of z, M G, G, R) -> (the cost with the optimal v, K), v = -K z."""
-    cost, reach, acting = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
-    effort = ca.SX.sym("R", *_SMALL)
-    K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
-    left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
-    return ca.Function("choice", [cost, reach, acting, effort], [left, K], {"cse": True})
 
 
 def riccati_steps(doublings: int) -> ca.Function:
