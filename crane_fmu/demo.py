@@ -185,18 +185,6 @@ def write_report(folder: Path, found: Study, sections: Mapping[str, Sequence[Par
     put(folder, {REPORT: page(contents.TITLE, contents.facts(found), live, sections, drawings)})
 
 
-def examples_folder() -> Path:
-    """Return where the example paths are: a folder in the installed package, or beside it in a clone.
-
-    Returns
-    -------
-    Path
-        The folder.
-    """
-    here = Path(__file__).resolve().parent
-    return next(folder for folder in (here / "examples", here.parent / "examples") if folder.is_dir())
-
-
 def example_cycle(scene: sc.Scene) -> Cycle:
     """Compute the working cycle of the examples.
 
@@ -210,7 +198,8 @@ def example_cycle(scene: sc.Scene) -> Cycle:
     Cycle
         Its motion and inputs.
     """
-    folder = examples_folder()
+    here = Path(__file__).resolve().parent  # examples are in the installed package, or beside it in a clone
+    folder = next(each for each in (here / "examples", here.parent / "examples") if each.is_dir())
     file = folder / "working_cycle_waypoints.csv"
     through, samples = sc.waypoints_from_csv(file), sc.from_csv(folder / "working_cycle_sampled.csv")
     return working_cycle(scene, through, samples, np.loadtxt(file, delimiter=",", skiprows=1))

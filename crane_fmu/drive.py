@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
@@ -11,7 +10,8 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.catalogue import components
-from crane_fmu.run import Array, simulated
+from crane_fmu.report.study import LoadRun
+from crane_fmu.run import simulated
 from servocore.files import csv_text
 from servocore.planning.durations import shortest_duration_told
 
@@ -24,58 +24,47 @@ STEP = 0.01
 _OWN = dict(zip(SEEN, components("load.position"), strict=True))  # names in CranePlant.fmu
 
 
-@dataclass(frozen=True)
-class Driven:
-    """Prescribed and simulated positions of the load.
+def sentences(run: LoadRun) -> list[str]:
+    """Return the tracking error as sentences.
 
-    Attributes
+    Parameters
     ----------
-    t : ndarray, shape (n,)
-        Times in s.
-    wanted, found : ndarray, shape (n, 3)
-        Positions of the load in m.
+    run : LoadRun
+        The simulation of the plant.
+
+    Returns
+    -------
+    list of str
+        One sentence; a second one if the load does not start on the path.
     """
+    off, worst = run.error, int(run.error.argmax())
+    messages = [
+        f"The tracking error of the load is {1e3 * off[worst]:.3g} mm at most, at t = {run.t[worst]:.6g} s,"
+        f" and {1e3 * off[-1]:.3g} mm at the end."
+    ]
+    if off[0] > 1e-3:
+        place = ", ".join(f"{coordinate:.6g}" for coordinate in run.prescribed[0])
+        text = f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m."
+        messages.append(text)
+    return messages
 
-    t: Array
-    wanted: Array
-    found: Array
 
-    @property
-    def distances(self) -> Array:
-        """Tracking errors of the load in m, shape (n,)."""
-        return np.asarray(np.linalg.norm(self.found - self.wanted, axis=1))
+def table(run: LoadRun) -> str:
+    """Return simulated and prescribed positions and tracking errors as the text of a CSV file.
 
-    def sentences(self) -> tuple[str, ...]:
-        """Return the tracking error as sentences.
+    Parameters
+    ----------
+    run : LoadRun
+        The simulation of the plant.
 
-        Returns
-        -------
-        tuple of str
-            One sentence; a second one if the load does not start on the path.
-        """
-        off, worst = self.distances, int(self.distances.argmax())
-        messages: tuple[str, ...] = (
-            f"The tracking error of the load is {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s,"
-            f" and {1e3 * off[-1]:.3g} mm at the end.",
-        )
-        if off[0] > 1e-3:
-            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
-            messages += (
-                f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m.",
-            )
-        return messages
-
-    def table(self) -> str:
-        """Return simulated and prescribed positions and tracking errors as the text of a CSV file.
-
-        Returns
-        -------
-        str
-            A header and a row for each instant, in s and m.
-        """
-        names = ["time", *(column for name in SEEN for column in (name, f"{name}_wanted")), "distance"]
-        both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
-        return csv_text(names, [self.t, both, self.distances])
+    Returns
+    -------
+    str
+        A header and a row for each instant, in s and m.
+    """
+    names = ["time", *(column for name in SEEN for column in (name, f"{name}_wanted")), "distance"]
+    both = np.stack([run.driven, run.prescribed], axis=2).reshape(len(run.t), -1)
+    return csv_text(names, [run.t, both, run.error])
 
 
 def drive(
@@ -84,7 +73,7 @@ def drive(
     names: Mapping[str, str],
     starts: Mapping[str, float],
     step: float | None = None,
-) -> Driven:
+) -> LoadRun:
     """Simulate a plant under the feedforward inputs of exact inversion for a path.
 
     Parameters
@@ -102,7 +91,7 @@ def drive(
 
     Returns
     -------
-    Driven
+    LoadRun
         Prescribed and simulated positions of the load.
 
     Raises
@@ -138,7 +127,7 @@ def drive(
     outputs = [theirs[name] for name in SEEN]
     found = simulated(plant, rows, step, starts, outputs)
     wanted = reference.jet(np.clip(found["time"], reference.start_time, reference.end_time), 0)[:, 0]
-    return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
+    return LoadRun(plant.name, found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
 
 def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str, str]) -> str:

@@ -155,10 +155,11 @@ def _estimated(
     degree, highest = SAMPLES - 1 - order, _HIGHEST - order
     few, top = count <= degree, _only(highest, range(1, _ROWS))
     short = ca.fmin(degree, count - 1)
-    rows, spread, newest, _ = first(*_last(times, values, 0), short + 1, short)
+    recent = [(times[-n:], values[-n:, :]) for n in _PLACES]  # of each window
+    rows, spread, newest, _ = first(*recent[0], short + 1, short)
     absurd = ca.fmax(0, ca.norm_inf(top @ rows) - _ABSURD) / (top @ newest)
     second = count > degree + _MORE[1]
-    more_rows, more_spread, _, residual = second_fit(*_last(times, values, 1), degree + 1 + _MORE[1], degree)
+    more_rows, more_spread, _, residual = second_fit(*recent[1], degree + 1 + _MORE[1], degree)
     share = ca.if_else(residual > variance, _RISE, _FALL)  # the variance rises fast and falls slowly
     learnt = ca.if_else(variance < 0, residual, variance + share * (residual - variance))
     variance = ca.if_else(second, ca.fmax(learnt, absurd**2), variance)
@@ -173,14 +174,10 @@ def _estimated(
     error = ca.if_else(ca.logic_and(second, ca.logic_not(going)), apart, 0)
     for k in range(2, len(_MORE)):
         going = ca.logic_and(going, count > degree + _MORE[k])
-        given = *_last(times, values, k), degree + 1 + _MORE[k], degree, top, size, k
+        given = *recent[k], degree + 1 + _MORE[k], degree, top, size, k
         going, *state = tried[_PLACES[k]](going, *state, *given)
     known = ca.logic_or(ca.logic_not(few), count == 1)  # from one sample the load is at rest
     return state[0], ca.if_else(few, 0, error + _AGREE * state[1]), variance, known
-
-
-def _last(times: ca.MX, values: ca.MX, window: int) -> tuple[ca.MX, ca.MX]:
-    return times[-_PLACES[window] :], values[-_PLACES[window] :, :]
 
 
 def _longer(n: int, fit: ca.Function) -> ca.Function:

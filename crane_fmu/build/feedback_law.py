@@ -44,6 +44,7 @@ from crane_fmu.build.sampling import (
     STATES,
     advance,
     continued,
+    dense,
     fastest_pendulum,
     flat_motion,
     forgotten,
@@ -167,14 +168,9 @@ class _Parts:
         self.flat, self.measured, self.offset = _flat(system), measured_state(), offset()
         self.advance, self.sampled, self.resting = advance(system), sampled(system), resting()
         self.shared, self.riccati, self.gain = riccati_functions()
-        self.resisting = _resisting(system)
-
-
-def _resisting(system: sc.MechanicalSystem) -> ca.Function:
-    """Return (state, p) -> apparent mass of the load (kg), shape (3, 3)."""
-    given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
-    state = ca.vertcat(system.q, system.v)
-    return ca.Function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))], {"cse": True})
+        yielding = system.C @ ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
+        state = ca.vertcat(system.q, system.v)
+        self.resisting = dense("resisting", [state, system.p], [ca.inv(yielding)])  # apparent mass of the load (kg)
 
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
@@ -194,7 +190,7 @@ def _weights(h: ca.SX, strain: ca.SX | float) -> ca.SX:
 def _inlined(name: str, rule: Callable[..., Sequence[ca.SX]], *given: ca.MX) -> Any:
     """Return the results of a function as one scalar expression, faster here than loops over two or three numbers."""
     symbols = [ca.SX.sym(f"i{k}", *each.shape) for k, each in enumerate(given)]
-    return ca.Function(name, symbols, [ca.densify(each) for each in rule(*symbols)], {"cse": True}).call(list(given))
+    return dense(name, symbols, rule(*symbols)).call(list(given))
 
 
 def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any, ...]:
@@ -276,43 +272,35 @@ def _design(
     share = h / longest if time == "start" else ca.MX(1)
     given = [cost, A, new, old, alone, *shared, *model, h, share]
     symbols = [ca.MX.sym(f"i{k}", each.sparsity()) for k, each in enumerate(given)]
-    even = ca.Function("even", symbols, _even(parts, *symbols))
-    uneven = ca.Function("uneven", symbols, _uneven(parts, time, *symbols))
+    ways = zip(("even", "uneven"), _ways(parts, time, *symbols), strict=True)
+    even, uneven = (ca.Function(name, symbols, results) for name, results in ways)
     cost, *rule = ca.Function.if_else("design", even, uneven).call([h == longest, *given])
     rule.insert(3, (1 - share) * old)
     return cost, share, *rule
 
 
-def _even(parts: _Parts, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
-    """Return the results of `_design` without D, for a step of length H."""
+def _ways(parts: _Parts, time: str, cost: ca.MX, *given: ca.MX) -> tuple[list[ca.MX], list[ca.MX]]:
+    """Return the results of `_design` without D, for a step of length H and for any step."""
     A, new, old, alone, *shared = given[:9]
     after, gain = parts.riccati(cost, *shared)
-    return [after, A, new, old, alone, shared[0], gain]
-
-
-def _uneven(parts: _Parts, time: str, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
-    """Return the results of `_even` for any step."""
-    A, new, old, _, *shared = given[:9]
+    even = [after, A, new, old, alone, shared[0], gain]
     short, state, u, efforts, weights, force, p, h, share = given[9:]
     if time == "end":
         now, begun, ended = _linear(parts, time, short, state, u, force, p, h)
     else:
         now, begun, ended = A, new + (share - 1) * (new + old), old + (1 - share) * (new + old)
     alone, goes_on, _, _, acting, effort = parts.shared(A, begun, share * old, efforts, weights)
-    after, _ = parts.riccati(cost, *shared)
-    return [after, now, begun, ended, alone, goes_on, parts.gain(cost, acting, effort)]
+    return even, [after, now, begun, ended, alone, goes_on, parts.gain(cost, acting, effort)]
 
 
-def _situation(
-    parts: _Parts, time: str,
-    memory: ca.SX, jet: ca.SX, before: ca.SX, measured: ca.SX, acting: ca.SX, p: ca.SX, h: ca.SX,
-) -> Sequence[ca.SX]:  # fmt: skip
+def _situation(parts: _Parts, time: str, *given: ca.SX) -> Sequence[ca.SX]:
     """Return the quantities before the design, from the memory after M, paths, measured and acting values, p and h.
 
     These are: whether the step is short; H; state; force on the load; state and inputs on the path now and a step
     later, and the state on the path after the controlled step; slopes of the inputs of the path and of the acting
     ones; state and inputs in the controlled step; efforts and weights; the memory from `known` on.
     """
+    memory, jet, before, measured, acting, p, h = given
     sizes = [size for name, size in SIZES.items() if name != "cost"]
     known = dict(zip(list(SIZES)[1:], ca.vertsplit(memory, [0, *accumulate(sizes)]), strict=True))
     goes_on, none = known["step"] > 0, ca.SX.zeros(DRIVES)
@@ -338,14 +326,12 @@ def _situation(
     return [short, longest, state, force, *places[:5], slope, ran, *middle, *worth, then]
 
 
-def _bounded(
-    time: str, flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX,
-    longest: ca.SX, share: ca.SX, limits: ca.SX, strain: ca.SX,
-) -> Sequence[ca.SX]:  # fmt: skip
+def _bounded(time: str, *given: ca.SX) -> Sequence[ca.SX]:
     """Return inputs within the limits of rope and drives, and the saturation; see `_feedback`.
 
     The rope stays taut, extrapolation of the winch's torque included. The direction of the feedback is kept.
     """
+    flat, more, feedforward, acting, jet, p, h, longest, share, limits, strain = given
     load, winch, radius = p[2], p[3], p[4]
     most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
     further = 0 if time == "end" else longest / h

@@ -34,16 +34,11 @@ USUAL_TARGETS = "host,x86_64-windows"
 """Platforms that an FMU is built for by default."""
 
 _HERE = Path(__file__).parent
-_CHECK = _HERE / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
 
 PREFIX = "rotary_crane_"
 """Prefix of the names of all entry modules."""
 
-REAL_BINARY = "pythonfmu.so"
-"""Name of PythonFMU's own binary, which `shim.c` loads in Python processes."""
-
-_TOOL = "servocore"
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
 
@@ -135,7 +130,8 @@ def page_of(kind: FmuKind) -> str:
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs_with(starts))]
+        script = str(_HERE / "resources" / "check_fmu.py")
+        command = [sys.executable, "-I", script, kind.file_name, json.dumps(kind.runs_with(starts))]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
@@ -177,11 +173,16 @@ def packed(native: bytes, kind: FmuKind) -> bytes:
     }
     of_linux = [path for path in behind if path.startswith("linux64/")]
     if of_linux:
+        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`.
         library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
-        headers = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
-        texts = {"FMU_GUID": token, "REAL_BINARY": REAL_BINARY, "LIBRARY": library}
-        place, binary = _in_front(kind, headers, texts)
-        members |= {place: binary, f"{Path(place).parent.as_posix()}/{REAL_BINARY}": members[place]}
+        # In Python processes it loads PythonFMU's own binary.
+        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": library}
+        sources = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
+        sources["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
+        sources["shim_config.h"] = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
+        ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+        members[f"{Path(place).parent.as_posix()}/{texts['REAL_BINARY']}"] = members[place]
+        members[place] = built.content
     return zipped(members)
 
 
@@ -256,18 +257,6 @@ def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
     for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
         unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
     annotations = ET.Element("VendorAnnotations")
-    ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
+    ET.SubElement(ET.SubElement(annotations, "Tool", name="servocore"), "Build", dict(notes))
     root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
     return xml_document(root)
-
-
-def _in_front(kind: FmuKind, headers: Mapping[str, str], texts: Mapping[str, str]) -> tuple[str, bytes]:
-    """Return path and content of the binary for 64-bit Linux: hosts that are not Python run the FMU with it too.
-
-    In such hosts it forwards every call to the native library of the slave; see `shim.c`, where the texts are macros.
-    """
-    shim = (_HERE / "shim.c").read_text(encoding="utf-8")
-    config = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
-    sources = {"shim.c": shim, "shim_config.h": config, **headers}
-    ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
-    return place, built.content

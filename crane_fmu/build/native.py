@@ -45,8 +45,6 @@ PLANT = sc.PlantOptions(
 )
 """Differences of CranePlant.fmu from the model of the crane."""
 
-_DISTANCE = 0.5  # m, from the path
-
 LARGEST_TURN = 1.0
 """Largest turn of the fastest pendulum in a step, in rad, with which the feedback is used."""
 
@@ -118,5 +116,5 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         shown=(FEEDBACK_INPUTS.index("measured.l"), FEEDBACK_INPUTS.index("measured.position[3]")),
         largest_turn=LARGEST_TURN,
         too_long="with this load, trolley and rope it",
-        distance=_DISTANCE,
+        distance=0.5,  # m, from the path
     )

@@ -13,6 +13,7 @@ how deviations z and the chosen inputs w+ act over a step; see `crane_fmu.build.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -36,6 +37,11 @@ pendulum turns 0.1 rad in a short step or 1 rad in another one."""
 _SQUARE, _TALL, _SMALL = (STATES, STATES), (STATES, DRIVES), (DRIVES, DRIVES)
 
 Matrix = TypeVar("Matrix", ca.SX, ca.MX)
+
+
+def dense(name: str, given: Sequence[ca.SX], results: Sequence[ca.SX]) -> ca.Function:
+    """Return a function of dense results, with common terms computed once."""
+    return ca.Function(name, [*given], [ca.densify(each) for each in results], {"cse": True})
 
 
 # The load -------------------------------------------------------------------------------------------------------------
@@ -96,13 +102,18 @@ def measured_state() -> ca.Function:
 def continued(jet: ca.SX, crackle: ca.SX, tau: Any) -> ca.SX:
     """Continue a path by its Taylor polynomial with a fifth derivative."""
     rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
+    return ca.vertcat(*_taylor(rows, tau)[:-1])
+
+
+def _taylor(rows: list[ca.SX], tau: Any) -> list[ca.SX]:
+    """Return values and derivatives of a polynomial tau later, by Horner's scheme: powers are slow."""
     moved = []
-    for k in range(len(ORDERS)):
+    for k in range(len(rows)):
         value = rows[-1]
-        for j in reversed(range(k, len(ORDERS))):
+        for j in reversed(range(k, len(rows) - 1)):
             value = rows[j] + tau / (j - k + 1) * value
         moved.append(value)
-    return ca.vertcat(*moved)
+    return moved
 
 
 def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca.MX, ca.MX]:
@@ -136,13 +147,8 @@ def forgotten(y: Matrix) -> Matrix:
 def offset() -> ca.Function:
     """Return (y, a, tau) -> (y_0 ... y_3, jet of the offset), tau seconds later."""
     y, a, tau = ca.SX.sym("y", 4 * DIMENSION), ca.SX.sym("a", DIMENSION), ca.SX.sym("tau")
-    rows, fading = ca.vertsplit(y, DIMENSION), ca.exp(-a * tau)
-    later: list[ca.SX] = []
-    for k in range(4):
-        value = rows[3]
-        for j in reversed(range(k, 3)):  # Horner: powers are slow
-            value = rows[j] + tau / (j - k + 1) * value
-        later.append(fading * value)
+    fading = ca.exp(-a * tau)
+    later = [fading * row for row in _taylor(ca.vertsplit(y, DIMENSION), tau)]
     powers = [ca.SX.ones(DIMENSION)]
     for _ in ORDERS[1:]:
         powers.append(powers[-1] * -a)
@@ -203,7 +209,7 @@ def _linearized(system: sc.MechanicalSystem) -> ca.Function:
     lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
     columns = ca.horzsplit(lower, [0, POINTS, STATES, STATES + DRIVES])
     given = [ca.vertcat(system.q, system.v), system.u, d, p]
-    return ca.Function("linearized", given, [ca.densify(each) for each in columns], {"cse": True})
+    return dense("linearized", given, columns)
 
 
 def _series() -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -220,16 +226,9 @@ def _series() -> tuple[ca.Function, ca.Function, ca.Function]:
         top, bottom = ca.vertsplit(of, POINTS)
         return ca.vertcat(h * bottom, h * (K @ top + D @ bottom))
 
-    results: dict[str, tuple[list[ca.SX], list[ca.SX]]] = {
-        "begun": ([K, D, h, c, more], [c * one + more * times(one)]),
-        "term": ([F, K, D, h, c], [c * one + times(F)]),
-        "driven": ([F, other, B, h], [h * each[:, POINTS:] @ B for each in (F, other)]),
-    }
-    begin, term, driven = (
-        ca.Function(name, given, [ca.densify(each) for each in found], {"cse": True})
-        for name, (given, found) in results.items()
-    )
-    return begin, term, driven
+    begin = dense("begun", [K, D, h, c, more], [c * one + more * times(one)])
+    term = dense("term", [F, K, D, h, c], [c * one + times(F)])
+    return begin, term, dense("driven", [F, other, B, h], [h * each[:, POINTS:] @ B for each in (F, other)])
 
 
 def resting() -> ca.Function:
@@ -276,23 +275,18 @@ def riccati_functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     alone = ca.SX(DRIVES, STATES)
     alone[:, LOAD] = ca.ldl_solve(crossed[LOAD, :].T, *ca.ldl(effort))
     goes_on = A - acting @ alone
-    results = [ca.densify(each) for each in (alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort)]
-    shared = ca.Function("shared", [A, new, old, efforts, weights], results, {"cse": True})
-    cost, *given = (ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate([A, *results[1:]]))
+    results = alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort
+    shared = dense("shared", [A, new, old, efforts, weights], results)
+    cost, *given = (ca.MX.sym(f"g{k}", *each.shape) for k, each in enumerate([A, *results[1:]]))
     C, C_T, Q, G, R = given
-    choice = _choice()
+    M, reach, along = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
+    own = ca.SX.sym("R", *_SMALL)
+    best = ca.ldl_solve(reach.T, *ca.ldl(own + along.T @ reach))
+    after = ca.triu2symm(ca.triu(M - reach @ best))  # with the optimal v; symmetric, to the last digit
+    choice = ca.Function("choice", [M, reach, along, own], [after, best], {"cse": True})
     left, K = choice(cost, cost @ G, G, R)
     step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
-    return shared, step, ca.Function("gain", [cost, G, R], [choice(cost, cost @ G, G, R)[1]])
-
-
-def _choice() -> ca.Function:
-    """Return (cost M of z, M G, G, R) -> (the cost with the optimal v, K), v = -K z."""
-    cost, reach, acting = ca.SX.sym("M", *_SQUARE), ca.SX.sym("M G", *_TALL), ca.SX.sym("G", *_TALL)
-    effort = ca.SX.sym("R", *_SMALL)
-    K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
-    left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
-    return ca.Function("choice", [cost, reach, acting, effort], [left, K], {"cse": True})
+    return shared, step, ca.Function("gain", [cost, G, R], [K])
 
 
 def riccati_steps(doublings: int) -> ca.Function:
@@ -304,14 +298,10 @@ def riccati_steps(doublings: int) -> ca.Function:
     C, H, Q, C_T = (ca.MX.sym(name, *_SQUARE) for name in ("C", "H", "Q", "C_T"))
     G, R = ca.MX.sym("G", *_TALL), ca.MX.sym("R", *_SMALL)
     reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(STATES) + H @ Q, ca.horzcat(C, H), "qr"), STATES)
-    doubled = [C @ reached, _symmetric(H + C @ spread @ C.T), _symmetric(Q + C.T @ Q @ reached)]
+    sums = H + C @ spread @ C.T, Q + C.T @ Q @ reached
+    doubled = [C @ reached, *((each + each.T) / 2 for each in sums)]  # symmetric, to the last digit
     doubling = ca.Function("doubling", [C, H, Q], doubled)
     steps = [C, G @ ca.solve(R, G.T, "qr"), Q]
     for _ in range(doublings):
         steps = doubling.call(steps)
     return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [steps[-1]])
-
-
-def _symmetric(matrix: ca.MX) -> ca.MX:
-    """Return the symmetric part, which differs from a cost-to-go by round-off only."""
-    return (matrix + matrix.T) / 2

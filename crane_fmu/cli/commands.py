@@ -141,8 +141,8 @@ def drive(plant: Plant, subject: Subject, path: GivenPath, limits: GivenLimits, 
     with PatientProgress("driving the plant"):
         found = driving.drive(plant.plant, moved, names, starts, rows.step)
     if table.output is not None:
-        write_together({table.output: found.table()})
-    print(*found.sentences(), sep="\n")
+        write_together({table.output: driving.table(found)})
+    print(*driving.sentences(found), sep="\n")
 
 
 def run_demo(place: Place, certified: Certified) -> None:

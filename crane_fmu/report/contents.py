@@ -130,12 +130,11 @@ def _inputs(study: Study) -> list[Part]:
 
 def error_table(study: Study) -> Table:
     """Return the largest errors of the default against the closed form."""
-    rows = [(model, *_percent(errors), *_motion_errors(errors)) for model, errors in study.errors.items()]
     return Table(
         "Largest errors against the closed form",
         DEFAULT,
         ("model", *_PERCENT, *_MOTION),
-        tuple(rows),
+        tuple((model, *_both(errors)) for model, errors in study.errors.items()),
         "Inputs: relative to the peak of each. Motion: absolute. All are numerical residuals.",
     )
 
@@ -172,12 +171,7 @@ def paper_table(study: Study, factors: bool = True) -> Table:
     """Return the largest errors of the scheme of the paper, with the factors by which they fall if `factors`."""
     coarser = dict(zip(study.steps[1:], study.steps, strict=False)) if factors else {}
     rows = [
-        (
-            model,
-            f"{step:g}",
-            *_percent(errors, study.paper_errors.get((model, coarser.get(step, 0.0)))),
-            *_motion_errors(errors),
-        )
+        (model, f"{step:g}", *_both(errors, study.paper_errors.get((model, coarser.get(step, 0.0)))))
         for (model, step), errors in study.paper_errors.items()
     ]
     explained = " After ÷: the factor by which the error fell when the step was halved." if factors else ""
@@ -190,8 +184,9 @@ def paper_table(study: Study, factors: bool = True) -> Table:
     )
 
 
-def _motion_errors(errors: Errors) -> list[str]:
-    return [number(errors[name], 1) for name in MOTION]
+def _both(errors: Errors, before: Errors | None = None) -> list[str]:
+    """Return the errors of inputs and motion."""
+    return [*_percent(errors, before), *(number(errors[name], 1) for name in MOTION)]
 
 
 def _percent(errors: Errors, before: Errors | None = None) -> list[str]:

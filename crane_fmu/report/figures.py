@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 
 import servocore as sc
-from crane_fmu.report.study import Array, Errors, LoadRun
+from crane_fmu.report.study import Errors, LoadRun
 from servocore.files import figure_file
 
 BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
@@ -232,7 +232,9 @@ def error_against_step(errors: Mapping[tuple[str, float], Errors]) -> Figure:
         for name, look in _INPUTS.items():
             values = [errors[model, step][name] for step in steps]
             axes.loglog(steps, values, linewidth=1.1, label=f"{model}, {name}", **look, **_MODELS[model])
-    _slope_one(axes, steps)
+    low, high = axes.get_ylim()
+    middle = np.sqrt(low * high) * steps / np.sqrt(steps[0] * steps[-1])  # of the picture
+    axes.loglog(steps, middle, color=BLACK, linestyle=":", linewidth=1.4, label="slope 1")
     axes.set_xlabel("step (s)")
     axes.set_ylabel("largest error of an input / its largest value")
     axes.set_xticks(steps, [f"{step:g}" for step in steps])
@@ -247,35 +249,25 @@ def error_against_step(errors: Mapping[tuple[str, float], Errors]) -> Figure:
     return figure
 
 
-def _slope_one(axes: Axes, steps: Array) -> None:
-    """Draw a line of slope one across the middle of the picture."""
-    low, high = axes.get_ylim()
-    middle = np.sqrt(low * high) * steps / np.sqrt(steps[0] * steps[-1])
-    axes.loglog(steps, middle, color=BLACK, linestyle=":", linewidth=1.4, label="slope 1")
-
-
 _TURNED = np.radians(40.0)
 """Turn of the bridge in the labelled drawing, in rad."""
 
 
 @styled
-def posture(run: sc.Solution, index: int, labelled: bool = False) -> Figure:
-    """Return the crane at one instant of a run; with `labelled`, phi, s and l are named in the drawing."""
-    figure = run.draw(float(run.t[index]))
-    if labelled:
-        load = np.array([run[name][index] for name in "xyz"])
-        _write_names(figure.axes[0], load, run["phi"][index], run["s"][index], 0.9 * float(run["s"].max()))
-    return figure
+def posture(run: sc.Solution, index: int) -> Figure:
+    """Return the crane at one instant of a run."""
+    return run.draw(float(run.t[index]))
 
 
+@styled
 def sketch(run: sc.Solution) -> Figure:
     """Return the crane on its manoeuvre, with phi, s and l labelled."""
     # At an instant with the bridge turned, well before the load comes near the slewing axis.
     shown = int(np.searchsorted(np.abs(run["phi"] - run["phi"][0]), _TURNED))
-    return posture(run, min(shown, len(run.t) // 2), labelled=True)
-
-
-def _write_names(axes: Any, load: Array, phi: float, s: float, radius: float) -> None:
+    index = min(shown, len(run.t) // 2)
+    figure, phi, s, radius = posture(run, index), run["phi"][index], run["s"][index], 0.9 * float(run["s"].max())
+    axes: Any = figure.axes[0]  # in space
+    load = np.array([run[name][index] for name in "xyz"])
     along = np.array([np.cos(phi), np.sin(phi), 0.0])
     arc = np.linspace(0.0, phi, 40)
     axes.plot([0, 1.2 * radius], [0, 0], [0, 0], color=BLACK, linewidth=0.9, linestyle=":")
@@ -287,3 +279,4 @@ def _write_names(axes: Any, load: Array, phi: float, s: float, radius: float) ->
         ((s * along + load) / 2 + [0.2, 0, 0], "$l$", {"ha": "left", "va": "center"}),
     ):
         axes.text(*place, text, fontsize=12, **aside)
+    return figure

@@ -33,7 +33,7 @@ Errors = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class LoadRun:
-    """A run in which the load may leave its path: a forward simulation, or connected FMUs.
+    """A run in which the load may leave its path: a forward simulation, a plant of the user, or connected FMUs.
 
     Attributes
     ----------

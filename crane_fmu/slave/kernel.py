@@ -46,17 +46,10 @@ _CALLS: dict[str, list[Any]] = {
 
 
 class _Callbacks(ctypes.Structure):
-    _fields_ = (
-        ("logger", _LOGGER),
-        ("allocate", c_void_p),
-        ("free", c_void_p),
-        ("finished", c_void_p),
-        ("environment", c_void_p),
-    )
+    _fields_ = (("logger", _LOGGER), ("others", 4 * c_void_p))  # others: memory, end of a step, environment; NULL
 
 
 Callback = TypeVar("Callback", bound=Callable[..., Any])
-Value = TypeVar("Value")
 
 
 def guarded(fallback: Callable[..., Any] = lambda *_: None) -> Callable[[Callback], Callback]:
@@ -156,7 +149,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
         if not self._instance:
             raise OSError("the native library of the FMU returned no instance")
         # Bound to these objects, since the slave no longer exists when the instance is freed.
-        freed = weakref.finalize(self, _free, self._library, self._instance, self._callbacks)
+        free = self._library.fmi2FreeInstance  # the argument of the finalizer keeps the callbacks until then
+        freed = weakref.finalize(self, lambda instance, _: free(instance), self._instance, self._callbacks)
         freed.atexit = False  # a host may call until the very end
 
     def log(
@@ -245,7 +239,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
         """Log a warning; return False."""
         return self._refused(vrs, False)
 
-    def _refused(self, vrs: list[int], value: Value) -> list[Value]:
+    def _refused(self, vrs: list[int], value: Any) -> list[Any]:
         if vrs:
             self.log("the FMU has no String and no Boolean variables; the call is ignored", Fmi2Status.warning)
         return [value] * len(vrs)
@@ -281,8 +275,3 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
     @staticmethod
     def _fmu_state_from_bytes(state: bytes) -> bytes:
         return bytes(state)
-
-
-def _free(found: ctypes.PyDLL, instance: int, _: _Callbacks) -> None:
-    """Free an instance; the argument keeps its callbacks alive until then."""
-    found.fmi2FreeInstance(instance)

@@ -77,9 +77,10 @@ class About:
                 "about: annotations are a table for each tool, and defaults a table of items by choice"
             )
         for name, endings in _FILES.items():
-            if (file := getattr(self, name)) is not None and Path(file).suffix.lower() not in endings:
-                raise InvalidSetting(f"about: {name} = {str(file)!r} must end with {' or '.join(endings)}")
-            self._content(name)
+            if (file := getattr(self, name)) is not None:
+                if Path(file).suffix.lower() not in endings:
+                    raise InvalidSetting(f"about: {name} = {str(file)!r} must end with {' or '.join(endings)}")
+                self._content(name)
         if self.icon is not None and Path(self.icon).suffix.lower() == ".png" and self._content("icon")[:4] != _PNG:
             raise InvalidSetting(f"about: {self.icon} is no PNG picture")
 
@@ -112,8 +113,6 @@ class About:
 
     def _content(self, name: str) -> bytes:
         file = getattr(self, name)
-        if file is None:
-            return b""
         try:
             return Path(file).read_bytes()
         except OSError as error:

@@ -20,7 +20,9 @@ def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         generator.generate(f"{folder}/")
         header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
-    return header, _QUIET + with_quick_products(source)
+    # Products of dense matrices run down columns, inlined with constant sizes: compilers vectorize these. Every number
+    # is the same sum in the same order, so results are equal to the bit.
+    return header, _QUIET + _PRODUCT.sub(_QUICK_PRODUCT, source)
 
 
 _QUIET = """\
@@ -55,14 +57,6 @@ static inline void casadi_mtimes_dense(const casadi_real* CASADI_RESTRICT x, cas
   }
 }
 """
-
-
-def with_quick_products(source: str) -> str:
-    """Return C source whose products of dense matrices run down columns, inlined with constant sizes.
-
-    Every number is the same sum in the same order, so results are equal to the bit; compilers vectorize the columns.
-    """
-    return _PRODUCT.sub(_QUICK_PRODUCT, source)
 
 
 _ARGUMENT = re.compile(r"arg\[(\d+)\]\? (arg\[\1\]\[(\d+)\]) : 0")

@@ -74,7 +74,6 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "rest": [start for variable in model.of("input") for start in variable.starts],
         "functions": tuple(functions),
         "scratch": scratch,
-        "integrated": bool(model.method),
         "path_source": path[path.index("/* Continue a path") : path.rindex("#endif")].rstrip(),
         "mathematics_source": source,
     }
@@ -84,8 +83,6 @@ def c_files(model: InverseModel) -> dict[str, str]:
     usual = "quick" if "quick" in functions else "advance" if "advance" in functions else "begin"
     longest = "advance" if "advance" in functions else "begin"  # `quick` is followed by it where it fails
     page = values | {
-        "description": model.description,
-        "method": model.method,
         "operations": operations(functions[usual], at_most=False),
         "most_operations": sum(operations(functions[each], at_most=True) for each in {usual, longest}),
         "most_iterations": MAX_ITERATIONS,

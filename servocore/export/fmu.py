@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export.about import About
@@ -104,8 +103,8 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if routes is not None:
         made = with_routes(made, scene, routes)
-    complete = described(made.with_starts(start or {}), host, about)
-    return written(complete, path, fmi, targets, progress, cross_check or {})
+    made = replace(made.with_starts(start or {}), cross_check=cross_check or {})
+    return written(described(made, host, about), path, fmi, targets, progress)
 
 
 def export_plant(
@@ -221,32 +220,26 @@ def described(model: NativeModel, host: HostRules | None, about: About | None) -
     return replace(model.with_run_quantities().with_starts(about.defaults), host=host or HostRules(), about=about)
 
 
-def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
-    """Raise `InvalidSetting` if an FMU cannot be built for its platforms, or written there."""
+def require_built(path: str | Path, targets: str | None, fmi: int, what: str = "an FMU", ending: str = ".fmu") -> None:
+    """Raise `InvalidSetting` if a file cannot be built for its version and platforms, or written there."""
     chosen_targets(targets, require_version(fmi))
-    if Path(path).suffix.lower() != ".fmu":
-        raise InvalidSetting(f"cannot write {path}: the name of an FMU ends with .fmu, or tools do not open it")
-    require_places({"the FMU": Path(path)})
+    if Path(path).suffix.lower() != ending:
+        raise InvalidSetting(f"cannot write {path}: the name of {what} ends with {ending}, or tools do not open it")
+    require_places({f"the {what.partition(' ')[2]}": Path(path)})
 
 
-def written(
-    model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress,
-    cross_check: Mapping[str, str] = MappingProxyType({}),
-) -> Path:  # fmt: skip
+def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, progress: Progress) -> Path:
     """Compile and write an FMU, and return its file."""
-    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress, cross_check)})
+    write_together({Path(path): archive(model, fmi, chosen_targets(targets, fmi), progress)})
     return Path(path)
 
 
-def archive(
-    model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress,
-    cross_check: Mapping[str, str] = MappingProxyType({}),
-) -> bytes:  # fmt: skip
+def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
     """Return a compiled FMU."""
     model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
-    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi, cross_check))
+    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi))
 
 
 def require_version(fmi: int) -> int:
@@ -273,8 +266,7 @@ def contents(
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **{place: each.content for place, each in built.items()},
     }
-    icon = (SHARED / "icon.png").read_bytes()
-    members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
+    members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = (SHARED / "icon.png").read_bytes()
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(model)
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
@@ -334,10 +326,7 @@ def export_ssp(
         If the path ends in motion.
     """
     require_scene(scene, "export_ssp")
-    file, names = Path(path), chosen_targets(targets, require_version(fmi))
-    if file.suffix.lower() != ".ssp":
-        raise InvalidSetting(f"cannot write {file}: the name of a system ends with .ssp, or tools do not open it")
-    require_places({"the system": file})
+    require_built(path, targets, fmi, "a system", ".ssp")
     require_played(scene.reference)
     progress("analysing")
     inverse, trajectory, plant = inverse_model(scene, model), trajectory_model(scene, model), plant_model(scene)
@@ -353,12 +342,12 @@ def export_ssp(
         plant = plant.with_starts(begun)
     elements = []
     for name, made in {"trajectory": trajectory, "inverse": inverse, "plant": plant}.items():
-        fmu = archive(described(made, host, about), fmi, names, progress)
+        fmu = archive(described(made, host, about), fmi, chosen_targets(targets, fmi), progress)
         elements.append(Element(name, made.identifier, fmu))
     shared = [each for each in inverse.of("parameter") if each.name in scene.parameter_values()]
     wires, end = wires_by_name(elements), scene.reference.end_time
-    write_together({file: packed_system(scene.name, elements, wires, end, shared)})
-    return file
+    write_together({Path(path): packed_system(scene.name, elements, wires, end, shared)})
+    return Path(path)
 
 
 def _named(model: NativeModel, causality: str, role: str, values: list[float]) -> dict[str, float | str]:

@@ -128,6 +128,8 @@ class NativeModel:
         Rules of its hosts.
     about : About
         Origin and rights.
+    cross_check : mapping of str to str
+        Files of a run by their names.
     """
 
     identifier: str
@@ -152,6 +154,7 @@ class NativeModel:
     more_sources: Mapping[str, str] = field(default_factory=dict)
     host: HostRules = HostRules()
     about: About = field(default_factory=About)
+    cross_check: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def settings(self) -> tuple[Variable, ...]:

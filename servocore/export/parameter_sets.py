@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as ET
 
 from servocore.export.native_model import NativeModel
@@ -72,22 +72,20 @@ def parameter_mapping(names: Iterable[str], fmi: int) -> bytes:
     return xml_document(root)
 
 
-def related_files(model: NativeModel, fmi: int, run: Mapping[str, str]) -> dict[str, bytes]:
+def related_files(model: NativeModel, fmi: int) -> dict[str, bytes]:
     """Return the files of FMI-LS-REF, a layered standard of both versions of FMI, by their path in the FMU.
 
     Parameters
     ----------
     model : NativeModel
-        The exported model, whose parameters are a set.
+        The exported model: its parameters are a set, its cross-check files a smoke test with its results.
     fmi : int
         Version of FMI.
-    run : mapping of str to str
-        Cross-check files by name; they are a smoke test with its results.
     """
     root = ET.Element("fmiReferences", _MANIFEST)
     members = {_SET: parameter_set(model.title, model.of("parameter"), fmi)}
     described = {_SET: ("application/x-ssp-parameter-set", "parameter", "start values of all parameters")}
-    for name, text in run.items():
+    for name, text in model.cross_check.items():
         described[name] = next(role for end, role in _ROLES.items() if name.endswith(end))
         members[name] = text.encode()
     for name, (kind, role, description) in described.items():

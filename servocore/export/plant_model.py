@@ -96,11 +96,8 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     plant = compile_plant(problem.system)
     identifier = options.identifier or identifier_of(f"{scene.name}_plant")
     used = _used(problem, plant)
-    offsets = options.offsets or (
-        {}
-        if problem.system.lam.numel()
-        else {f"start.{coordinate}": (coordinate,) for coordinate in problem.system.coordinates.names}
-    )
+    independent = () if problem.system.lam.numel() else problem.system.coordinates.names
+    offsets = options.offsets or {f"start.{coordinate}": (coordinate,) for coordinate in independent}
     variables = _variables(problem, scene.tracked, used, offsets, options)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem, 1)

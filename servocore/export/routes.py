@@ -74,13 +74,16 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
     outputs, orders = made.outputs, made.orders
-    programs, functions = [], []
-    for k, (model, name) in enumerate(product(options.models, options.formulations)):
-        program = program_of(Problem.of(scene, model), options.formulations[name], options.method)
+    programs, functions, sources = [], [], dict[str, str]()
+    for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
+        name = f"{made.identifier}_route_{k}"
+        program = program_of(Problem.of(scene, model), formulation, options.method)
         if program.nodes != (1.0,):
             raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
         programs.append(program)
-        functions.append({} if k == 0 else _functions(program, f"{made.identifier}_route_{k}", outputs, orders))
+        functions.append(_functions(program, name, outputs, orders) if k else {})
+        if k:  # routes are large: each has files of its own
+            sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, functions[k].values())
     problem = Problem.of(scene, options.models[0])
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
     margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
@@ -92,19 +95,9 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
         own={**made.own, "routes": table},
         functions={**made.functions, "margins": margins},
         elsewhere=tuple(function for each in functions for function in each.values()),
-        more_sources=_sources(made.identifier, functions),
+        more_sources=sources,
         differentiable=False,
     )
-
-
-def _sources(identifier: str, functions: Sequence[Mapping[str, ca.Function]]) -> dict[str, str]:
-    """Return headers and C sources by file name: a pair for each route, since they are large."""
-    files = {}
-    for k, each in enumerate(functions):
-        if each:
-            name = f"{identifier}_route_{k}"
-            files[f"{name}.h"], files[f"{name}.c"] = c_source(name, each.values())
-    return files
 
 
 def _table(

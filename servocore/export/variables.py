@@ -240,18 +240,14 @@ def internal_step() -> Variable:
 
 def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> list[Variable]:
     """Return the offsets of the internal states at the start, and the states, such as ``q.s``."""
-    rows = [
-        (
-            f"{(short := name.removeprefix('q.'))}.{order_name(order)}",
-            per_time(unit, order),
-            f"{order_name(order)} of {short}",
-        )
-        for (name, order), unit in zip(names, units, strict=True)
-    ]
-    added = "added to the {} at the start of the internal dynamics; 0: they start at rest"
-    starts = (_setting(f"start.{name}", unit, added.format(of), (0.0,), role="STARTS") for name, unit, of in rows)
-    states = (Variable(f"internal.{name}", "local", unit, f"{of}, of the internal dynamics") for name, unit, of in rows)
-    return [*(replace(each, fixed=True) for each in starts), *states]
+    added, variables = "added to the {} at the start of the internal dynamics; 0: they start at rest", []
+    for (name, order), unit in zip(names, units, strict=True):
+        short, rate = name.removeprefix("q."), per_time(unit, order)
+        label, of = f"{short}.{order_name(order)}", f"{order_name(order)} of {short}"
+        start = _setting(f"start.{label}", rate, added.format(of), (0.0,), role="STARTS")
+        variables += [replace(start, fixed=True)]
+        variables += [Variable(f"internal.{label}", "local", rate, f"{of}, of the internal dynamics")]
+    return variables
 
 
 # Of a feedback -------------------------------------------------------------------------------------------------------

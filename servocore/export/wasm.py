@@ -71,8 +71,24 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     >>> sc.export_wasm(sc.scenes.rotary_crane(), "crane.wasm").name
     'crane.wasm'
     """
-    file = require_module(path)
-    write_together({file: wasm_module(scene, model), loader_beside(file): (SHARED / LOADER).read_bytes()})
+    file, exported = require_module(path), inverse_model(scene, model)
+    called = () if exported.state_size else _INVERTING
+    inverting = {name: each for name, each in exported.functions.items() if name in called}
+    problem = followed(Problem.of(scene, model))
+    try:
+        marched = marching(problem, exported.identifier)
+    except InvalidModel:
+        if not inverting:
+            raise
+        marched = None
+    orders = max(exported.orders, marched.orders if marched else 0)
+    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
+    about = described(exported, path_variables(problem.system.outputs, scene.tracked, orders, home), marched)
+    compiled = _compiled(_source(exported, inverting, marched, orders), exported.title)
+    # Engines ignore a custom section, and JavaScript can read it by its name.
+    section = _counted(SECTION.encode()) + json.dumps(about, separators=(",", ":")).encode()
+    module = compiled + b"\0" + _counted(section)
+    write_together({file: module, loader_beside(file): (SHARED / LOADER).read_bytes()})
     return file
 
 
@@ -90,26 +106,6 @@ def require_module(path: str | Path) -> Path:
 def loader_beside(file: Path) -> Path:
     """Return the file of the loader of a module."""
     return file.with_suffix(".mjs")
-
-
-def wasm_module(scene: Scene, model: str | None = None) -> bytes:
-    """Return the module as bytes; see `export_wasm`."""
-    model_to_export = inverse_model(scene, model)
-    called = () if model_to_export.state_size else _INVERTING
-    inverting = {name: each for name, each in model_to_export.functions.items() if name in called}
-    problem = followed(Problem.of(scene, model))
-    try:
-        marched = marching(problem, model_to_export.identifier)
-    except InvalidModel:
-        if not inverting:
-            raise
-        marched = None
-    orders = max(model_to_export.orders, marched.orders if marched else 0)
-    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
-    path = path_variables(problem.system.outputs, scene.tracked, orders, home)
-    about = described(model_to_export, path, marched)
-    compiled = _compiled(_source(model_to_export, inverting, marched, orders), model_to_export.title)
-    return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
 
 
 def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
@@ -130,12 +126,6 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
     }
 
 
-def custom_section(name: str, content: bytes) -> bytes:
-    """Return a custom section, which engines ignore and JavaScript can read by its name."""
-    body = _counted(name.encode()) + content
-    return b"\0" + _counted(body)
-
-
 def _counted(content: bytes) -> bytes:
     """Return bytes after their length in LEB128."""
     length, encoded = len(content), bytearray()
@@ -154,20 +144,13 @@ def _source(model: InverseModel, inverting: Mapping[str, ca.Function], marched: 
         functions |= marched.functions
     return rendered(
         "module.c.j2",
-        title=model.title,
-        model=model.model,
-        identifier=model.identifier,
-        components=model.components,
+        model=model,
+        marched=marched,
         orders=orders,
-        outputs=model.outputs,
-        limits=model.limits,
         functions=tuple(functions),
         has_quick="quick" in functions,
         inverts=bool(inverting),
         margins_once=margins_once,
-        marches=marched is not None,
-        instants=marched.instants if marched else (),
-        state_size=marched.state_size if marched else 0,
         scratch=scratch_of(functions.values()),
         mathematics_source=copied_in_one_place(checked_once(c_source("mathematics", functions.values())[1])),
     )
