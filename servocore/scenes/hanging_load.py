@@ -7,9 +7,9 @@ the flat algebra of the closed forms.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from operator import add
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -109,30 +109,13 @@ def swinging(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """The trolley's motion and forces that follow from the load's path: the crane is flat in the load position.
-
-    Attributes
-    ----------
-    trolley : tuple of Jet
-        Its level position, m.
-    pull : tuple of ndarray, shape (N,)
-        Level force of the rope on the trolley, N.
-    rates : tuple of ndarray, shape (N,)
-        Of the trolley's position and of the rope's length, m/s.
-    answer : dict of str to ndarray, shape (N,)
-        M_w, l, tension, swing, and the load's path by the names of the outputs.
-    """
-
-    trolley: tuple[jets.Jet, ...]
-    pull: tuple[Array, ...]
-    rates: tuple[Array, ...]
-    answer: dict[str, Array]
+Followed: TypeAlias = tuple[tuple[jets.Jet, ...], tuple[Array, ...], jets.Jet, dict[str, Array]]
+"""The trolley's level position (m), the level force of the rope on it (N), the rope's length (m), and the answer: M_w,
+l, tension, swing, and the load's path by the names of the outputs."""
 
 
 def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[Quantity]) -> Followed:
-    """Return the quantities of any crane that follow exactly from the path of its load.
+    """Return the quantities of any crane that follow exactly from the path of its load: it is flat in that.
 
     Parameters
     ----------
@@ -152,18 +135,15 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     force = per_length * rope.value
     lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
     trolley = tuple(position + offset for position, offset in zip(level, to_trolley, strict=True))
-    return Followed(
-        trolley=trolley,
-        pull=tuple(-per_length * component.value for component in to_trolley),
-        rates=tuple(each.d().value for each in (*trolley, rope)),
-        answer={
-            WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
-            ROPE.name: rope.value,
-            TENSION.name: force,
-            SWING.name: np.arctan2(lean, -z.value),
-            **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
-        },
-    )
+    pull = tuple(-per_length * component.value for component in to_trolley)
+    answer = {
+        WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
+        ROPE.name: rope.value,
+        TENSION.name: force,
+        SWING.name: np.arctan2(lean, -z.value),
+        **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
+    }
+    return trolley, pull, rope, answer
 
 
 TAUT = Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2])

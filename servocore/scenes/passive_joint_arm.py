@@ -49,7 +49,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_ode import forward, two_sided
+from servocore.scenes.internal_ode import bounded
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""
@@ -185,11 +185,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
         return np.array([state[1], acceleration(y, state[0], state[1])])
 
     inertia = J_2 - weight * (J_2 + coupling)
-    if inertia > 0.0:
-        b, speed = forward(rate, t, reference.start_time, 2)
-    else:
-        matrix = np.array([[0.0, 1.0], [-c / inertia, -d / inertia]])
-        b, speed = two_sided(rate, t, reference.start_time, reference.end_time, matrix)
+    b, speed = bounded(rate, t, reference, (inertia, d, c))
     y = reference.jet(t, 2)[:, :, 0].T
     b_second = acceleration(y, b, speed)
     a_first, a_second = y[1] - weight * speed, y[2] - weight * b_second
