@@ -263,14 +263,12 @@ class Assembly(Layout):
 
     def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
         """Return the tension of every rope: the multiplier is the force for each metre of the length."""
-        index, found = {name: k for k, name in enumerate(self.rows)}, dict[Quantity, ca.SX]()
-        for body in self.options.ropes:
-            quantity = Quantity(f"{body}.tension", "N", f"tension of the rope of {body}", tension=True)
-            found[quantity] = 2 * lam[index[f"rope of {body}"]] * ca.sqrt(self._rope_square(body))
-        for name in self.options.taut:
-            quantity = Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)
-            found[quantity] = lam[index[f"tendon {name}"]]
-        return found
+        of, square = dict(zip(self.rows, ca.vertsplit(lam), strict=True)), self._rope_square
+        pulls = {
+            (name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * ca.sqrt(square(name)) for name in self.ropes
+        }
+        pulls |= {(name, name): of[f"tendon {name}"] for name in self.options.taut}
+        return {Quantity(f"{k}.tension", "N", f"tension of {what}", tension=True): f for (k, what), f in pulls.items()}
 
     def _observed(self, u: ca.SX) -> dict[Quantity, ca.SX]:
         found = dict[Quantity, ca.SX]()

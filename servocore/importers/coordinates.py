@@ -69,8 +69,8 @@ class Layout:
         declared = []
         for name, elastic in self.options.elastic.items():
             joint = self.tree.joints[name]
-            per = "rad" if joint.kind == "hinge" else "m"
-            force, inertia = ("N.m", "kg.m2") if joint.kind == "hinge" else ("N", "kg")
+            per, force, _ = UNITS[joint.kind]
+            inertia = "kg.m2" if joint.kind == "hinge" else "kg"
             motor = joint.armature if elastic.motor_inertia is None else elastic.motor_inertia
             declared += [
                 Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),

@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 
 from servocore.importers.assembly import Assembly
+from servocore.importers.coordinates import UNITS
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
 from servocore.importers.sdf import read_sdf
@@ -178,9 +179,8 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
 
     for joint in assembly.moving:
         if joint.kind != "ball":
-            unit = "rad" if joint.kind == "hinge" else "m"
-            add(joint.name, unit, joint.lower, joint.upper)
-            add(joint.name, unit, -joint.velocity, joint.velocity, rate=True)
+            add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
+            add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
     units = {each.name: each.unit for drive in assembly.inputs for each in (drive.quantity, *drive.observed)}
     for drive in assembly.inputs:
         for name, bounds in drive.bounds.items():

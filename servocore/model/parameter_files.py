@@ -50,9 +50,11 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
             continue
         if key not in declared:
             raise InvalidModel(f"{path}: no parameter is called {key!r}; there are {', '.join(declared)}")
-        values[key] = _number(path, key, value)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            kind = {bool: "a boolean", str: "a text", dict: "a table", list: "a list"}.get(type(value), "a date")
+            raise InvalidModel(f"{path}: parameter {key} must be a number, not {kind}")
         try:
-            declared[key].check(values[key])
+            values[key] = declared[key].check(value)
         except InvalidModel as error:
             raise InvalidModel(f"{path}: {error}") from None
     return values
@@ -165,13 +167,3 @@ def read_table(path: Path) -> dict[str, object]:
         raise InvalidModel(f"{path} is not a TOML file: {error}") from None
     except (ValueError, RecursionError) as error:  # dates that do not exist, tables nested too deeply
         raise InvalidModel(f"{path} is not a TOML file that can be read: {error}") from None
-
-
-def _number(path: Path, key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        kind = {bool: "a boolean", str: "a text", dict: "a table", list: "a list"}.get(type(value), "a date")
-        raise InvalidModel(f"{path}: parameter {key} must be a number, not {kind}")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InvalidModel(f"{path}: parameter {key} is too large for a number in double precision") from None
