@@ -244,7 +244,7 @@ class Scene:
         7
         """
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
-        changed = self._with_models({"with effects": effects.factory}, effects)
+        changed = self._with_models({"with effects": effects}, effects)
         return changed.with_drives(**self.drives) if self.drives else changed
 
     def with_drives(self, **drives: Drive | None) -> Scene:
@@ -289,7 +289,7 @@ class Scene:
     @property
     def drives(self) -> Mapping[str, Drive]:
         """The drives by the names of their inputs, see `with_drives`."""
-        return dict(getattr(self.models[self.default_model], "drives", ()))
+        return dict(getattr(self.models[self.default_model], "motors", ()))
 
     def _with_models(self, models: Mapping[str, ModelFactory], effects: Effects) -> Scene:
         """Return the scene with models of which no solution is known, and those of its parameters that they have."""

@@ -42,7 +42,7 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 
 def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope tension that gives the load its prescribed acceleration: m |gamma'' + g e_z|, without multipliers."""
-    return p["load_mass"] * ca.norm_2(_pull(gamma, p))
+    return p["load_mass"] * ca.norm_2(pull(gamma, p))
 
 
 def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -51,8 +51,7 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
     where the load swings by tens of degrees.
     """
-    pull = _pull(gamma, p)
-    direction = -pull / ca.norm_2(pull)
+    direction = -upwards(gamma, p)
     length = gamma[-1, 0] / direction[-1]
     return gamma[:-1, 0] - length * direction[:-1], length, direction
 
@@ -70,9 +69,15 @@ def swings_beside(along: ca.SX, rope: ca.SX) -> ca.SX:
     return ca.vertcat(ca.atan2(outwards, -rope[2]), ca.asin(sideways))
 
 
-def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
+def pull(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope force on the load by its mass: acceleration less gravity."""
     return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
+
+
+def upwards(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Direction of the rope, from the load on."""
+    force = pull(gamma, p)
+    return force / ca.norm_2(force)
 
 
 def swinging(
@@ -135,7 +140,7 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     force = per_length * rope.value
     lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
     trolley = tuple(position + offset for position, offset in zip(level, to_trolley, strict=True))
-    pull = tuple(-per_length * component.value for component in to_trolley)
+    level_pull = tuple(-per_length * component.value for component in to_trolley)
     answer = {
         WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
         ROPE.name: rope.value,
@@ -143,7 +148,7 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
         SWING.name: np.arctan2(lean, -z.value),
         **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
     }
-    return trolley, pull, rope, answer
+    return trolley, level_pull, rope, answer
 
 
 TAUT = Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2])

@@ -86,13 +86,7 @@ def points() -> MechanicalSystem:
     p = PARAMETERS
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
     gamma = reference_symbols(1)
-    masses: tuple[ca.SX | float, ...] = (
-        *[p["first_inertia"]] * 2,
-        *[p["second_mass"]] * 2,
-        *[p["second_inertia"]] * 2,
-        0,
-        0,
-    )
+    masses = [p[name] for name in ("first_inertia", "second_mass", "second_inertia") for _ in range(2)]
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
     along = ca.vertcat(ca.cos(start), ca.sin(start))
@@ -102,7 +96,7 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=diagonal(masses),
+        mass=diagonal([*masses, 0, 0]),
         potential=p["joint_stiffness"] * b**2 / 2,
         force=-p["joint_damping"] * coordinates.velocity("b") * ca.jacobian(b, coordinates.q).T,
         constraints=ca.vertcat(

@@ -186,7 +186,7 @@ def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
     from servocore.scenes.rotary_crane_bodies import bodies as assembled  # noqa: PLC0415 - other models need no parts
 
-    return assembled(PARAMETERS, INPUTS, OUTPUTS, (PHI, TROLLEY))
+    return assembled()
 
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
