@@ -72,7 +72,7 @@ class Assembly(Layout):
             gyroscopic=ca.mtimes(self.reduction.T, self.motion.inertia_forces()),
             potential=self._potential(gravity),
             force=self._damping(),
-            input_matrix=ca.sparsify(ca.vertcat(*[self._row(drive.power) for drive in self.inputs])),
+            input_matrix=-ca.jacobian(ca.vertcat(ca.SX(0, 1), *[drive.power for drive in self.inputs]), self.v),
             output=output,
             constraints=ca.vertcat(ca.SX(0, 1), *self.rows.values()),
             constraint_names=tuple(self.rows),
@@ -143,27 +143,18 @@ class Assembly(Layout):
         """Inputs."""
         return chosen_drives(self)
 
-    def _row(self, power: ca.SX) -> ca.SX:
-        """Return a row of B from the power of a unit input, which is linear in the rates."""
-        return -ca.jacobian(power, self.v)
-
     @cached_property
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
         motion, A = self.motion, self.reduction
-        armature = {
-            joint.name: joint.armature
-            for joint in self.joints
-            if joint.armature and joint.name not in self.options.elastic
-        }
+        armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
         for name in self.options.elastic:
             k = self.coordinates.index(f"{name}{MOTOR}")
             mass[k, k] += self.parameters[f"{name}.motor_inertia"]
         for body in (*self.options.points, *self.options.ropes):
-            first = self.coordinates.index(f"{body}.x")
-            for k in range(first, first + 3):
-                mass[k, k] += self.tree.body[body].mass
+            J = ca.jacobian(self.point(body), self.q)
+            mass += self.tree.body[body].mass * ca.mtimes(J.T, J)
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
@@ -219,9 +210,8 @@ class Assembly(Layout):
         rows = dict[str, ca.SX]()
         for joint in self.moving:
             if joint.kind == "ball":
-                rows[f"{joint.name} unit quaternion"] = (
-                    ca.sumsqr(ca.vertcat(*[self.motion.q[e] for e in joint.coordinates])) - 1
-                )
+                e = ca.vertcat(*[self.motion.q[name] for name in joint.coordinates])
+                rows[f"{joint.name} unit quaternion"] = ca.sumsqr(e) - 1
         for body in self.options.points:
             gap = self.point(body) - self.motion.pose(self.centre(body))[1]
             rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
@@ -323,13 +313,10 @@ class Assembly(Layout):
         rank = np.linalg.matrix_rank(stacked, _DEPENDENT * np.linalg.norm(stacked, 2))
         if rank < len(q) - free + m:
             listed = ", ".join(each.name for each in names)
+            there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
             raise self.tree.fault(
-                f"the outputs {listed} are dependent at the posture {self._listed(q)}: give another one with posture"
+                f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
             )
         spread = rounded(np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float))
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)
-
-    def _listed(self, q: Array) -> str:
-        names = self.coordinates.names
-        return ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(names, q, strict=True))[:8])

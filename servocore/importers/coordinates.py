@@ -190,10 +190,8 @@ class Layout:
             elif part in ("x", "y", "z") and frame:
                 rows[Quantity(name, "m", f"position of {frame}")] = self.position(frame)["xyz".index(part)]
             else:
-                place = self.position(name)
-                rows |= {
-                    Quantity(f"{name}.{axis}", "m", f"position of {name}"): place[k] for k, axis in enumerate("xyz")
-                }
+                for axis, place in zip("xyz", ca.vertsplit(self.position(name)), strict=True):
+                    rows[Quantity(f"{name}.{axis}", "m", f"position of {name}")] = place
         return rows
 
     def _rotation_vector(self, frame: str, posture: Array) -> ca.SX:

@@ -247,22 +247,18 @@ class Motion:
 
     def mass(self) -> ca.SX:
         """Return M, shape (coordinates, coordinates), by composite bodies."""
-        count = len(self.columns)
-        mass = ca.SX(count, count)
-        starts = self._starts
+        mass, rows = ca.SX(len(self.columns), len(self.columns)), self._rows
         composite = list(self._inertias)
         for i in reversed(range(len(self.stages))):
             m, c, J = composite[i]
             _, _, W, V, _ = self._local[i]
             # Momentum of the composite body for unit rates: m v + w x c and J w + c x v.
             f, n, j = m * V - _cross(c, W), ca.mtimes(J, W) + _cross(c, V), i
-            rows = slice(starts[i], starts[i] + W.size2())
             while j >= 0:
                 R, p, W, V, _ = self._local[j]
                 block = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
-                columns = slice(starts[j], starts[j] + W.size2())
-                mass[columns, rows] = block
-                mass[rows, columns] = block.T
+                mass[rows[j], rows[i]] = block
+                mass[rows[i], rows[j]] = block.T
                 f, j = ca.mtimes(R, f), self.stages[j].parent
                 n = ca.mtimes(R, n) + _cross(p, f)
             if (parent := self.stages[i].parent) >= 0:
@@ -276,16 +272,16 @@ class Motion:
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
         matrix = ca.SX(len(self.columns), len(self.columns))
-        for stage, start, (_, _, W, V, _) in zip(self.stages, self._starts, self._local, strict=True):
-            rows = slice(start, start + W.size2())
+        for stage, rows, (_, _, W, V, _) in zip(self.stages, self._rows, self._local, strict=True):
             if stage.joint.name in values:
                 matrix[rows, rows] = values[stage.joint.name] * (ca.mtimes(W.T, W) + ca.mtimes(V.T, V))
         return ca.sparsify(matrix)
 
     @cached_property
-    def _starts(self) -> list[int]:
-        """Number of the first coordinate of every stage."""
-        return [self.columns[stage.joint.coordinates[0]] for stage in self.stages]
+    def _rows(self) -> list[slice]:
+        """Numbers of the coordinates of every stage."""
+        named = (stage.joint.coordinates for stage in self.stages)
+        return [slice(self.columns[names[0]], self.columns[names[-1]] + 1) for names in named]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
@@ -303,7 +299,7 @@ class Motion:
         forces = ca.SX(len(self.columns), 1)
         for i in reversed(range(len(self.stages))):
             (f, n), (R, p, W, V, _), parent = wrenches[i], self._local[i], self.stages[i].parent
-            forces[self._starts[i] : self._starts[i] + W.size2()] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
+            forces[self._rows[i]] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
             f, n = ca.mtimes(R, f), ca.mtimes(R, n)
             wrenches[parent] = wrenches[parent][0] + f, wrenches[parent][1] + n + _cross(p, f)
         return forces

@@ -344,11 +344,7 @@ def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _
     }
     for kind, (names, column) in (("output", outputs), ("constraint", constraints)):
         for name, expression in zip(names, ca.vertsplit(ca.SX(column)), strict=False):
-            velocities = _velocities(expression, v)
+            columns = sorted(set(ca.jacobian_sparsity(expression, v).get_col()))
+            velocities = ", ".join(str(v[int(k)]) for k in columns)
             if velocities:
                 raise InvalidModel(f"{system}: the {kind} {name} depends on velocities ({velocities}), {advice[kind]}")
-
-
-def _velocities(expression: ca.SX, v: ca.SX) -> str:
-    """Return the names of the velocities in an expression."""
-    return ", ".join(str(v[int(k)]) for k in sorted(set(ca.jacobian_sparsity(expression, v).get_col())))

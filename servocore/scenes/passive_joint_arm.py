@@ -171,8 +171,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
         """Return b'' from the jet y, shape (3, ...), and from b, b'."""
         M_12 = J_2 + coupling * np.cos(b)
         load = coupling * np.sin(b) * (y[1] - weight * speed) ** 2 + d * speed + c * b
-        b_ddot: Array = -(M_12 * y[2] + load) / (J_2 - weight * M_12)
-        return b_ddot
+        return np.asarray(-(M_12 * y[2] + load) / (J_2 - weight * M_12))
 
     def rate(time: Array | float, state: Array) -> Array:
         y = np.moveaxis(reference.jet(time, 2)[..., 0], -1, 0)
