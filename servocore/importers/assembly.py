@@ -8,7 +8,7 @@ For an elastic joint with motor theta behind its gear and link q (Spong),
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -238,12 +238,11 @@ class Assembly(Layout):
         """Return the rows of a constraint beside the tree."""
         tree = self.tree
         if closure.kind in ("joint", "tendon"):
-            of: Callable[[str], ca.SX] = (
-                self.motion.q.__getitem__ if closure.kind == "joint" else lambda name: self.length(tree.tendons[name])
-            )
-            moved = of(closure.second) - closure.rest[1] if closure.second else ca.SX(0)
+            tied = [name for name in (closure.first, closure.second) if name]
+            of = self.motion.q if closure.kind == "joint" else {k: self.length(tree.tendons[k]) for k in tied}
+            moved = of[closure.second] - closure.rest[1] if closure.second else ca.SX(0)
             polynomial = sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))
-            return [of(closure.first) - closure.rest[0] - polynomial]
+            return [of[closure.first] - closure.rest[0] - polynomial]
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
             turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))

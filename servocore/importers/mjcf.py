@@ -235,10 +235,8 @@ class _Reader:
         if not 0.0 < np.abs(gear if where == "frame" else gear[:1]).max() < LARGEST:
             raise self.fault(f"actuator {name} has a gear of zero, or above {LARGEST:g}")
         gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
-        affine = m.actuator_biastype[k] == biases.mjBIAS_AFFINE
-        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (
-            affine or m.actuator_biastype[k] == biases.mjBIAS_NONE
-        )
+        affine, none = (m.actuator_biastype[k] == each for each in (biases.mjBIAS_AFFINE, biases.mjBIAS_NONE))
+        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (affine or none)
         if not known or m.actuator_dyntype[k] in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
             raise self.fault(f"actuator {name} is no motor and no position or velocity servo: it cannot be represented")
         for attribute in ("actuator_armature", "actuator_damping"):

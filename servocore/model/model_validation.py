@@ -302,12 +302,6 @@ def require_freedom(name: str, n: int, m: int, rows: int, rank: int, *, assemble
         )
 
 
-def home_names(outputs: Sequence[str], time: ca.SX, home: object) -> tuple[str, ...]:
-    """Return the names of the entries of home: the time is the last one in a system made from another."""
-    again = ca.SX(time).numel() == 1 and isinstance(home, tuple) and len(home) == len(outputs) + 1
-    return (*outputs, "time") if again else tuple(outputs)
-
-
 def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int) -> dict[str, object]:
     """Return gamma with the time as its last row, and home with it as its last entry, where there is a time."""
     fields: dict[str, object] = {}

@@ -94,13 +94,9 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
         table = dict(inner)
     limits: dict[str, Bounds] = {}
     for name, value in table.items():
-        if isinstance(value, Mapping):  # in TOML s.rate is a table s
-            limits |= {
-                f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
-                for derivative, inside in value.items()
-            }
-        else:
-            limits[name] = _bounds(path, name, value)
+        # In TOML s.rate is a table s.
+        given = {f"{name}.{k}": bound for k, bound in value.items()} if isinstance(value, Mapping) else {name: value}
+        limits |= {each: _bounds(path, each, bound) for each, bound in given.items()}
     return limits
 
 

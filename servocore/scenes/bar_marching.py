@@ -57,8 +57,7 @@ class BarMotion:
     @property
     def input(self) -> Array:
         """Force on the driven end in N, shape (N,)."""
-        last: Array = self.force[-1]
-        return last
+        return np.asarray(self.force[-1])
 
 
 def march_bar(

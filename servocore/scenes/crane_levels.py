@@ -133,13 +133,11 @@ class Crane:
     def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
         """Assemble the model with some effects and without others."""
         known = {effect.name: effect for effect in self.effects}
-        chosen = {known[effect] for effect in added} | {
-            known[own] for effect in added for own in known[effect].includes
-        }
-        names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
+        chosen = added.union(*(known[effect].includes for effect in added))
+        names = chosen | {f"no {effect}" for effect in left_out}
         if sum(label.startswith("rope mass") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
-        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
+        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect.name in chosen])
         changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
         name = f"{self.name} with {changes}" if changes else self.name
         return self._assembled(name, declared, names, overhang(self.outputs))
