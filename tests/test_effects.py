@@ -19,7 +19,6 @@ from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
 from servocore.effects.report import HEADINGS, EffectsReport
-from servocore.model.effects import Extended
 from servocore.problem import Problem
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
@@ -67,7 +66,7 @@ def listed(name: str) -> list[str]:
 def test_a_crane_assembled_without_effects_has_the_inputs_of_the_closed_form(name: str) -> None:
     scene = crane(name)
     effects = scene.effects
-    bare = replace(scene, models={"bare": effects.factory})
+    bare = replace(scene, models={"bare": effects})
     solution = sc.solve(bare, step=0.1)
     exact = scene.exact(solution.t)
     for each in scene.model().inputs:
@@ -302,7 +301,7 @@ def test_the_table_has_the_columns_of_its_headings() -> None:
 
 def test_a_plant_of_ones_own_is_a_row_like_any_other() -> None:
     effects = crane("overhead_crane").effects
-    own = Extended(effects.assemble, frozenset({"hook"}), frozenset())
+    own = replace(effects, added=frozenset({"hook"}), left_out=frozenset())
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), plant={"our hook": own}, parameters={"hook_mass": 20.0})
     assert found["our hook"].error == pytest.approx(found["hook"].error, rel=1e-9)
     assert "our hook" in found.needed

@@ -28,7 +28,7 @@ from servocore.cli.console import CommandLine, advised_here, table_console
 from servocore.cli.kinds import choice
 from servocore.cli.options import Subject
 from servocore.errors import InvalidSetting
-from servocore.importers.assembly import Mechanism
+from servocore.importers.assembly import Assembly
 from servocore.importers.from_file import SUFFIXES
 from servocore.model.scene import Scene
 from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
@@ -101,7 +101,7 @@ def import_file(subject: Subject) -> None:
         raise InvalidSetting(f"{subject.scene} is no robot file: its name ends in {', '.join(SUFFIXES)}")
     scene = subject.chosen()
     mechanism = scene.models[scene.default_model]
-    assert isinstance(mechanism, Mechanism)
+    assert isinstance(mechanism, Assembly)
     console = table_console()
     for label, text in listed(scene, mechanism):
         console.print(f"  {label:<20}{text}", markup=False, highlight=False, soft_wrap=True)
@@ -109,7 +109,7 @@ def import_file(subject: Subject) -> None:
     console.print(report, markup=False, highlight=False, soft_wrap=True)
 
 
-def listed(scene: Scene, mechanism: Mechanism) -> list[tuple[str, str]]:
+def listed(scene: Scene, mechanism: Assembly) -> list[tuple[str, str]]:
     """Return the contents of a file, as labels and texts."""
     tree, options, system = mechanism.tree, mechanism.options, scene.model()
     rows = list[tuple[str, str]]()

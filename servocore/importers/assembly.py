@@ -8,8 +8,7 @@ For an elastic joint with motor theta behind its gear and link q (Spong),
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -20,9 +19,9 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
-from servocore.importers.options import Options, driven_joints
+from servocore.importers.options import driven_joints
 from servocore.importers.recursion import rounded, sparse
-from servocore.importers.tree import Closure, Tendon, Tree
+from servocore.importers.tree import Closure, Tendon
 from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -35,78 +34,30 @@ _DEPENDENT = 1e-7  # of the largest singular value of the outputs and constraint
 _ROUND_OFF = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Mechanism:
-    """A factory of the model of a tree with the choices of a user.
+class Assembly(Layout):
+    """The expressions of a mechanism, and a factory of its model.
 
     Parameters
     ----------
     tree : Tree
         The mechanism.
     options : Options
-        The choices.
+        Choices of the user.
     """
-
-    tree: Tree
-    options: Options
 
     def __call__(self) -> MechanicalSystem:
         """Return the model; raises `InvalidModel` or `InvalidSetting` if the choices do not fit the mechanism."""
-        return Assembly(self.tree, self.options).system()
-
-    @property
-    def left_out(self) -> list[str]:
-        """Elements of the file that have no part in the model."""
-        taut = {f"range of tendon {name}" for name in self.options.taut}
-        own = [each for each in self.tree.left_out if each.partition(",")[0] not in taut]
-        return [*own, *Assembly(self.tree, self.options).left_out]
-
-    def drawing(self, v: Mapping[str, Any]) -> list[Part]:
-        """Return the parts for symbols of the reported quantities by name.
-
-        Links are bars between joints, joints pins, frames that follow a path bodies.
-        """
-        assembly = Assembly(self.tree, self.options)
-        values = ca.vertcat(*[v[name] for name in assembly.coordinates.names])
-        loads = {*self.options.points, *self.options.ropes}
-        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in assembly.output_names]
-        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
-        origins = [position for _, position in assembly.motion.world]
-        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origin,), "") for origin in origins]
-        parts += [
-            ("bar", (origins[stage.parent] if stage.parent >= 0 else ca.SX(3, 1), origin), "")
-            for stage, origin in zip(assembly.stages, origins, strict=True)
-        ]
-        parts += [("rope", (origins[assembly.anchor(body)], assembly.point(body)), "") for body in assembly.ropes]
-        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
-            tip, stage = assembly.position(name), assembly.place(name).stage
-            parts += [("body", (tip,), name)]
-            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
-
-        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, assembly.q, values)))
-            return x, y, z
-
-        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
-        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]
-
-
-class Assembly(Layout):
-    """The expressions of a mechanism; see `Mechanism`."""
-
-    def system(self) -> MechanicalSystem:
-        """Return the model."""
-        tree, u = self.tree, ca.SX.sym("u", len(self.drives))
-        gamma, lam = reference_symbols(len(self.drives)), ca.SX.sym("lam", len(self.rows))
+        tree, u = self.tree, ca.SX.sym("u", len(self.inputs))
+        gamma, lam = reference_symbols(len(self.inputs)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
         outputs = self.output_rows(self.output_names, posture)
-        if len(outputs) != len(self.drives):
+        if len(outputs) != len(self.inputs):
             one, other = (
-                ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.drives])
+                ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.inputs])
             )
             raise InvalidModel(
-                f"{tree.source}: {len(outputs)} outputs ({one}) need as many inputs, not {len(self.drives)} ({other});"
+                f"{tree.source}: {len(outputs)} outputs ({one}) need as many inputs, not {len(self.inputs)} ({other});"
                 " choose others with outputs, inputs, passive or locked"
             )
         output = ca.vertcat(*outputs.values())
@@ -115,13 +66,13 @@ class Assembly(Layout):
             name=tree.name,
             coordinates=self.coordinates,
             parameters=self.parameters,
-            inputs=tuple(drive.quantity for drive in self.drives),
+            inputs=tuple(drive.quantity for drive in self.inputs),
             outputs=tuple(outputs),
             mass=self.mass,
             gyroscopic=ca.mtimes(self.reduction.T, self.motion.inertia_forces()),
             potential=self._potential(gravity),
             force=self._damping(),
-            input_matrix=ca.sparsify(ca.vertcat(*[self._row(drive.power) for drive in self.drives])),
+            input_matrix=-ca.jacobian(ca.vertcat(ca.SX(0, 1), *[drive.power for drive in self.inputs]), self.v),
             output=output,
             constraints=ca.vertcat(ca.SX(0, 1), *self.rows.values()),
             constraint_names=tuple(self.rows),
@@ -133,10 +84,36 @@ class Assembly(Layout):
             observables={**self._tensions(lam), **self._observed(u)},
         )
 
+    def drawing(self, v: Mapping[str, Any]) -> list[Part]:
+        """Return the parts for symbols of the reported quantities by name.
+
+        Links are bars between joints, joints pins, frames that follow a path bodies.
+        """
+        values = ca.vertcat(*[v[name] for name in self.coordinates.names])
+        loads = {*self.options.points, *self.options.ropes}
+        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in self.output_names]
+        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
+        origins = {stage: position for stage, (_, position) in self.motion.world.items()}
+        parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
+        parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
+        parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
+        parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
+        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+            tip, stage = self.position(name), self.place(name).stage
+            parts += [("body", (tip,), name)]
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
+
+        def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+            x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, self.q, values)))
+            return x, y, z
+
+        apart = [part for part in parts if len(part[1]) == 1 or not (part[1][1] - part[1][0]).is_zero()]
+        return [Part(kind, tuple(map(at, points)), name) for kind, points, name in apart]
+
     @property
     def output_names(self) -> list[str]:
         """Names of outputs: as chosen, or the joints that are driven."""
-        joints = [drive.joint for drive in self.drives]
+        joints = [drive.joint for drive in self.inputs]
         if not self.options.outputs and not all(joints):
             raise self.tree.fault("outputs must be named, for not all inputs act on joints")
         return list(self.options.outputs) or joints
@@ -154,7 +131,7 @@ class Assembly(Layout):
             if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, driven, False))
         ]
         rotors_on = {
-            next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.drives if drive.rotor
+            next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.inputs if drive.rotor
         }
         for body in rotors_on:
             wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
@@ -162,31 +139,22 @@ class Assembly(Layout):
         return "; ".join(lines)
 
     @cached_property
-    def drives(self) -> list[Drive]:
+    def inputs(self) -> list[Drive]:
         """Inputs."""
         return chosen_drives(self)
-
-    def _row(self, power: ca.SX) -> ca.SX:
-        """Return a row of B from the power of a unit input, which is linear in the rates."""
-        return -ca.jacobian(power, self.v)
 
     @cached_property
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
         motion, A = self.motion, self.reduction
-        armature = {
-            joint.name: joint.armature
-            for joint in self.joints
-            if joint.armature and joint.name not in self.options.elastic
-        }
+        armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
         for name in self.options.elastic:
             k = self.coordinates.index(f"{name}{MOTOR}")
             mass[k, k] += self.parameters[f"{name}.motor_inertia"]
         for body in (*self.options.points, *self.options.ropes):
-            first = self.coordinates.index(f"{body}.x")
-            for k in range(first, first + 3):
-                mass[k, k] += self.tree.body[body].mass
+            J = ca.jacobian(self.point(body), self.q)
+            mass += self.tree.body[body].mass * ca.mtimes(J.T, J)
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
@@ -242,9 +210,8 @@ class Assembly(Layout):
         rows = dict[str, ca.SX]()
         for joint in self.moving:
             if joint.kind == "ball":
-                rows[f"{joint.name} unit quaternion"] = (
-                    ca.sumsqr(ca.vertcat(*[self.motion.q[e] for e in joint.coordinates])) - 1
-                )
+                e = ca.vertcat(*[self.motion.q[name] for name in joint.coordinates])
+                rows[f"{joint.name} unit quaternion"] = ca.sumsqr(e) - 1
         for body in self.options.points:
             gap = self.point(body) - self.motion.pose(self.centre(body))[1]
             rows |= {f"{body} {axis}": gap[k] for k, axis in enumerate("xyz")}
@@ -271,12 +238,11 @@ class Assembly(Layout):
         """Return the rows of a constraint beside the tree."""
         tree = self.tree
         if closure.kind in ("joint", "tendon"):
-            of: Callable[[str], ca.SX] = (
-                self.motion.q.__getitem__ if closure.kind == "joint" else lambda name: self.length(tree.tendons[name])
-            )
-            moved = of(closure.second) - closure.rest[1] if closure.second else ca.SX(0)
+            tied = [name for name in (closure.first, closure.second) if name]
+            of = self.motion.q if closure.kind == "joint" else {k: self.length(tree.tendons[k]) for k in tied}
+            moved = of[closure.second] - closure.rest[1] if closure.second else ca.SX(0)
             polynomial = sum((c * moved**k for k, c in enumerate(closure.polynomial)), ca.SX(0))
-            return [of(closure.first) - closure.rest[0] - polynomial]
+            return [of[closure.first] - closure.rest[0] - polynomial]
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
             turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
@@ -286,20 +252,18 @@ class Assembly(Layout):
 
     def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
         """Return the tension of every rope: the multiplier is the force for each metre of the length."""
-        index, found = {name: k for k, name in enumerate(self.rows)}, dict[Quantity, ca.SX]()
-        for body in self.options.ropes:
-            quantity = Quantity(f"{body}.tension", "N", f"tension of the rope of {body}", tension=True)
-            found[quantity] = 2 * lam[index[f"rope of {body}"]] * ca.sqrt(self._rope_square(body))
-        for name in self.options.taut:
-            quantity = Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)
-            found[quantity] = lam[index[f"tendon {name}"]]
-        return found
+        of, square = dict(zip(self.rows, ca.vertsplit(lam), strict=True)), self._rope_square
+        pulls = {
+            (name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * ca.sqrt(square(name)) for name in self.ropes
+        }
+        pulls |= {(name, name): of[f"tendon {name}"] for name in self.options.taut}
+        return {Quantity(f"{k}.tension", "N", f"tension of {what}", tension=True): f for (k, what), f in pulls.items()}
 
     def _observed(self, u: ca.SX) -> dict[Quantity, ca.SX]:
         found = dict[Quantity, ca.SX]()
-        for k, drive in enumerate(self.drives):
+        for k, drive in enumerate(self.inputs):
             found |= {quantity: expression(u[k]) for quantity, expression in drive.observed.items()}
-        for actuator, factors in rotors(self, self.drives):
+        for actuator, factors in rotors(self, self.inputs):
             force = sum((factor * u[k] for k, factor in factors.items()), ca.SX(0))
             found[Quantity(f"{actuator.name}.drive", "N", f"drive of {actuator.name}")] = force
         return found
@@ -348,13 +312,10 @@ class Assembly(Layout):
         rank = np.linalg.matrix_rank(stacked, _DEPENDENT * np.linalg.norm(stacked, 2))
         if rank < len(q) - free + m:
             listed = ", ".join(each.name for each in names)
+            there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
             raise self.tree.fault(
-                f"the outputs {listed} are dependent at the posture {self._listed(q)}: give another one with posture"
+                f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
             )
         spread = rounded(np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float))
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)
-
-    def _listed(self, q: Array) -> str:
-        names = self.coordinates.names
-        return ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(names, q, strict=True))[:8])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import dropwhile, takewhile
 from math import comb
@@ -44,18 +43,19 @@ class Layout:
 
     def __init__(self, tree: Tree, options: Options) -> None:
         options.require_known(tree)
-        self.tree, driven = tree, driven_joints(tree, options)
+        self.tree, self.options, driven = tree, options, driven_joints(tree, options)
         self.ropes = {body: rope_hinges(tree, body, driven) for body in options.ropes}
         on_way = {name for hinges in self.ropes.values() for name in _below(tree, hinges)}
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
         points = {*options.points, *options.ropes}
-        self.left_out = [f"inertia of {name} about its centre: it is a point mass" for name in points]
+        taut = {f"range of tendon {name}" for name in options.taut}
+        self.left_out = [each for each in tree.left_out if each.partition(",")[0] not in taut]
+        self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in points]
         self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points if tree.body[name].mass]
-        held = [joint.name for hinges in self.ropes.values() for joint in hinges]
-        self.options = options = replace(options, locked=[*options.locked, *held])
+        self.locked = {*options.locked, *(joint.name for hinges in self.ropes.values() for joint in hinges)}
         self.stages, self.places = stages_of(tree, points | on_way)
         self.joints = [stage.joint for stage in self.stages]
-        self.moving = [joint for joint in self.joints if joint.name not in options.locked and not joint.mimic]
+        self.moving = [joint for joint in self.joints if joint.name not in self.locked and not joint.mimic]
         self.coordinates = Coordinates(
             *(Quantity(name, UNITS[joint.kind][0]) for joint in self.moving for name in joint.coordinates),
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
@@ -69,8 +69,8 @@ class Layout:
         declared = []
         for name, elastic in self.options.elastic.items():
             joint = self.tree.joints[name]
-            per = "rad" if joint.kind == "hinge" else "m"
-            force, inertia = ("N.m", "kg.m2") if joint.kind == "hinge" else ("N", "kg")
+            per, force, _ = UNITS[joint.kind]
+            inertia = "kg.m2" if joint.kind == "hinge" else "kg"
             motor = joint.armature if elastic.motor_inertia is None else elastic.motor_inertia
             declared += [
                 Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),
@@ -99,7 +99,7 @@ class Layout:
         """Return all coordinates of the stages from those that move; `scale` is zero for rates of constants."""
         values = {name: names[name] for joint in self.moving for name in joint.coordinates}
         for joint in self.joints:
-            if joint.name in self.options.locked:
+            if joint.name in self.locked:
                 held = scale * self.start(joint)
                 values |= {name: ca.SX(float(each)) for name, each in zip(joint.coordinates, held, strict=True)}
         for joint in self.joints:
@@ -190,10 +190,8 @@ class Layout:
             elif part in ("x", "y", "z") and frame:
                 rows[Quantity(name, "m", f"position of {frame}")] = self.position(frame)["xyz".index(part)]
             else:
-                place = self.position(name)
-                rows |= {
-                    Quantity(f"{name}.{axis}", "m", f"position of {name}"): place[k] for k, axis in enumerate("xyz")
-                }
+                for axis, place in zip("xyz", ca.vertsplit(self.position(name)), strict=True):
+                    rows[Quantity(f"{name}.{axis}", "m", f"position of {name}")] = place
         return rows
 
     def _rotation_vector(self, frame: str, posture: Array) -> ca.SX:

@@ -114,7 +114,7 @@ def _drive(name: str, assembly: Assembly) -> Drive:
 def _on_joint(joint: Joint, layout: Layout) -> Drive:
     """Return the drive of a joint, of its motor where it is elastic."""
     name, (_, unit, force) = joint.name, UNITS[joint.kind]
-    if name in layout.options.locked or joint.mimic or joint.kind == "ball":
+    if name in layout.locked or joint.mimic or joint.kind == "ball":
         why = "a ball" if joint.kind == "ball" else "a mimic" if joint.mimic else "locked or part of a rope"
         raise InvalidSetting(f"inputs: {name} is {why} and has no drive of its own")
     motor = f"{name}{MOTOR}" if name in layout.options.elastic else name

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
-from servocore.importers.assembly import Assembly, Mechanism
+from servocore.importers.assembly import Assembly
+from servocore.importers.coordinates import UNITS
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
 from servocore.importers.sdf import read_sdf
@@ -148,9 +149,9 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
     reference : Reference, optional
         Path of the outputs; a short line from the posture when not given.
     """
-    assembly, factory = Assembly(tree, options), Mechanism(tree, options)
+    assembly = Assembly(tree, options)
     limits = limits_of(assembly) if options.limits else ()
-    system = factory()
+    system = assembly()
     if reference is None:
         bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
         target = [
@@ -158,7 +159,7 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
             for x, each in zip(system.home, system.outputs, strict=True)
         ]
         reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
-    return Scene(tree.name, {"file": factory}, reference, limits=limits, drawing=factory.drawing, hint=assembly.hint)
+    return Scene(tree.name, {"file": assembly}, reference, limits=limits, drawing=assembly.drawing, hint=assembly.hint)
 
 
 def _target(start: float, way: float, low: float, high: float) -> float:
@@ -178,11 +179,10 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
 
     for joint in assembly.moving:
         if joint.kind != "ball":
-            unit = "rad" if joint.kind == "hinge" else "m"
-            add(joint.name, unit, joint.lower, joint.upper)
-            add(joint.name, unit, -joint.velocity, joint.velocity, rate=True)
-    units = {each.name: each.unit for drive in assembly.drives for each in (drive.quantity, *drive.observed)}
-    for drive in assembly.drives:
+            add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
+            add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
+    units = {each.name: each.unit for drive in assembly.inputs for each in (drive.quantity, *drive.observed)}
+    for drive in assembly.inputs:
         for name, bounds in drive.bounds.items():
             add(name, units[name], *bounds)
     return tuple(limits)

@@ -198,28 +198,26 @@ class _Reader:
     def _closure(self, k: int) -> list[Closure]:
         """Return an equality constraint; none where it is not active."""
         m, kinds, sites = self.m, self.mujoco.mjtEq, self.mujoco.mjtObj.mjOBJ_SITE
-        name, kind, data = m.eq(k).name or f"equality{k}", int(m.eq_type[k]), m.eq_data[k]
+        names = {getattr(kinds, f"mjEQ_{kind.upper()}"): kind for kind in ("joint", "tendon", "connect", "weld")}
+        name, kind, data = m.eq(k).name or f"equality{k}", names.get(int(m.eq_type[k])), m.eq_data[k]
         first, second = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
         if not m.eq_active0[k]:
             self.left_out.append(f"equality {name}, which is not active")
             return []
-        if kind in (kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
-            names = self.joints if kind == kinds.mjEQ_JOINT else self.tendons
-            values = m.qpos0[m.jnt_qposadr] if kind == kinds.mjEQ_JOINT else m.tendon_length0
-            rest = (float(values[first]), float(values[second]) if second >= 0 else 0.0)
-            one, other = names[first], names[second] if second >= 0 else ""
-            return [Closure(name, "joint" if kind == kinds.mjEQ_JOINT else "tendon", one, other, tuple(data[:5]), rest)]
-        if kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+        if kind is None:
             raise self.fault(f"equality {name} has a type that cannot be represented")
-        weld = kind == kinds.mjEQ_WELD
+        if kind in ("joint", "tendon"):
+            of, values = (self.joints, m.qpos0[m.jnt_qposadr]) if kind == "joint" else (self.tendons, m.tendon_length0)
+            rest = (float(values[first]), float(values[second]) if second >= 0 else 0.0)
+            return [Closure(name, kind, of[first], of[second] if second >= 0 else "", tuple(data[:5]), rest)]
         if m.eq_objtype[k] == sites:
-            return [Closure(name, "weld" if weld else "connect", self.sites[first], self.sites[second])]
+            return [Closure(name, kind, self.sites[first], self.sites[second])]
         # A weld lists the point on the second body before the pose in the first one, a connect the other way round.
-        one, other = (data[3:6], data[:3]) if weld else (data[:3], data[3:6])
-        relative = self._rotation(data[6:10]) if weld else IDENTITY
+        one, other = (data[3:6], data[:3]) if kind == "weld" else (data[:3], data[3:6])
+        relative = self._rotation(data[6:10]) if kind == "weld" else IDENTITY
         self.frames.append(Body(f"{name}.1", self.bodies[first], one.copy(), relative))
         self.frames.append(Body(f"{name}.2", self.bodies[second], other.copy()))
-        return [Closure(name, "weld" if weld else "connect", f"{name}.1", f"{name}.2")]
+        return [Closure(name, kind, f"{name}.1", f"{name}.2")]
 
     def _actuator(self, k: int) -> Actuator:
         m, kinds, gear = self.m, self.mujoco.mjtTrn, tuple(self.m.actuator_gear[k].tolist())
@@ -237,10 +235,8 @@ class _Reader:
         if not 0.0 < np.abs(gear if where == "frame" else gear[:1]).max() < LARGEST:
             raise self.fault(f"actuator {name} has a gear of zero, or above {LARGEST:g}")
         gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
-        affine = m.actuator_biastype[k] == biases.mjBIAS_AFFINE
-        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (
-            affine or m.actuator_biastype[k] == biases.mjBIAS_NONE
-        )
+        affine, none = (m.actuator_biastype[k] == each for each in (biases.mjBIAS_AFFINE, biases.mjBIAS_NONE))
+        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (affine or none)
         if not known or m.actuator_dyntype[k] in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
             raise self.fault(f"actuator {name} is no motor and no position or velocity servo: it cannot be represented")
         for attribute in ("actuator_armature", "actuator_damping"):

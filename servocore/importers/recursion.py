@@ -209,26 +209,26 @@ class Motion:
         return local
 
     @cached_property
-    def world(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Rotation and position of every stage in the axes of the ground."""
-        found: list[tuple[ca.SX, ca.SX]] = []
-        for stage, (R, p, *_) in zip(self.stages, self._local, strict=True):
-            turned, origin = found[stage.parent] if stage.parent >= 0 else (ca.SX.eye(3), ca.SX(3, 1))
-            found.append((ca.mtimes(turned, R), origin + ca.mtimes(turned, p)))
+    def world(self) -> dict[int, tuple[ca.SX, ca.SX]]:
+        """Rotation and position of every stage in the axes of the ground, which is stage -1."""
+        found = {-1: (ca.SX.eye(3), ca.SX(3, 1))}
+        for k, (stage, (R, p, *_)) in enumerate(zip(self.stages, self._local, strict=True)):
+            turned, origin = found[stage.parent]
+            found[k] = (ca.mtimes(turned, R), origin + ca.mtimes(turned, p))
         return found
 
     @cached_property
-    def rates(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Angular velocity and velocity of the origin of every stage, in its own axes."""
-        found: list[tuple[ca.SX, ca.SX]] = []
-        for stage, (R, p, W, V, v) in zip(self.stages, self._local, strict=True):
-            w, u = found[stage.parent] if stage.parent >= 0 else (ca.SX(3, 1), ca.SX(3, 1))
-            found.append((ca.mtimes(R.T, w) + ca.mtimes(W, v), ca.mtimes(R.T, u + _cross(w, p)) + ca.mtimes(V, v)))
+    def rates(self) -> dict[int, tuple[ca.SX, ca.SX]]:
+        """Angular velocity and velocity of the origin of every stage, in its own axes; the ground is stage -1."""
+        found = {-1: (ca.SX(3, 1), ca.SX(3, 1))}
+        for k, (stage, (R, p, W, V, v)) in enumerate(zip(self.stages, self._local, strict=True)):
+            w, u = found[stage.parent]
+            found[k] = (ca.mtimes(R.T, w) + ca.mtimes(W, v), ca.mtimes(R.T, u + _cross(w, p)) + ca.mtimes(V, v))
         return found
 
     def pose(self, place: Place) -> tuple[ca.SX, ca.SX]:
         """Return rotation and position of a place in the axes of the ground."""
-        R, p = self.world[place.stage] if place.stage >= 0 else (ca.SX.eye(3), ca.SX(3, 1))
+        R, p = self.world[place.stage]
         return ca.mtimes(R, sparse(place.rotation)), p + ca.mtimes(R, sparse(place.position))
 
     def seen_from(self, place: Place, stage: int) -> ca.SX:
@@ -241,35 +241,26 @@ class Motion:
 
     def power(self, place: Place, force: Array, torque: Array) -> ca.SX:
         """Return the power of a unit wrench that acts at a place, both in its axes."""
-        if place.stage < 0:
-            return ca.SX(0)
         w, u = self.rates[place.stage]
         along, about = sparse(place.rotation @ force), sparse(place.rotation @ torque)
         return ca.dot(along, u + _cross(w, sparse(place.position))) + ca.dot(about, w)
 
     def mass(self) -> ca.SX:
         """Return M, shape (coordinates, coordinates), by composite bodies."""
-        count = len(self.columns)
-        mass = ca.SX(count, count)
-        starts = self._starts
+        mass, rows = ca.SX(len(self.columns), len(self.columns)), self._rows
         composite = list(self._inertias)
         for i in reversed(range(len(self.stages))):
             m, c, J = composite[i]
             _, _, W, V, _ = self._local[i]
             # Momentum of the composite body for unit rates: m v + w x c and J w + c x v.
             f, n, j = m * V - _cross(c, W), ca.mtimes(J, W) + _cross(c, V), i
-            rows = slice(starts[i], starts[i] + W.size2())
-            while True:
-                _, _, W, V, _ = self._local[j]
+            while j >= 0:
+                R, p, W, V, _ = self._local[j]
                 block = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
-                columns = slice(starts[j], starts[j] + W.size2())
-                mass[columns, rows] = block
-                mass[rows, columns] = block.T
-                R, p, j = *self._local[j][:2], self.stages[j].parent
-                f = ca.mtimes(R, f)
+                mass[rows[j], rows[i]] = block
+                mass[rows[i], rows[j]] = block.T
+                f, j = ca.mtimes(R, f), self.stages[j].parent
                 n = ca.mtimes(R, n) + _cross(p, f)
-                if j < 0:
-                    break
             if (parent := self.stages[i].parent) >= 0:
                 above, added = composite[parent], _shifted(m, c, J, *self._local[i][:2])
                 composite[parent] = (above[0] + added[0], above[1] + added[1], above[2] + added[2])
@@ -281,48 +272,43 @@ class Motion:
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
         matrix = ca.SX(len(self.columns), len(self.columns))
-        for stage, start, (_, _, W, V, _) in zip(self.stages, self._starts, self._local, strict=True):
-            rows = slice(start, start + W.size2())
+        for stage, rows, (_, _, W, V, _) in zip(self.stages, self._rows, self._local, strict=True):
             if stage.joint.name in values:
                 matrix[rows, rows] = values[stage.joint.name] * (ca.mtimes(W.T, W) + ca.mtimes(V.T, V))
         return ca.sparsify(matrix)
 
     @cached_property
-    def _starts(self) -> list[int]:
-        """Number of the first coordinate of every stage."""
-        return [self.columns[stage.joint.coordinates[0]] for stage in self.stages]
+    def _rows(self) -> list[slice]:
+        """Numbers of the coordinates of every stage."""
+        named = (stage.joint.coordinates for stage in self.stages)
+        return [slice(self.columns[names[0]], self.columns[names[-1]] + 1) for names in named]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
-        accelerations: list[tuple[ca.SX, ca.SX]] = []
-        wrenches: list[tuple[ca.SX, ca.SX]] = []
-        for k, (stage, (R, p, W, V, v), (w, _)) in enumerate(zip(self.stages, self._local, self.rates, strict=True)):
-            if stage.parent < 0:
-                alpha, a, carried = ca.SX(3, 1), ca.SX(3, 1), ca.SX(3, 1)
-            else:
-                (w_p, _), (alpha_p, a_p) = self.rates[stage.parent], accelerations[stage.parent]
-                carried, alpha = ca.mtimes(R.T, w_p), ca.mtimes(R.T, alpha_p)
-                a = ca.mtimes(R.T, a_p + _cross(alpha_p, p) + _cross(w_p, _cross(w_p, p)))
-            alpha = alpha + _cross(carried, ca.mtimes(W, v))
+        accelerations, wrenches = {-1: (ca.SX(3, 1), ca.SX(3, 1))}, {-1: (ca.SX(3, 1), ca.SX(3, 1))}
+        for k, (stage, (R, p, W, V, v)) in enumerate(zip(self.stages, self._local, strict=True)):
+            (w, _), (w_p, _), (alpha_p, a_p) = self.rates[k], self.rates[stage.parent], accelerations[stage.parent]
+            carried = ca.mtimes(R.T, w_p)
+            alpha = ca.mtimes(R.T, alpha_p) + _cross(carried, ca.mtimes(W, v))
+            a = ca.mtimes(R.T, a_p + _cross(alpha_p, p) + _cross(w_p, _cross(w_p, p)))
             a = a + 2 * _cross(carried, ca.mtimes(V, v))
-            accelerations.append((alpha, a))
+            accelerations[k] = alpha, a
             m, c, J = self._inertias[k]
             force = m * a + _cross(alpha, c) + _cross(w, _cross(w, c))
-            wrenches.append((force, ca.mtimes(J, alpha) + _cross(w, ca.mtimes(J, w)) + _cross(c, a)))
+            wrenches[k] = force, ca.mtimes(J, alpha) + _cross(w, ca.mtimes(J, w)) + _cross(c, a)
         forces = ca.SX(len(self.columns), 1)
         for i in reversed(range(len(self.stages))):
-            (f, n), (R, p, W, V, _) = wrenches[i], self._local[i]
-            forces[self._starts[i] : self._starts[i] + W.size2()] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
-            if (parent := self.stages[i].parent) >= 0:
-                f, n = ca.mtimes(R, f), ca.mtimes(R, n)
-                wrenches[parent] = (wrenches[parent][0] + f, wrenches[parent][1] + n + _cross(p, f))
+            (f, n), (R, p, W, V, _), parent = wrenches[i], self._local[i], self.stages[i].parent
+            forces[self._rows[i]] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
+            f, n = ca.mtimes(R, f), ca.mtimes(R, n)
+            wrenches[parent] = wrenches[parent][0] + f, wrenches[parent][1] + n + _cross(p, f)
         return forces
 
     def weight(self, gravity: ca.SX) -> ca.SX:
         """Return the potential of gravity, J, for its acceleration in the axes of the ground, shape (3,)."""
         terms = [
-            m * ca.dot(gravity, p) + ca.dot(gravity, ca.mtimes(R, c))
-            for (m, c, _), (R, p) in zip(self._inertias, self.world, strict=True)
+            m * ca.dot(gravity, self.world[k][1]) + ca.dot(gravity, ca.mtimes(self.world[k][0], c))
+            for k, (m, c, _) in enumerate(self._inertias)
         ]
         return -sum(terms, ca.SX(0))
 

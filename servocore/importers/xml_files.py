@@ -179,20 +179,20 @@ class LinkReader:
         if kind == "continuous" or ends[0] == ends[1]:
             ends = [-math.inf, math.inf]
         lower, upper = (end if abs(end) < _NO_LIMIT else math.copysign(math.inf, end) for end in ends)
-        largest = []
-        for which in ("velocity", "effort"):
-            value = file.value(holder, f"limit/{which}", math.inf)
+        largest = {which: file.value(holder, f"limit/{which}", math.inf) for which in ("velocity", "effort")}
+        for which, value in largest.items():
             if not value > 0.0:  # many files leave it out in this way
                 self.left_out.append(f"{which} limit of joint {name}: {value:g} is taken for none")
-            largest.append(value if value > 0.0 else math.inf)
+                largest[which] = math.inf
         if file.value(holder, "dynamics/friction", 0.0):
             self.left_out.append(f"dry friction of joint {name}")
         stiffness, rest, damping = (
             file.value(holder, f"dynamics/{which}", 0.0)
             for which in ("spring_stiffness", "spring_reference", "damping")
         )
+        velocity, effort = largest.values()
         moves = "slide" if kind == "prismatic" else "hinge"
-        return Joint(name, moves, axis, anchor, lower, upper, largest[0], largest[1], stiffness, rest, damping)
+        return Joint(name, moves, axis, anchor, lower, upper, velocity, effort, stiffness, rest, damping)
 
 
 def rotation_of(rpy: Array) -> Array:

@@ -152,11 +152,11 @@ class Driven:
     """Factory of a model with drives; equal factories share one model."""
 
     factory: Callable[[], MechanicalSystem]
-    drives: tuple[tuple[str, Drive], ...]
+    motors: tuple[tuple[str, Drive], ...]
 
     def __call__(self) -> MechanicalSystem:
         """Assemble the model."""
-        return driven(self.factory(), dict(self.drives))
+        return driven(self.factory(), dict(self.motors))
 
 
 def with_drives(factory: Callable[[], MechanicalSystem], drives: Mapping[str, Drive]) -> Callable[[], MechanicalSystem]:

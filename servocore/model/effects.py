@@ -49,21 +49,8 @@ def _no_assembly(added: frozenset[str], left_out: frozenset[str]) -> MechanicalS
 
 
 @dataclass(frozen=True)
-class Extended:
-    """Factory of a model with some effects; equal factories share one model."""
-
-    assemble: Assemble
-    added: frozenset[str]
-    left_out: frozenset[str]
-
-    def __call__(self) -> MechanicalSystem:
-        """Assemble the model."""
-        return self.assemble(self.added, self.left_out)
-
-
-@dataclass(frozen=True)
 class Effects:
-    """The effects that a scene declares, and a function that assembles models with them.
+    """The effects that a scene declares, and a factory of the model with those that are added; equal ones share it.
 
     Parameters
     ----------
@@ -126,10 +113,9 @@ class Effects:
             left_out=lacking | {name.name for name in unwanted if name.left_out},
         )
 
-    @property
-    def factory(self) -> Extended:
-        """Factory of the model."""
-        return Extended(self.assemble, self.added, self.left_out)
+    def __call__(self) -> MechanicalSystem:
+        """Assemble the model."""
+        return self.assemble(self.added, self.left_out)
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -183,54 +183,51 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
     quantity, rate = known[of], of != name
     unit = quantity.unit if not rate else f"{quantity.unit}/s"
     what = f"the limit of {name}"
-    if isinstance(bounds, tuple | list):
-        if len(bounds) != 2:
+    given = bounds if isinstance(bounds, tuple | list) else [bounds]
+    values = [_value(bound, quantity, unit, what) for bound in given]
+    if given is bounds:
+        if len(values) != 2:
             raise InvalidSetting(f"{what} must be one number or a lower and an upper one, not {bounds!r}")
-        lower, upper = (_value(bound, unit, what) for bound in bounds)
-        for bound, value in zip(bounds, (lower, upper), strict=True):
-            _require_likely_angle(quantity if not rate else None, bound, value, what)
+        lower, upper = values
         lower, upper = (-math.inf if lower is None else lower, math.inf if upper is None else upper)
         if not lower < upper or (lower, upper) == (-math.inf, math.inf):
-            raise InvalidSetting(
-                f"{what} must run from a lower to an upper number, not from {bounds[0]} to {bounds[1]}"
-            )
+            raise InvalidSetting(f"{what} must run from a lower to an upper number, not from {given[0]} to {given[1]}")
     else:
-        largest = _value(bounds, unit, what)
-        _require_likely_angle(quantity if not rate else None, bounds, largest, what)
+        largest = values[0]
         if largest is None or largest <= 0.0:
             raise InvalidSetting(
                 f"{what} is {bounds!r}: one number is the largest magnitude and must be positive; for other bounds give"
                 f" a lower and an upper one"
             )
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
-    texts = [each for each in (bounds if isinstance(bounds, tuple | list) else [bounds]) if isinstance(each, str)]
+    texts = [each for each in given if isinstance(each, str)]
     given_in = next(filter(None, map(unit_of, texts)), "")
     over_run = of_run.get(of)
     expression = Named(over_run.of if over_run else of)
     return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in, over_run=over_run)
 
 
-def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:
-    """Refuse a bound of an angle that cannot be reached: probably degrees without their unit."""
-    if angle is None or angle.unit != "rad" or value is None or math.isinf(value):
-        return
-    bare = not isinstance(bound, str) or bound.strip()[-1] in "0123456789."
-    if bare and abs(value) > (math.pi if angle.never_negative else 2.0 * math.pi):
-        raise InvalidSetting(
-            f"{what} is {bound} without a unit: {value:g} rad would be {math.degrees(value):.0f} deg; write"
-            f" '{value:g} deg', or '{value:g} rad' if that is meant"
-        )
+def _value(bound: object, quantity: Quantity, unit: str, what: str) -> float | None:
+    """Return a bound of a quantity, or of its rate, as a number in a unit.
 
-
-def _value(bound: object, unit: str, what: str) -> float | None:
+    One of an angle that cannot be reached is refused: probably degrees without their unit.
+    """
     if bound is None:
         return None
     if isinstance(bound, str):
-        return in_unit(bound, unit, what)
-    try:
-        number = math.nan if isinstance(bound, bool) else float(bound)  # type: ignore[arg-type]  # refused below
-    except (TypeError, ValueError):
-        number = math.nan
+        number = in_unit(bound, unit, what)
+    else:
+        try:
+            number = math.nan if isinstance(bound, bool) else float(bound)  # type: ignore[arg-type]  # refused below
+        except (TypeError, ValueError):
+            number = math.nan
     if math.isnan(number):
         raise InvalidSetting(f"{what} must be a number or a text with its unit, such as '2 {unit}', not {bound!r}")
+    bare = not isinstance(bound, str) or bound.strip()[-1] in "0123456789."
+    most = math.pi if quantity.never_negative else 2.0 * math.pi
+    if unit == "rad" and bare and most < abs(number) < math.inf:
+        raise InvalidSetting(
+            f"{what} is {bound} without a unit: {number:g} rad would be {math.degrees(number):.0f} deg; write"
+            f" '{number:g} deg', or '{number:g} rad' if that is meant"
+        )
     return number

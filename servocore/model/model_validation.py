@@ -302,12 +302,6 @@ def require_freedom(name: str, n: int, m: int, rows: int, rank: int, *, assemble
         )
 
 
-def home_names(outputs: Sequence[str], time: ca.SX, home: object) -> tuple[str, ...]:
-    """Return the names of the entries of home: the time is the last one in a system made from another."""
-    again = ca.SX(time).numel() == 1 and isinstance(home, tuple) and len(home) == len(outputs) + 1
-    return (*outputs, "time") if again else tuple(outputs)
-
-
 def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int) -> dict[str, object]:
     """Return gamma with the time as its last row, and home with it as its last entry, where there is a time."""
     fields: dict[str, object] = {}
@@ -344,11 +338,7 @@ def require_positions(system: str, v: ca.SX, outputs: _NamedRows, constraints: _
     }
     for kind, (names, column) in (("output", outputs), ("constraint", constraints)):
         for name, expression in zip(names, ca.vertsplit(ca.SX(column)), strict=False):
-            velocities = _velocities(expression, v)
+            columns = sorted(set(ca.jacobian_sparsity(expression, v).get_col()))
+            velocities = ", ".join(str(v[int(k)]) for k in columns)
             if velocities:
                 raise InvalidModel(f"{system}: the {kind} {name} depends on velocities ({velocities}), {advice[kind]}")
-
-
-def _velocities(expression: ca.SX, v: ca.SX) -> str:
-    """Return the names of the velocities in an expression."""
-    return ", ".join(str(v[int(k)]) for k in sorted(set(ca.jacobian_sparsity(expression, v).get_col())))

@@ -75,8 +75,7 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     rows = np.asarray(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
         changes.append(_followed(rows, np.concatenate([np.zeros(len(rows) - len(extent)), extent])))
-    largest: Array = np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0)
-    return largest
+    return np.asarray(np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0))
 
 
 def _followed(rows: Array, extent: Array) -> Array:

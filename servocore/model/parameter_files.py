@@ -50,9 +50,11 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
             continue
         if key not in declared:
             raise InvalidModel(f"{path}: no parameter is called {key!r}; there are {', '.join(declared)}")
-        values[key] = _number(path, key, value)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            kind = {bool: "a boolean", str: "a text", dict: "a table", list: "a list"}.get(type(value), "a date")
+            raise InvalidModel(f"{path}: parameter {key} must be a number, not {kind}")
         try:
-            declared[key].check(values[key])
+            values[key] = declared[key].check(value)
         except InvalidModel as error:
             raise InvalidModel(f"{path}: {error}") from None
     return values
@@ -92,13 +94,9 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
         table = dict(inner)
     limits: dict[str, Bounds] = {}
     for name, value in table.items():
-        if isinstance(value, Mapping):  # in TOML s.rate is a table s
-            limits |= {
-                f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
-                for derivative, inside in value.items()
-            }
-        else:
-            limits[name] = _bounds(path, name, value)
+        # In TOML s.rate is a table s.
+        given = {f"{name}.{k}": bound for k, bound in value.items()} if isinstance(value, Mapping) else {name: value}
+        limits |= {each: _bounds(path, each, bound) for each, bound in given.items()}
     return limits
 
 
@@ -165,13 +163,3 @@ def read_table(path: Path) -> dict[str, object]:
         raise InvalidModel(f"{path} is not a TOML file: {error}") from None
     except (ValueError, RecursionError) as error:  # dates that do not exist, tables nested too deeply
         raise InvalidModel(f"{path} is not a TOML file that can be read: {error}") from None
-
-
-def _number(path: Path, key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        kind = {bool: "a boolean", str: "a text", dict: "a table", list: "a list"}.get(type(value), "a date")
-        raise InvalidModel(f"{path}: parameter {key} must be a number, not {kind}")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InvalidModel(f"{path}: parameter {key} is too large for a number in double precision") from None

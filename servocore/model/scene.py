@@ -104,15 +104,13 @@ class Scene:
         if not type(self.reference).__module__.startswith(f"{__package__.partition('.')[0]}."):
             require_consistent(self.reference)
         require_kind(self.parameters, Mapping, f"{self.name}: parameters", "values by name", InvalidModel)
-        listed = isinstance(self.limits, Sequence) and all(isinstance(limit, Limit) for limit in self.limits)
-        if not listed:
+        if not (isinstance(self.limits, Sequence) and all(isinstance(limit, Limit) for limit in self.limits)):
             raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
 
         for attribute in ("closed_form", "independent_solution", "drawing"):
-            if not (getattr(self, attribute) is None or callable(getattr(self, attribute))):
-                raise InvalidModel(
-                    f"{self.name}: {attribute} must be a function, not {described(getattr(self, attribute))}"
-                )
+            value = getattr(self, attribute)
+            if not (value is None or callable(value)):
+                raise InvalidModel(f"{self.name}: {attribute} must be a function, not {described(value)}")
 
     @property
     def default_model(self) -> str:
@@ -244,7 +242,7 @@ class Scene:
         7
         """
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
-        changed = self._with_models({"with effects": effects.factory}, effects)
+        changed = self._with_models({"with effects": effects}, effects)
         return changed.with_drives(**self.drives) if self.drives else changed
 
     def with_drives(self, **drives: Drive | None) -> Scene:
@@ -289,15 +287,13 @@ class Scene:
     @property
     def drives(self) -> Mapping[str, Drive]:
         """The drives by the names of their inputs, see `with_drives`."""
-        return dict(getattr(self.models[self.default_model], "drives", ()))
+        return dict(getattr(self.models[self.default_model], "motors", ()))
 
     def _with_models(self, models: Mapping[str, ModelFactory], effects: Effects) -> Scene:
         """Return the scene with models of which no solution is known, and those of its parameters that they have."""
         changed = replace(self, models=models, effects=effects, closed_form=None, independent_solution=None)
         known = changed.model().parameters.names
-        return replace(
-            changed, parameters={name: parameter for name, parameter in self.parameters.items() if name in known}
-        )
+        return replace(changed, parameters={name: x for name, x in self.parameters.items() if name in known})
 
     def with_limits(self, **bounds: Bounds | None) -> Scene:
         """Return the scene with limits of reported quantities by name, which replace those of the same name.

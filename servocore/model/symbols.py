@@ -192,9 +192,7 @@ class Coordinates:
         """
         copied = copy.copy(self)
         pairs = zip(self.quantities, magnitudes, strict=True)
-        object.__setattr__(
-            copied, "quantities", tuple(replace(quantity, nominal=float(size)) for quantity, size in pairs)
-        )
+        object.__setattr__(copied, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
         return copied
 
     def __len__(self) -> int:

@@ -20,14 +20,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
-from servocore.model.model_validation import (
-    clock,
-    home_names,
-    require_freedom,
-    require_positions,
-    require_shapes,
-    require_sound,
-)
+from servocore.model.model_validation import clock, require_freedom, require_positions, require_shapes, require_sound
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
 from servocore.numerics.compiled_calls import Array
@@ -193,7 +186,9 @@ class MechanicalSystem:
             quantity: as_expression(self.observables[quantity], f"{self.name}: observable {quantity.name}")
             for quantity in seen
         }
-        at_home = home_names([quantity.name for quantity in outputs], self.time, self.home)
+        at_home = [quantity.name for quantity in outputs]
+        if ca.SX(self.time).numel() == 1 and isinstance(self.home, tuple) and len(self.home) == len(outputs) + 1:
+            at_home.append("time")  # the last entry in a system made from another
         taken["home"] = numbers(self.home, at_home, f"{self.name}: home") or (1.0,) * len(outputs)
         values = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
         taken["home_parameters"] = values or tuple(self.parameters.values().tolist())

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidReference, InvalidSetting
+from servocore.errors import InvalidReference, InvalidSetting, require_positive
 from servocore.references.base import Reference
 
 Array = npt.NDArray[np.float64]
@@ -57,8 +57,7 @@ class BarMotion:
     @property
     def input(self) -> Array:
         """Force on the driven end in N, shape (N,)."""
-        last: Array = self.force[-1]
-        return last
+        return np.asarray(self.force[-1])
 
 
 def march_bar(
@@ -94,10 +93,8 @@ def march_bar(
         If a length, stiffness or mass is not positive (the end mass may be zero), or there is no piece.
     """
     for name, value in (("length", length), ("axial stiffness", axial_stiffness), ("line mass", line_mass)):
-        if not 0.0 < value < float("inf"):
-            raise InvalidSetting(f"the {name} of a bar must be positive and finite, not {value}")
-    if not 0.0 <= end_mass < float("inf"):
-        raise InvalidSetting(f"the end mass of a bar must be finite and not negative, not {end_mass}")
+        require_positive(value, f"the {name} of a bar", "a number")
+    require_positive(end_mass, "the end mass of a bar", "a number", or_zero=True)
     if not (isinstance(pieces, int) and pieces >= 1):
         raise InvalidSetting(f"a bar is marched in one or more whole pieces, not {pieces}")
     if reference.dimension != 1:

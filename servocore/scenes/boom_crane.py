@@ -151,18 +151,12 @@ def generalized() -> MechanicalSystem:
             ca.atan2(column[1], column[0]),
             ca.atan2(raised[2], ca.dot(column, raised[:2])),
             hanging,
-            hanging_load.swings_beside(column, -_direction(gamma, p)),
+            hanging_load.swings_beside(column, -hanging_load.upwards(gamma, p)),
         ),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={TENSION: hanging_load.tension(gamma, p), SWING: hanging_load.swing_angle(rope)},
         name="boom crane, generalized",
     )
-
-
-def _direction(gamma: ca.SX, p: Parameters) -> ca.SX:
-    """Direction of the rope, from load to tip."""
-    pull = gamma[:, 2] + ca.vertcat(0, 0, p["gravity"])
-    return pull / ca.norm_2(pull)
 
 
 def _from_axis(place: ca.SX) -> ca.SX:
@@ -175,7 +169,7 @@ def _distance(gamma: ca.SX, p: Parameters) -> ca.SX:
 
     With R, how far a place is from the axis, half of the derivative of the squared distance is r n + l - e R'.
     """
-    towards, load, offset = _direction(gamma, p), gamma[:, 0], p["foot_offset"]
+    towards, load, offset = hanging_load.upwards(gamma, p), gamma[:, 0], p["foot_offset"]
     projected, nearest, level = ca.dot(load, towards), -load[2] / towards[2], ca.sumsqr(towards[:2])
     for _ in range(_ITERATIONS):
         place = load + nearest * towards
@@ -193,7 +187,7 @@ def _tip(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX]:
     and a tangent in its place, the first where the line leaves the sphere of radius L + e, leaves a quadratic equation
     for l. Unlike Newton's method for the quartic that does not slow down where both solutions meet.
     """
-    towards, load, offset, boom = _direction(gamma, p), gamma[:, 0], p["foot_offset"], p["boom_length"]
+    towards, load, offset, boom = hanging_load.upwards(gamma, p), gamma[:, 0], p["foot_offset"], p["boom_length"]
     projected, outside = ca.dot(load, towards), ca.sumsqr(load) + (offset - boom) * (offset + boom)
     length = ca.sqrt(projected**2 - ca.sumsqr(load) + (boom + offset) ** 2) - projected
     for _ in range(_ITERATIONS):

@@ -29,7 +29,7 @@ from servocore.model.symbols import Coordinates, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.expressions import diagonal
 from servocore.scenes.crane_carriages import Carriage, Drive, exit_height
-from servocore.scenes.hanging_load import ROPE, TENSION, swing_angle
+from servocore.scenes.hanging_load import ROPE, TENSION, pull, swing_angle, upwards
 
 _SMOOTH_WIND = 0.01  # m/s: below it the drag is linear in the velocity, and differentiable at rest
 
@@ -133,13 +133,11 @@ class Crane:
     def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
         """Assemble the model with some effects and without others."""
         known = {effect.name: effect for effect in self.effects}
-        chosen = {known[effect] for effect in added} | {
-            known[own] for effect in added for own in known[effect].includes
-        }
-        names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
+        chosen = added.union(*(known[effect].includes for effect in added))
+        names = chosen | {f"no {effect}" for effect in left_out}
         if sum(label.startswith("rope mass") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
-        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
+        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect.name in chosen])
         changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
         name = f"{self.name} with {changes}" if changes else self.name
         return self._assembled(name, declared, names, overhang(self.outputs))
@@ -247,16 +245,13 @@ def _observables(
 
 def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effects: frozenset[str]) -> ca.SX:
     """Return a configuration near the path: from the load upwards along the pull, every point as fast as the load."""
-    up = ca.vertcat(*[0] * (gamma.size1() - 1), p["gravity"])
-    points, mass = [gamma[:, 0]], sum(chain.masses, ca.SX(0))
-    pull = gamma[:, 2] + up
-    direction = pull / ca.norm_2(pull)
+    points, mass, direction = [gamma[:, 0]], sum(chain.masses, ca.SX(0)), upwards(gamma, p)
     for link in chain.links:
         points.append(points[-1] + link * direction)
     height = exit_height(p, effects)
     distance = (height - points[-1][-1]) / direction[-1]
     exit_ = points[-1] + distance * direction
-    stretch = 1 + mass * ca.norm_2(pull) / p["rope_stiffness"] if "elastic rope" in effects else 1
+    stretch = 1 + mass * ca.norm_2(pull(gamma, p)) / p["rope_stiffness"] if "elastic rope" in effects else 1
     rope = distance / stretch + chain.beside
     lengths = (rope, distance) if "elastic rope" in effects else (rope,)
     return ca.vertcat(carriage.guess(exit_, p, effects), *lengths, *points)

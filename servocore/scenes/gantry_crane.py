@@ -79,15 +79,14 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     dict of str to ndarray, shape (N,)
         F_x, F_y, M_w, s_x, s_y, l, tension, swing, x, y, z.
     """
-    motion = hanging_load.follow(reference, parameters, OUTPUTS)
-    (s_x, s_y), (pull_x, pull_y) = motion.trolley, motion.pull
+    (s_x, s_y), (pull_x, pull_y), _, answer = hanging_load.follow(reference, parameters, OUTPUTS)
     m_b, m_t = parameters["bridge_mass"], parameters["trolley_mass"]
     return {
         "F_x": (m_b + m_t) * s_x.derivatives()[2] - pull_x,
         "F_y": m_t * s_y.derivatives()[2] - pull_y,
         "s_x": s_x.value,
         "s_y": s_y.value,
-        **motion.answer,
+        **answer,
     }
 
 

@@ -7,9 +7,9 @@ the flat algebra of the closed forms.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from operator import add
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -42,7 +42,7 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 
 def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope tension that gives the load its prescribed acceleration: m |gamma'' + g e_z|, without multipliers."""
-    return p["load_mass"] * ca.norm_2(_pull(gamma, p))
+    return p["load_mass"] * ca.norm_2(pull(gamma, p))
 
 
 def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -51,8 +51,7 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
     where the load swings by tens of degrees.
     """
-    pull = _pull(gamma, p)
-    direction = -pull / ca.norm_2(pull)
+    direction = -upwards(gamma, p)
     length = gamma[-1, 0] / direction[-1]
     return gamma[:-1, 0] - length * direction[:-1], length, direction
 
@@ -70,9 +69,15 @@ def swings_beside(along: ca.SX, rope: ca.SX) -> ca.SX:
     return ca.vertcat(ca.atan2(outwards, -rope[2]), ca.asin(sideways))
 
 
-def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
+def pull(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope force on the load by its mass: acceleration less gravity."""
     return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
+
+
+def upwards(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Direction of the rope, from the load on."""
+    force = pull(gamma, p)
+    return force / ca.norm_2(force)
 
 
 def swinging(
@@ -109,30 +114,13 @@ def swinging(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """The trolley's motion and forces that follow from the load's path: the crane is flat in the load position.
-
-    Attributes
-    ----------
-    trolley : tuple of Jet
-        Its level position, m.
-    pull : tuple of ndarray, shape (N,)
-        Level force of the rope on the trolley, N.
-    rates : tuple of ndarray, shape (N,)
-        Of the trolley's position and of the rope's length, m/s.
-    answer : dict of str to ndarray, shape (N,)
-        M_w, l, tension, swing, and the load's path by the names of the outputs.
-    """
-
-    trolley: tuple[jets.Jet, ...]
-    pull: tuple[Array, ...]
-    rates: tuple[Array, ...]
-    answer: dict[str, Array]
+Followed: TypeAlias = tuple[tuple[jets.Jet, ...], tuple[Array, ...], jets.Jet, dict[str, Array]]
+"""The trolley's level position (m), the level force of the rope on it (N), the rope's length (m), and the answer: M_w,
+l, tension, swing, and the load's path by the names of the outputs."""
 
 
 def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[Quantity]) -> Followed:
-    """Return the quantities of any crane that follow exactly from the path of its load.
+    """Return the quantities of any crane that follow exactly from the path of its load: it is flat in that.
 
     Parameters
     ----------
@@ -152,18 +140,15 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     force = per_length * rope.value
     lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
     trolley = tuple(position + offset for position, offset in zip(level, to_trolley, strict=True))
-    return Followed(
-        trolley=trolley,
-        pull=tuple(-per_length * component.value for component in to_trolley),
-        rates=tuple(each.d().value for each in (*trolley, rope)),
-        answer={
-            WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
-            ROPE.name: rope.value,
-            TENSION.name: force,
-            SWING.name: np.arctan2(lean, -z.value),
-            **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
-        },
-    )
+    level_pull = tuple(-per_length * component.value for component in to_trolley)
+    answer = {
+        WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
+        ROPE.name: rope.value,
+        TENSION.name: force,
+        SWING.name: np.arctan2(lean, -z.value),
+        **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
+    }
+    return trolley, level_pull, rope, answer
 
 
 TAUT = Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2])

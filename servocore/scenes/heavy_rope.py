@@ -42,7 +42,7 @@ from servocore.errors import InvalidModel, described
 from servocore.model.drawing import Part
 from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
-from servocore.model.rotationless.flexible import require_elements
+from servocore.model.rotationless.flexible import require_elements, stretching
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, reference_symbols
@@ -108,10 +108,6 @@ class HeavyRope:
         p, coordinates = PARAMETERS, Coordinates(*(each for k in range(self.elements + 1) for each in self.point(k)))
         points, gamma = ca.vertsplit(coordinates.q, self.dimension), reference_symbols(self.dimension)
         masses, size, axial = self.masses(p), p["rope_length"] / self.elements, p["rope_stiffness"]
-
-        def energy(square: ca.SX) -> ca.SX:
-            return axial * size / 2 * (ca.sqrt(square) - 1) ** 2
-
         strains = [ca.sumsqr(above - below) / size**2 for below, above in pairwise(points)]
         weight = sum(mass * p["gravity"] * point[-1] for mass, point in zip(masses, points, strict=True))
         drives = tuple(Quantity(f"F_{axis}", "N", f"force on the carriage along {axis}") for axis in self.axes)
@@ -122,7 +118,7 @@ class HeavyRope:
             inputs=drives,
             outputs=self.point(0),
             mass=diagonal([mass for mass in masses for _ in self.axes]),
-            potential=Potential(weight, [(energy, strain) for strain in strains]),
+            potential=Potential(weight, [(stretching(axial * size), strain) for strain in strains]),
             input_matrix=-ca.jacobian(points[-1], coordinates.q),
             output=points[0],
             gamma=gamma,

@@ -95,8 +95,9 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     load = np.asarray(reference)
     answer = frictionless(load, parameters)
     answer["M_w"] = answer["M_w"] / parameters["winch_radius"]  # the duty of the line's drive is one of a force
-    rates = follow(load, parameters, OUTPUTS).rates
-    for letter, rate, force in zip(DRIVES.values(), rates, ("F_x", "F_y", "M_w"), strict=True):
+    trolley, _, rope, _ = follow(load, parameters, OUTPUTS)
+    for letter, place, force in zip(DRIVES.values(), (*trolley, rope), ("F_x", "F_y", "M_w"), strict=True):
+        rate = place.d().value
         friction = _friction(rate, np.tanh(rate / parameters["creep"]), parameters, letter)
         answer[f"u_{letter}"] = (answer.pop(force) + friction) / parameters[f"gain_{letter}"]
     return answer

@@ -9,12 +9,13 @@ import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidModel
 from servocore.numerics.compiled_calls import Array
+from servocore.references.base import Reference
 
 Rate = Callable[[float, Array], Array]
 """(time in s, state (n,)) -> its rate (n,)."""
 
-Rates = Callable[[Array, Array], Array]
-"""(times in s (N,), states (n, N)) -> their rates (n, N)."""
+Rates = Callable[[Array | float, Array], Array]
+"""(times in s (N,), states (n, N)) -> their rates (n, N); or one time and state (n,)."""
 
 _RTOL, _ATOL = 1e-13, 1e-14
 _LONGEST_STEP = 1 / 100  # of the whole time, so that interpolation within a step is as accurate as the step
@@ -119,18 +120,39 @@ def two_sided(rate: Rates, t: Array, start: float, end: float, matrix: Array) ->
     after = end - _FADING / values[stable].real.max()
 
     decaying, growing = _left_invariant(matrix, "lhp"), _left_invariant(matrix, "rhp")
-
-    def boundary(first: Array, last: Array) -> Array:
-        conditions: Array = np.concatenate([decaying @ first, growing @ last])
-        return conditions
-
     mesh = np.unique(np.concatenate([np.linspace(before, start, 100), np.linspace(start, end, 400),
                                      np.linspace(end, after, 100)]))  # fmt: skip
     solution = scipy.integrate.solve_bvp(
-        rate, boundary, mesh, np.zeros((len(matrix), len(mesh))), tol=_BOUNDARY_TOLERANCE, max_nodes=100_000
-    )
+        rate, lambda first, last: np.concatenate([decaying @ first, growing @ last]), mesh,
+        np.zeros((len(matrix), len(mesh))), tol=_BOUNDARY_TOLERANCE, max_nodes=100_000,
+    )  # fmt: skip
     _require_solved(solution.status == 0, solution.message)
     return np.where((t >= before) & (t <= after), solution.sol(np.clip(t, before, after)), 0.0)
+
+
+def bounded(rate: Rates, t: Array, reference: Reference, coefficients: tuple[float, float, float]) -> Array:
+    """Solve x' = rate(t, x) of one coordinate and its rate for the solution that stays bounded for all times.
+
+    Parameters
+    ----------
+    rate : callable
+        As in `two_sided`.
+    t : ndarray, shape (N,)
+        In s, increasing.
+    reference : Reference
+        The path, whose motion begins and ends that of the right-hand side.
+    coefficients : (float, float, float)
+        Of acceleration, rate and coordinate at rest: of non-minimum phase where the first is negative.
+
+    Returns
+    -------
+    ndarray, shape (2, N)
+    """
+    inertia, damping, stiffness = coefficients
+    if inertia > 0.0:
+        return forward(rate, t, reference.start_time, 2)
+    matrix = np.array([[0.0, 1.0], [-stiffness / inertia, -damping / inertia]])
+    return two_sided(rate, t, reference.start_time, reference.end_time, matrix)
 
 
 def _left_invariant(matrix: Array, half: Literal["lhp", "rhp"]) -> Array:

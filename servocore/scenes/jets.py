@@ -65,13 +65,11 @@ class Jet:
     @property
     def value(self) -> FloatArray:
         """The function itself, shape (*shape)."""
-        first: FloatArray = self.coefficients[0]
-        return first
+        return np.asarray(self.coefficients[0])
 
     def derivatives(self) -> FloatArray:
         """Plain derivatives f, f', ..., f^(order), shape (order+1, *shape)."""
-        values: FloatArray = self.coefficients * _factorials(self.coefficients)
-        return values
+        return np.asarray(self.coefficients * _factorials(self.coefficients))
 
     def d(self) -> Jet:
         """Differentiate by time; the order drops by one.

@@ -49,7 +49,7 @@ from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_ode import forward, two_sided
+from servocore.scenes.internal_ode import bounded
 
 PARAMETERS = Parameters(
     Parameter("cart_1_mass", 5.0, "kg", 1e-3, 1e9, "m_c1"),
@@ -155,11 +155,7 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
         rest = _arc_sine(y[:, 1] / reach)
         return np.array([state[1], turning(y, rest[0] + state[0], rest[1] + state[1])[0] - rest[2]])
 
-    if inertia > 0.0:
-        states = forward(rate, t, reference.start_time, 2)
-    else:
-        matrix = np.array([[0.0, 1.0], [-c * soft / inertia, -d * soft / inertia]])
-        states = two_sided(rate, t, reference.start_time, reference.end_time, matrix)
+    states = bounded(rate, t, reference, (inertia, d * soft, c * soft))
     y = np.moveaxis(reference.jet(t, 2), 0, -1)
     rest = _arc_sine(y[:, 1] / reach)
     theta = np.array([rest[0] + states[0], rest[1] + states[1], np.zeros(len(t))])

@@ -49,7 +49,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_ode import forward, two_sided
+from servocore.scenes.internal_ode import bounded
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""
@@ -86,13 +86,7 @@ def points() -> MechanicalSystem:
     p = PARAMETERS
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
     gamma = reference_symbols(1)
-    masses: tuple[ca.SX | float, ...] = (
-        *[p["first_inertia"]] * 2,
-        *[p["second_mass"]] * 2,
-        *[p["second_inertia"]] * 2,
-        0,
-        0,
-    )
+    masses = [p[name] for name in ("first_inertia", "second_mass", "second_inertia") for _ in range(2)]
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
     along = ca.vertcat(ca.cos(start), ca.sin(start))
@@ -102,7 +96,7 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=diagonal(masses),
+        mass=diagonal([*masses, 0, 0]),
         potential=p["joint_stiffness"] * b**2 / 2,
         force=-p["joint_damping"] * coordinates.velocity("b") * ca.jacobian(b, coordinates.q).T,
         constraints=ca.vertcat(
@@ -177,19 +171,14 @@ def independent_solution(t: Array, reference: Reference, parameters: Mapping[str
         """Return b'' from the jet y, shape (3, ...), and from b, b'."""
         M_12 = J_2 + coupling * np.cos(b)
         load = coupling * np.sin(b) * (y[1] - weight * speed) ** 2 + d * speed + c * b
-        b_ddot: Array = -(M_12 * y[2] + load) / (J_2 - weight * M_12)
-        return b_ddot
+        return np.asarray(-(M_12 * y[2] + load) / (J_2 - weight * M_12))
 
     def rate(time: Array | float, state: Array) -> Array:
         y = np.moveaxis(reference.jet(time, 2)[..., 0], -1, 0)
         return np.array([state[1], acceleration(y, state[0], state[1])])
 
     inertia = J_2 - weight * (J_2 + coupling)
-    if inertia > 0.0:
-        b, speed = forward(rate, t, reference.start_time, 2)
-    else:
-        matrix = np.array([[0.0, 1.0], [-c / inertia, -d / inertia]])
-        b, speed = two_sided(rate, t, reference.start_time, reference.end_time, matrix)
+    b, speed = bounded(rate, t, reference, (inertia, d, c))
     y = reference.jet(t, 2)[:, :, 0].T
     b_second = acceleration(y, b, speed)
     a_first, a_second = y[1] - weight * speed, y[2] - weight * b_second

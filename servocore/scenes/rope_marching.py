@@ -126,8 +126,7 @@ def march_rope(reference: Reference, parameters: Mapping[str, float], step: floa
 def second(values: Array, step: float) -> Array:
     """Return the second derivative of samples (N, d) by central differences; before and after them all is at rest."""
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
-    total: Array = sum(weight * padded[k : k + len(values)] for k, weight in enumerate(_SECOND)) / step**2
-    return total
+    return np.asarray(sum(weight * padded[k : k + len(values)] for k, weight in enumerate(_SECOND)) / step**2)
 
 
 def _require_room(instants: int, pieces: int = 1) -> None:

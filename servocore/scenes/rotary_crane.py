@@ -129,8 +129,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
         M_b, F, M_w, phi, s, l, tension, swing, x, y, z.
     """
     J_b, m_t = parameters["bridge_inertia"], parameters["trolley_mass"]
-    motion = hanging_load.follow(reference, parameters, OUTPUTS)
-    (P_x, P_y), pull = motion.trolley, motion.pull
+    (P_x, P_y), pull, _, answer = hanging_load.follow(reference, parameters, OUTPUTS)
     s, phi = jets.sqrt(P_x**2 + P_y**2), jets.atan2(P_y, P_x)
     cos, sin = P_x.value / s.value, P_y.value / s.value
     pull_along, pull_across = cos * pull[0] + sin * pull[1], cos * pull[1] - sin * pull[0]
@@ -140,7 +139,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
         "F": m_t * (s2 - s0 * phi1**2) - pull_along,
         "phi": np.unwrap(phi0),
         "s": s0,
-        **motion.answer,
+        **answer,
     }
 
 
@@ -187,7 +186,7 @@ def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
     from servocore.scenes.rotary_crane_bodies import bodies as assembled  # noqa: PLC0415 - other models need no parts
 
-    return assembled(PARAMETERS, INPUTS, OUTPUTS, (PHI, TROLLEY))
+    return assembled()
 
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}

@@ -38,6 +38,7 @@ from servocore.model.rotationless.joints import angle, displacement, distance, p
 from servocore.model.rotationless.parts import GROUND, PointMass, RigidBody, turned
 from servocore.model.symbols import Parameters
 from servocore.scenes import hanging_load
+from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, PHI, TROLLEY
 
 if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem
@@ -57,38 +58,21 @@ WINCH_MASS_SHARE = 0.3
 _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 
-def bodies(
-    parameters: Parameters,
-    inputs: tuple[Quantity, ...],
-    outputs: tuple[Quantity, ...],
-    bridge: tuple[Quantity, Quantity],
-) -> MechanicalSystem:
-    """Return the crane with n = 42 coordinates and m_h = 37 constraints, section 5 of the paper.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        Holds bridge_inertia, trolley_mass, load_mass, winch_inertia, winch_radius and gravity.
-    inputs : tuple of Quantity
-        M_b (N m), F (N), M_w (N m).
-    outputs : tuple of Quantity
-        Load position x, y, z (m).
-    bridge : tuple of Quantity
-        Its angle phi (rad), and how far from the axis the trolley is, s (m).
-    """
+def bodies() -> MechanicalSystem:
+    """Return the crane with n = 42 coordinates and m_h = 37 constraints, section 5 of the paper."""
     crane = Assembly(
         parts=(
-            *_bodies(parameters),
-            PointMass("load", parameters["load_mass"]),
+            *_bodies(PARAMETERS),
+            PointMass("load", PARAMETERS["load_mass"]),
             Quantity("phi", "rad"),
             Quantity("s", "m"),
             Quantity("beta", "rad", nominal=10.0),
         ),
-        parameters=parameters,
-        gravity=(0.0, 0.0, -parameters["gravity"]),
+        parameters=PARAMETERS,
+        gravity=(0.0, 0.0, -PARAMETERS["gravity"]),
     )
     phi, s, beta = (crane.augmented(name) for name in ("phi", "s", "beta"))
-    length = parameters["winch_radius"] * beta
+    length = PARAMETERS["winch_radius"] * beta
     load, winch = crane.point("load").position, crane.body("winch").origin
     constraints = _constraints(crane, length)
     lam = crane.multipliers(constraints)
@@ -96,19 +80,19 @@ def bodies(
         "rotary crane, bodies",
         constraints=constraints,
         multipliers=lam,
-        inputs=dict(zip(inputs, (phi, s, beta), strict=True)),
-        outputs=dict(zip(outputs, ca.vertsplit(load), strict=True)),
-        guess=lambda y: _hanging(parameters, y, y[:2], -y[2]),
+        inputs=dict(zip(INPUTS, (phi, s, beta), strict=True)),
+        outputs=dict(zip(OUTPUTS, ca.vertsplit(load), strict=True)),
+        guess=lambda y: _hanging(PARAMETERS, y, y[:2], -y[2]),
         home=(4.0, 0.0, -5.0),
         observables={
-            **dict(zip(bridge, (phi, s), strict=True)),
+            **dict(zip((PHI, TROLLEY), (phi, s), strict=True)),
             hanging_load.ROPE: length,
             hanging_load.TENSION: 2 * length * lam["rope"],
             hanging_load.SWING: hanging_load.swing_angle(load - winch),
         },
     )
-    place, hanging, _ = hanging_load.suspension(system.gamma, parameters)
-    return replace(system, guess=crane.configuration(_hanging(parameters, system.gamma[:, 0], place, hanging)))
+    place, hanging, _ = hanging_load.suspension(system.gamma, PARAMETERS)
+    return replace(system, guess=crane.configuration(_hanging(PARAMETERS, system.gamma[:, 0], place, hanging)))
 
 
 def _bodies(p: Parameters) -> tuple[RigidBody, RigidBody, RigidBody]:

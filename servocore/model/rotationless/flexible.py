@@ -185,10 +185,7 @@ class ElasticRope(Line):
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all pieces, by the squares of their lengths."""
         size = self.length / self.elements
-
-        def energy(x: ca.SX) -> ca.SX:
-            return self.axial * size / 2 * (ca.sqrt(x) - 1) ** 2
-
+        energy = stretching(self.axial * size)
         return [(energy, ca.sumsqr(b.origin - a.origin) / size**2) for a, b in pairwise(self.frames(q))]
 
     def check(self, parameters: Parameters) -> None:
@@ -196,6 +193,11 @@ class ElasticRope(Line):
         self._require_length(f"rope {self.name}", parameters)
         _positive(f"rope {self.name}: its axial stiffness", self.axial, parameters)
         _positive(f"rope {self.name}: its line mass", self.line_mass, parameters, or_zero=True)
+
+
+def stretching(stiffness: Scalar) -> Energy:
+    """Return the energy of a piece of rope, of E A times its length, by the square of its relative length."""
+    return lambda x: stiffness / 2 * (ca.sqrt(x) - 1) ** 2
 
 
 def _quadratic(stiffness: Scalar, free: float) -> Energy:
