@@ -181,7 +181,8 @@ def driven_crane() -> sc.Scene:
         more = {"trolley_mass": wheel**2 * p["F.motor_inertia"], "winch_inertia": n**2 * p["M_w.motor_inertia"]}
         reflected = {name: value + more.get(name, 0.0) for name, value in p.items()}
         answer = present(crane.closed_form)(reference, reflected)
-        s_dot = follow(reference, reflected, crane.model().outputs).trolley[0].derivatives()[1]
+        (trolley,), *_ = follow(reference, reflected, crane.model().outputs)
+        s_dot = trolley.derivatives()[1]
         (x, z), (x_dot, z_dot) = np.moveaxis(reference[:, :2], 0, 2)
         l_dot = ((x - answer["s"]) * (x_dot - s_dot) + z * z_dot) / answer["l"]
         answer["F"] += wheel * (p["F.coulomb"] * np.tanh(s_dot / 0.01) + p["F.viscous"] * wheel * s_dot)

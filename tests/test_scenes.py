@@ -106,7 +106,7 @@ def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(
     scene_name: str, model: str, of: FormulationCase, steps: int
 ) -> None:
     step = scene(scene_name).reference.duration / steps
-    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved"):
+    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved|turns by .* in the step"):
         sc.solve(scene(scene_name), of.formulation, sc.BackwardEuler(), step=step, model=model)
 
 

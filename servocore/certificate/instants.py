@@ -53,7 +53,7 @@ class ErrorBound:
 def compared(
     proof: Proof, solution: Solution | None, tolerance: float
 ) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
-    """Bound errors of inputs, at the instants of a solution or of a default run, and say what follows from them.
+    """Bound errors of inputs, at the instants of a solution or of a default run, and state the consequence.
 
     Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
     equations switch inputs have no value to compare with.

@@ -73,7 +73,7 @@ class Claim:
     limit : Limit
         The quantity and its bounds.
     told : str
-        What is the case where it leaves its bounds; when empty its value is told.
+        Consequence of a value outside the bounds; when empty the value is stated.
     refutable : bool
         Whether the statement is false then.
     """
@@ -86,7 +86,7 @@ class Claim:
 
 @made_once
 def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
-    """Return what is claimed of every motion of a system: signs, constraints left out as redundant, and masses."""
+    """Return the claims about every motion of a system: signs, constraints left out as redundant, and masses."""
     claims = [
         Claim(f"{each.name} positive", Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name)))
         for each in reported_quantities(resolved.system).values()

@@ -12,7 +12,7 @@ from servocore.errors import ServocoreError, ServocoreWarning
 from servocore.numerics.compiled_calls import Array
 
 ROUND_OFF = 1e-9
-"""Of a quantity: what is computed by some hundred operations from double precision is no better known."""
+"""Of a quantity: the relative error of some hundred operations in double precision."""
 
 BISECTIONS = 40
 """Halvings after which an interval is as short as round-off of its ends."""

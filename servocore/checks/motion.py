@@ -1,4 +1,4 @@
-"""The motion of a run at its instants: what every check reads."""
+"""The motion of a run at its instants, which every check reads."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 /* Calls that FMI 2 and FMI 3 have alike. The source of each version includes this file, with OF_FMI(name) for a name of its
    own, and STATE(before, after) and DESERIALIZE for those of saved states, which both versions spell differently. */
 
-#define REQUIRE_INSTANCE REQUIRE(ANY, "") /* no phase is refused, and without an instance nobody is told */
+#define REQUIRE_INSTANCE REQUIRE(ANY, "") /* no phase is refused, and without an instance there is no logger */
 
 void OF_FMI(FreeInstance)(void *component) { free_instance((Instance *)component); }
 
