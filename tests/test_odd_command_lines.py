@@ -93,6 +93,7 @@ crane-fmu view --step 1e-9 -> a step of 1e-09 s makes more than 1e+07 rows: take
 crane-fmu view cars -> see crane-fmu view --help
 crane-fmu build --targets '' -> write it as in --targets host
 crane-fmu build --targets linux64 -> FMI 2 has no platform 'linux64'; there are x86_64-linux
+crane-fmu build --targets none -> have host among its platforms
 crane-fmu build --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
 crane-fmu build -o '' -> write it as in --output DIR
 crane-fmu ssp -o afile/deep -> is a file, not a folder; name another place

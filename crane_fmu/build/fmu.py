@@ -27,7 +27,7 @@ from crane_fmu.build.page import documentation_page, user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
-from servocore.export.targets import libraries
+from servocore.export.targets import HOST, chosen_targets, host, libraries
 from servocore.files import made_folder, require_writable, write_together, xml_document, zipped
 
 USUAL_TARGETS = "host,x86_64-windows"
@@ -93,11 +93,13 @@ def build_fmu(
     Raises
     ------
     InvalidSetting
-        If the folder cannot be made or written.
+        If the folder cannot be made or written, or this machine is not among the platforms.
     ServocoreError
         If the FMU fails its check.
     """
     import_module("pythonfmu")  # fails before the compilation if it is not installed
+    if host() not in chosen_targets(targets or USUAL_TARGETS, 2):
+        raise sc.InvalidSetting(f"the FMU is checked on this machine, {host()}: have {HOST} among its platforms")
     directory = Path(directory)
     target = directory / kind.file_name
     require_writable(directory, directory)
