@@ -238,7 +238,7 @@ def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collect
 def _of_run(proof: Proof, claim: Claim) -> Statement:
     """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
     limit = claim.limit
-    assert limit.over_run is not None
+    assert limit.over_run
     ends = np.array(_integral(proof, limit))
     low, high = limit.over_run.of_sum(ends, proof.problem.reference.duration).tolist()
     verdict: Verdict = "undecided"

@@ -110,7 +110,7 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     InvalidModel
         If a limit is on the rate of something that is differentiated already.
     """
-    limits = problem.limits, problem.run_limits
+    limits = tuple(limit for limit in problem.limits if not limit.over_run), problem.run_limits
     return _compile_rows(problem.resolved, *limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
 

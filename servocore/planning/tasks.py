@@ -70,7 +70,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; it has no plan")
     if first.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, and it has no plan")
-    if not (first.run_limits or any(not limit.of_path for limit in first.limits)):
+    if all(limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return problems
 

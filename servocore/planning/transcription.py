@@ -46,7 +46,7 @@ class Total(NamedTuple):
 
 def totals_of(limit: Limit) -> list[Total]:
     """Return both sides of a limit of what a run adds up; a lower one has a negative scale."""
-    found, rms = [], limit.over_run is not None and limit.over_run.rms
+    found, rms = [], bool(limit.over_run and limit.over_run.rms)
     for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
         bound = float(np.copysign(side**2, side)) if rms else side
         if np.isfinite(bound):
