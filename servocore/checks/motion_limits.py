@@ -334,7 +334,7 @@ def require_reported(problem: Problem, solution: Solution) -> None:
 def run_values(motion: Motion, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
     added = [limit.over_run for limit in motion.problem.run_limits if limit.over_run]
-    watched = compile_watched(motion.problem.resolved, tuple((each, False) for each in added))
+    watched = compile_watched(motion.problem.resolved, tuple((Named(each.of), False) for each in added))
     rows = watched.values(motion.problem, t, motion.at(t))
     return np.array([each.course(t, row)[-1] for each, row in zip(added, rows, strict=True)])
 
