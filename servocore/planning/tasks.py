@@ -154,7 +154,7 @@ def _task(
         symbols.append(ca.SX.sym("inner", rows.inner.size))
         values, zero, integrands, _ = rows.inner.local(gamma[:, : rows.order + 1], symbols[-1], corner.p)
         equations.append(zero)
-        for k, limit in enumerate(rows.totals):
+        for k, limit in enumerate(corner.run_limits):
             totals += [(integrands[k] / total.scale, total) for total in totals_of(limit)]
         begun.append(rows.inner.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])
