@@ -201,8 +201,6 @@ class Problem:
         The path to follow; at rest at home for a system without a scene.
     limits : tuple of Limit
         Where the scene ends.
-    run_limits : tuple of Limit
-        Of what a whole run adds up.
     follow_branch : bool
         Whether every instant starts from the one before, see `Scene`.
     left_out : str
@@ -229,7 +227,6 @@ class Problem:
     left_out: str = ""
     start: Mapping[str, float] = field(default_factory=dict)
     drawing: Drawing | None = None
-    run_limits: tuple[Limit, ...] = ()
 
     def __post_init__(self) -> None:
         lock_arrays(self, "p")
@@ -275,13 +272,9 @@ class Problem:
             from servocore.references.timed_path import TimeAugmented  # noqa: PLC0415 - few hold the time
 
             reference = TimeAugmented.of(reference)
-        limits, run_limits = (
-            tuple(each for each in scene.limits if (each.over_run is not None) == of_run) for of_run in (False, True)
-        )
         return cls(
-            scene.name, resolved, p, reference, limits, scene.follow_branch, left_out, start or {}, scene.drawing,
-            run_limits,
-        )  # fmt: skip
+            scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {}, scene.drawing
+        )
 
     @property
     def system(self) -> MechanicalSystem:
@@ -305,8 +298,13 @@ class Problem:
 
     @property
     def motion_limits(self) -> tuple[Limit, ...]:
-        """The limits that do not follow from the path alone."""
-        return tuple(limit for limit in self.limits if not limit.of_path)
+        """The limits that do not follow from the path alone, of what instants have."""
+        return tuple(limit for limit in self.limits if not (limit.of_path or limit.over_run))
+
+    @property
+    def run_limits(self) -> tuple[Limit, ...]:
+        """The limits of what a whole run adds up."""
+        return tuple(limit for limit in self.limits if limit.over_run)
 
     def dae(self, formulation: Formulation) -> Dae:
         """Return the problem in a formulation, with the index of that form."""

@@ -187,7 +187,7 @@ def certify(
         problem = Problem.of(scene_or_solution, model)
     path, proof, bounds, jumps = problem.reference, None, dict[str, ErrorBound](), tuple[float, ...]()
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
-    wanted = [k for k in (*problem.limits, *problem.run_limits, *extra) if not k.at_instants_only]
+    wanted = [k for k in (*problem.limits, *extra) if not k.at_instants_only]
     boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
     if not problem.flat:
         text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"

@@ -304,7 +304,8 @@ class Proof:
     def _followed(self) -> bool:
         """Answer the first interval that is not on the branch of a proved one beside it again, from that one.
 
-        From the first proved interval to the end, and to the beginning. Others are halved.
+        From the first proved interval to the end, and to the beginning. Intervals that following did not prove are
+        halved.
         """
         self.joints = self._joints()
         first = next((k for k, each in enumerate(self.intervals) if each.proved), 0)

@@ -14,7 +14,7 @@ from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
-from servocore.model.limits import Limit, Named, reported_quantities
+from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
@@ -202,8 +202,8 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
     found = dict[str, Statement]()
     for each in claims:
         statement = Statement(each.what, "undecided", "it depends on higher derivatives of the path than the inputs do")
-        if each.limit.over_run:
-            statement = _of_run(proof, each)
+        if added := each.limit.over_run:
+            statement = _of_run(proof, each, added)
         elif each in decisions:
             statement = _of_all_times(proof, each, decisions[each], jumps)
         before = found.setdefault(each.what, statement)
@@ -235,12 +235,10 @@ def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collect
     return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
 
 
-def _of_run(proof: Proof, claim: Claim) -> Statement:
+def _of_run(proof: Proof, claim: Claim, added: RunQuantity) -> Statement:
     """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
     limit = claim.limit
-    assert limit.over_run is not None
-    ends = np.array(_integral(proof, limit))
-    low, high = limit.over_run.of_sum(ends, proof.problem.reference.duration).tolist()
+    low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
     verdict: Verdict = "undecided"
     if low > limit.upper or high < limit.bound:
         verdict = "refuted"
@@ -251,14 +249,14 @@ def _of_run(proof: Proof, claim: Claim) -> Statement:
     return Statement(claim.what, verdict, text)
 
 
-def _integral(proof: Proof, limit: Limit) -> tuple[float, float]:
+def _integral(proof: Proof, limit: Limit) -> Array:
     """Return bounds of the integral of a quantity over the run, for all parameters of the box.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     """
     if proof.unproved:
-        return -np.inf, np.inf
+        return np.array([-np.inf, np.inf])
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
@@ -271,4 +269,4 @@ def _integral(proof: Proof, limit: Limit) -> tuple[float, float]:
     widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
     slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
     total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
-    return total - off, total + off
+    return np.array([total - off, total + off])

@@ -215,7 +215,8 @@ class BetterSolver:
                 failed = error
                 continue
             if last is not None:
-                doubt, off = (np.abs(better - each).max(axis=0) for each in (last, solution.values))
+                own = solution.values[:, : better.shape[1]]  # what a run adds up comes last
+                doubt, off = (np.abs(better - each).max(axis=0) for each in (last, own))
                 known = (off >= _SURE * doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(better).max(axis=0))
                 comparison = Comparison(inputs, solution, better, self.basis, known)
                 if known[: len(inputs)].all():
@@ -242,7 +243,8 @@ def _on_the_grid(better: Solution, solution: Solution) -> Array:
     step = (better.t[-1] - better.t[0]) / (len(better.t) - 1)
     rows = np.round((solution.t - better.t[0]) / step).astype(np.intp)
     inside = (rows >= 0) & (rows < len(better.t))
-    return np.where(inside[:, None], better.values[np.clip(rows, 0, len(better.t) - 1)], solution.values)
+    own = solution.values[:, : better.values.shape[1]]  # what a run adds up comes last
+    return np.where(inside[:, None], better.values[np.clip(rows, 0, len(better.t) - 1)], own)
 
 
 def stated_branch(

@@ -333,10 +333,10 @@ def require_reported(problem: Problem, solution: Solution) -> None:
 
 def run_values(motion: Motion, t: Array) -> Array:
     """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
-    limits = motion.problem.run_limits
-    values = limited_values(replace(motion, problem=replace(motion.problem, limits=limits)), t)
-    pairs = zip(limits, values, strict=True)
-    return np.array([limit.over_run.course(t, each)[-1] for limit, each in pairs if limit.over_run])
+    added = [limit.over_run for limit in motion.problem.run_limits if limit.over_run]
+    watched = compile_watched(motion.problem.resolved, tuple((Named(each.of), False) for each in added))
+    rows = watched.values(motion.problem, t, motion.at(t))
+    return np.array([each.course(t, row)[-1] for each, row in zip(added, rows, strict=True)])
 
 
 def require_run_limits(problem: Problem, solution: Solution) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces
-from servocore.model.quantity import run_quantities
+from servocore.model.limits import run_quantities
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -33,8 +33,7 @@ def chosen_columns(wanted: str | None, scene: Scene, model: str | None, more: bo
     """
     system = scene.model(model)
     reported = [*system.inputs, *system.observables, *system.outputs]
-    of_run = [each.quantity for each in run_quantities(reported)]
-    own = list(dict.fromkeys(quantity.name for quantity in [*reported, *of_run]))
+    own = list(dict.fromkeys(quantity.name for quantity in [*reported, *run_quantities(reported)]))
     if wanted is None:
         of_drives = [name for name in own if name.startswith(tuple(f"{each}." for each in scene.drives))]
         first = [*COLUMNS[scene.name], *of_drives] if scene.name in COLUMNS else own

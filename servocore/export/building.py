@@ -91,13 +91,12 @@ def inverse_model(
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
-    moved = bool(feedback and scene.drives)  # motors, by inputs that are not those of the path alone
     more = dict[str, ca.Function]()
     if feedback:
         more |= {**feedback.laws, "judge": feedback.judge}
     if estimates:
         more |= estimates.functions
-    if moved:
+    if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
         more["motors"] = motors(system, scene.drives, compiled.outputs)
     return InverseModel(
         identifier=identifier,
@@ -119,7 +118,7 @@ def inverse_model(
             "end_conditions": end_conditions(compiled.orders),
             "feedback": feedback.own() if feedback else None,
             "estimates": estimates.own() if estimates else None,
-            "has_motors": int(moved),
+            "has_motors": int("motors" in more),
         },
         functions={**compiled.functions, **named_in_c(more, identifier)},
         variables=rows.placed(_variables(problem, compiled, scene, feedback)),

@@ -146,7 +146,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     path = [Bound(e.quantity, e.unit, e.reason, e.bound) for e in problem.limits if e.of_path]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     bounds_of_limits = []
-    for row, (limit, name) in enumerate(zip((e for e in problem.limits if not e.of_path), hidden, strict=True)):
+    for row, (limit, name) in enumerate(zip(problem.motion_limits, hidden, strict=True)):
         if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
             kind = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
             raise InvalidModel(

@@ -15,7 +15,8 @@ from servocore.errors import InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
 from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
-from servocore.model.quantity import Quantity, run_quantities
+from servocore.model.limits import run_quantities
+from servocore.model.quantity import Quantity
 
 
 @dataclass(frozen=True)
@@ -203,11 +204,11 @@ class NativeModel:
     def with_run_quantities(self) -> Self:
         """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
         found, names = run_quantities(self.outputs), [each.name for each in self.outputs]
-        of, quantities = [names.index(each.of) for each in found], tuple(each.quantity for each in found)
+        of = [names.index(each.of) for each in found]
         return replace(
             self,
-            outputs=(*self.outputs, *quantities),
-            variables=placed([*self.variables, *output_variables(quantities)]),
+            outputs=(*self.outputs, *found),
+            variables=placed([*self.variables, *output_variables(found)]),
             depends=np.vstack([self.depends, self.depends[of]]),
             added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
         )

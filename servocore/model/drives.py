@@ -155,70 +155,54 @@ class Driven:
     motors: tuple[tuple[str, Drive], ...]
 
     def __call__(self) -> MechanicalSystem:
-        """Assemble the model."""
-        return driven(self.factory(), dict(self.motors))
+        """Assemble the model: with reflected inertia and friction, and further parameters and observables.
+
+        Raises
+        ------
+        InvalidModel
+            If an input has no place for a drive, or its radius is missing or given twice.
+        """
+        system, drives = self.factory(), dict(self.motors)
+        declared = [
+            replace(each, name=f"{name}.{each.name}", description=f"{each.description}, of {name}")
+            for name, drive in drives.items()
+            for each in drive.declared
+        ]
+        parameters = system.parameters.extended(*declared)
+        q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
+        mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
+        observables = dict(system.observables)
+        for name, drive in drives.items():
+            k, p = _place(system, name, drive), _data(name, drive, parameters)
+            B, n = system.input_matrix[k, :], p["transmission"]
+            rate = -ca.mtimes(B, v)
+            # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
+            inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
+            mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
+            gyroscopic += ca.sparsify(inertia * B.T * along)
+            friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
+            force += ca.sparsify(B.T * friction)
+            left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
+            observables |= _observed(name, drive, p, system.u[k], n * rate)
+        # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
+        known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
+        return replace(
+            system,
+            name=f"{system.name} with drives",
+            parameters=parameters,
+            home_parameters=(*system.home_parameters, *(each.default for each in declared)),
+            mass=mass,
+            gyroscopic=gyroscopic,
+            force=force,
+            observables=observables,
+            reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
+        )
 
 
 def with_drives(factory: Callable[[], MechanicalSystem], drives: Mapping[str, Drive]) -> Callable[[], MechanicalSystem]:
     """Return the factory of a model with drives in place of those that it may have."""
     bare = factory.factory if isinstance(factory, Driven) else factory
     return Driven(bare, tuple(drives.items())) if drives else bare
-
-
-def driven(system: MechanicalSystem, drives: Mapping[str, Drive]) -> MechanicalSystem:
-    """Return a system with drives at some of its inputs.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-        Without drives.
-    drives : mapping of str to Drive
-        By the names of inputs.
-
-    Returns
-    -------
-    MechanicalSystem
-        With reflected inertia and friction, and further parameters and observables.
-
-    Raises
-    ------
-    InvalidModel
-        If an input has no place for a drive, or its radius is missing or given twice.
-    """
-    declared = [
-        replace(each, name=f"{name}.{each.name}", description=f"{each.description}, of {name}")
-        for name, drive in drives.items()
-        for each in drive.declared
-    ]
-    parameters = system.parameters.extended(*declared)
-    q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
-    mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
-    observables = dict(system.observables)
-    for name, drive in drives.items():
-        k, p = _place(system, name, drive), _data(name, drive, parameters)
-        B, n = system.input_matrix[k, :], p["transmission"]
-        rate = -ca.mtimes(B, v)
-        # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
-        inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
-        mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
-        gyroscopic += ca.sparsify(inertia * B.T * along)
-        friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
-        force += ca.sparsify(B.T * friction)
-        left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
-        observables |= _observed(name, drive, p, system.u[k], n * rate)
-    # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
-    known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
-    return replace(
-        system,
-        name=f"{system.name} with drives",
-        parameters=parameters,
-        home_parameters=(*system.home_parameters, *(each.default for each in declared)),
-        mass=mass,
-        gyroscopic=gyroscopic,
-        force=force,
-        observables=observables,
-        reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
-    )
 
 
 def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
@@ -294,9 +278,8 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     sqrt(x^2 + e^2) or sqrt(x^2 + e^2) - e for |x|, whichever lowers the sum, it is smooth and nowhere above the curve.
     """
     speed_most, torque_last = drive.corners[-1]
-    corners, e = [*drive.corners, ((1.0 + _BEYOND) * speed_most, 0.0)], _SMOOTH * speed_most
-    if not torque_last:
-        corners.pop()
+    beyond = [((1.0 + _BEYOND) * speed_most, 0.0)] if torque_last else []
+    corners, e = [*drive.corners, *beyond], _SMOOTH * speed_most
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):

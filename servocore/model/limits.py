@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from servocore.errors import InvalidModel, InvalidSetting
-from servocore.model.quantity import Quantity, RunQuantity, run_quantities
+from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.model.units import in_unit, unit_of
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import as_expression
 
 RATE = ".rate"
@@ -54,8 +56,6 @@ class Limit:
         Whether the limit is one of the expression's rate of change; `unit` is then that of the rate.
     given_in : str
         Unit of values in messages, such as ``deg``; `unit` when empty.
-    over_run : RunQuantity, optional
-        What a whole run adds up, if the limit is on that; the expression is then the one that is integrated.
     """
 
     quantity: str
@@ -67,7 +67,6 @@ class Limit:
     upper: float = math.inf
     rate: bool = False
     given_in: str = ""
-    over_run: RunQuantity | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.expression):
@@ -84,6 +83,11 @@ class Limit:
     def of_path(self) -> bool:
         """Whether it is a lower bound of an expression of the path alone: such limits are checked first."""
         return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
+
+    @property
+    def over_run(self) -> RunQuantity | None:
+        """What a whole run adds up, if the limit is on that."""
+        return self.expression if isinstance(self.expression, RunQuantity) else None
 
     def with_unit(self, value: float) -> str:
         """Return a value of the quantity as a text, in the unit in which the limit was given.
@@ -125,7 +129,7 @@ class Limit:
         expression = as_expression(evaluate(*arguments), whose)
         if expression.shape != (1, 1):
             raise InvalidModel(f"{whose} has shape {expression.shape}, not (1, 1)")
-        return expression if self.over_run is None else self.over_run.integrand(expression)
+        return expression
 
 
 def _arguments(function: Callable[..., Any]) -> int:
@@ -146,6 +150,57 @@ class Named:
             if self.name in names:
                 return expressions[names.index(self.name)]
         raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
+
+
+@dataclass(frozen=True)
+class RunQuantity(Quantity):
+    """A quantity of a whole run: the integral of a reported quantity from the start on, or the root of its mean square.
+
+    As the expression of a limit it is what the run integrates.
+
+    Parameters
+    ----------
+    of : str
+        Name of the reported quantity.
+    rms : bool
+        Whether it is the root of the mean square.
+    """
+
+    of: str = ""
+    rms: bool = False
+
+    def __call__(self, system: MechanicalSystem) -> ca.SX:
+        """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
+        value = Named(self.of)(system)
+        return value**2 if self.rms else value
+
+    def of_sum(self, total: Any, duration: Any) -> Any:
+        """Return it from the integral over a duration in s."""
+        return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
+
+    def course(self, t: Array, values: Array) -> Array:
+        """Return it at every instant (N,) since the first, by Simpson's rule from values of the reported quantity."""
+        from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
+
+        integrands = values**2 if self.rms else values
+        found = np.asarray(cumulative_simpson(integrands, x=t, initial=0.0), dtype=np.float64)
+        found[1:] = self.of_sum(found[1:], t[1:] - t[0])
+        found[0] = abs(values[0]) if self.rms else 0.0
+        return found
+
+
+def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
+    """Return the energy ``NAME.energy`` (J) of every power and ``NAME.rms_torque`` of every torque of a motor."""
+    found = []
+    for each in quantities:
+        name, _, kind = each.name.rpartition(".")
+        if (kind, each.unit) == ("power", "W"):
+            about = f"integral of {each.name} over the time"
+            found.append(RunQuantity(f"{name}.energy", "J", about, of=each.name))
+        elif (kind, each.unit) == ("motor_torque", "N.m"):
+            about = f"root of the mean square of {each.name} since the start"
+            found.append(RunQuantity(f"{name}.rms_torque", "N.m", about, nonnegative=True, of=each.name, rms=True))
+    return tuple(found)
 
 
 def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | Sequence[ca.SX]]]:
@@ -172,10 +227,9 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         If no quantity has that name, or the bounds are invalid.
     """
     known = dict(reported_quantities(system))
-    of_run = {each.quantity.name: each for each in run_quantities(known.values())}
-    known |= {each: of_run[each].quantity for each in of_run}
+    known |= {each.name: each for each in run_quantities(known.values())}
     of = name if name in known else name.removesuffix(RATE)
-    if of not in known or (of in of_run and of != name):
+    if of not in known or (of != name and isinstance(known[of], RunQuantity)):
         raise InvalidSetting(
             f"{system.name} reports nothing called {name} that could have a limit; there are {', '.join(known)}, and"
             f" the rate of each with {RATE} behind its name"
@@ -202,9 +256,8 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
     texts = [each for each in given if isinstance(each, str)]
     given_in = next(filter(None, map(unit_of, texts)), "")
-    over_run = of_run.get(of)
-    expression = Named(over_run.of if over_run else of)
-    return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in, over_run=over_run)
+    expression = quantity if isinstance(quantity, RunQuantity) else Named(of)
+    return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in)
 
 
 def _value(bound: object, quantity: Quantity, unit: str, what: str) -> float | None:

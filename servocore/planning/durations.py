@@ -102,9 +102,8 @@ def _sums_kept(scene: Scene, problem: Problem, model: str | None, duration: floa
     """Whether limits of energies and effective values over the whole run are kept at a duration."""
     if not problem.run_limits:
         return True
-    try:
+    with suppress(ServocoreError):
         moved = scene.with_reference(TimeScaled.to(scene.reference, duration))
         require_run_limits(problem, solve(moved, model=model, checks=False))
-    except ServocoreError:
-        return False
-    return True
+        return True
+    return False

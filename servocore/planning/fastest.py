@@ -291,10 +291,8 @@ def _tightened(program: Transcription, found: Outcome, progress: Callable[[str],
         if outcome.status != SOLVED:
             return outcome
         parts = np.linspace(0.0, 1.0, finer * m + 1)
-        jets = law.jets(parts)
-        over = task.excess(jets).reshape(len(task.upper), program.intervals, len(parts))
-        once = np.append(np.arange(jets.shape[2] - 1) % len(parts) < len(parts) - 1, True)  # ends of intervals
-        beyond = task.over_all(jets[:, :, once], law.duration)
+        values, integrands = (each.reshape(-1, program.intervals, len(parts)) for each in task.values(law.jets(parts)))
+        over, beyond = task.excess(values), task.over_all(integrands, law.duration)
         if over.max(initial=0.0) <= EXCESS and beyond.max(initial=0.0) <= 0.0:
             return outcome
         spans = np.stack([over[:, :, finer * j : finer * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)

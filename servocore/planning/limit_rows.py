@@ -72,8 +72,6 @@ class Rows:
         -1, or -inf where there is no lower bound.
     moving : tuple of bool
         Whether each may depend on more than the place.
-    totals : tuple of Limit
-        Those of what the whole law adds up.
     """
 
     limits: tuple[Limit, ...]
@@ -81,7 +79,6 @@ class Rows:
     order: int
     lower: Array
     moving: tuple[bool, ...]
-    totals: tuple[Limit, ...]
 
     def at(self, jets: Array, p: Array) -> tuple[Array, Array]:
         """Return the rows, and the same as quantities, at instants: (rows, N) of jets (N, order + 1, m)."""
@@ -110,7 +107,7 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     InvalidModel
         If a limit is on the rate of something that is differentiated already.
     """
-    limits = problem.limits, problem.run_limits
+    limits = tuple(limit for limit in problem.limits if not limit.over_run), problem.run_limits
     return _compile_rows(problem.resolved, *limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
 
@@ -221,7 +218,7 @@ def _compile_rows(
         G, symbols = (ca.MX.sym(name, *each.shape) for name, each in (("gamma", given[0]), ("p", system.p)))
         begun = ca.Function("sc_start", [G, symbols], [start(G[:, : start.size2_in(0)], symbols)])
         moving = tuple(not by_formula or highest_derivative(value, system.gamma) > 0 for value in own)
-        return Rows(local, Inner(function, begun), order, np.array(lower), moving, totals)
+        return Rows(local, Inner(function, begun), order, np.array(lower), moving)
 
     here = rows_of(own, []).at_rest(np.array([rest]), np.array(p))[0][:, 0]
     rows = [_row(*each) for each in zip(local, own, here.tolist(), tips[: len(local)], strict=True)]

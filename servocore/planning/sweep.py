@@ -20,8 +20,7 @@ from servocore.checks.before_run import require_feasible
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.motion_limits import limited_values, margins_of
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
-from servocore.model.limits import Bounds
-from servocore.model.quantity import run_quantities
+from servocore.model.limits import Bounds, run_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
@@ -294,13 +293,13 @@ def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
         found[SWING] = found[f"peak_{SWING}"]
     found |= {quantity.name: values[quantity.name] for quantity in swept.problem.system.inputs}
     for each in run_quantities(solution.channels):
-        values[each.quantity.name] = values[each.quantity.name][-1:]
-        found[each.quantity.name] = values[each.quantity.name][0]
+        values[each.name] = values[each.name][-1:]
+        found[each.name] = values[each.name][0]
     if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
         assert isinstance(solution.origin, Problem)
-        problem = replace(solution.origin, limits=tuple(limit for limit in swept.limits if not limit.over_run))
+        problem = replace(solution.origin, limits=swept.limits)
         exact = limited_values(prepared_motion(problem), solution.t)
-        values |= {limit.quantity: row for limit, row in zip(problem.limits, exact, strict=True)}
+        values |= {limit.quantity: row for limit, row in zip(problem.motion_limits, exact, strict=True)}
     limits = [limit for limit in swept.limits if limit.quantity in values]
     margins = margins_of(limits, [values[limit.quantity] for limit in limits], solution.t)
     return found | {f"margin_{name}": margin.slack for name, margin in margins.items()}

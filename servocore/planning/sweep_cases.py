@@ -16,15 +16,14 @@ import numpy.typing as npt
 
 from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
-from servocore.model.limits import Limit
-from servocore.model.quantity import Quantity, run_quantities
+from servocore.model.limits import Limit, Named, RunQuantity, run_quantities
+from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_evaluation, reading
-from servocore.stepping.observation import observed
 
 SWING = "swing"
 """The observable whose peak is reported beside those of the inputs, where a model has it."""
@@ -66,7 +65,7 @@ class Work:
     peaks: tuple[str, ...]
     bounds: tuple[tuple[str, float, float], ...]
     turns: tuple[int, ...]
-    of_run: tuple[tuple[int, bool], ...]
+    of_run: tuple[tuple[int, RunQuantity], ...]
     kept: bool
     native: bool | None
 
@@ -101,7 +100,7 @@ def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
     of_drives = tuple(f"{quantity.name}." for quantity in system.inputs)
     named = (each for each in system.observables if each.name.startswith(of_drives))
     peaks = {f"peak_{each.name}": each for each in (*system.inputs, *named)}
-    peaks |= {each.quantity.name: each.quantity for each in run_quantities(peaks.values())}
+    peaks |= {each.name: each for each in run_quantities(peaks.values())}
     return peaks | {each.name: each for each in system.observables if each.name == SWING}
 
 
@@ -114,11 +113,10 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
         If a limit is on the rate of a quantity that is no function of positions: it takes one derivative more.
     """
     system = problem.system
-    known = {quantity.name: (quantity, expression) for quantity, expression in observed(system)}
-    peaks, of_run = peaked(system), {each.quantity.name: each.rms for each in run_quantities(system.observables)}
-    for each in run_quantities(quantity for quantity, _ in known.values()):
-        known[each.quantity.name] = each.quantity, each.integrand(known[each.of][1])
-    wanted = [known[quantity.name] for quantity in peaks.values()]
+    peaks = peaked(system)
+    wanted = [
+        (each, each(system) if isinstance(each, RunQuantity) else Named(each.name)(system)) for each in peaks.values()
+    ]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
@@ -128,9 +126,9 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     turns = tuple(
         len(peaks) + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system)
     )
-    named = [*peaks, *(limit.quantity for limit in limits)]
-    rows_of_run = tuple((k, of_run[name]) for k, name in enumerate(named) if name in of_run)
-    return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, rows_of_run, kept, native)
+    rows = enumerate([*peaks.values(), *(limit.expression for limit in limits)])
+    of_run = tuple((k, each) for k, each in rows if isinstance(each, RunQuantity))
+    return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, of_run, kept, native)
 
 
 def _in_time(function: ca.Function) -> ca.Function:
@@ -178,10 +176,10 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
                 continue
             rows = _rows(rows_of, by_newton, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
-            for k, rms in work.of_run:
+            duration = cases.numbers[some, 0] * cases.durations[path]
+            for k, each in work.of_run:
                 mean = np.trapezoid(rows[:, k], dx=1.0 / (rows.shape[2] - 1), axis=1)
-                value = np.sqrt(mean) if rms else mean * cases.numbers[some, 0] * cases.durations[path]
-                rows[:, k] = value[:, None]
+                rows[:, k] = each.of_sum(mean * duration, duration)[:, None]
             extremes[some] = extremes_of(rows)
             inputs[some] = rows[:, :kept]
     if extremes_at is not None:

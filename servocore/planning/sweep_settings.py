@@ -188,8 +188,8 @@ def checked_settings(
     for path in paths:
         bounded.with_reference(path)  # refuses a path that does not fit the scene
     paths = paths or (bounded.reference,)  # that of the problem has the time beside it where equations hold it
-    limits_watched = (*problem.motion_limits, *problem.run_limits)
-    return SweepSettings(bounded, model, problem, limits_watched, grid, paths, int(instants), bool(inputs))
+    watched = tuple(limit for limit in problem.limits if not limit.of_path)
+    return SweepSettings(bounded, model, problem, watched, grid, paths, int(instants), bool(inputs))
 
 
 def settings_of(swept: SweepSettings) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         raise InvalidModel(f"{scene.name} {why}: its inputs depend on the past of the path; it has no plan")
     if first.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, and it has no plan")
-    if not (first.run_limits or any(not limit.of_path for limit in first.limits)):
+    if all(limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return problems
 
@@ -154,7 +154,7 @@ def _task(
         symbols.append(ca.SX.sym("inner", rows.inner.size))
         values, zero, integrands, _ = rows.inner.local(gamma[:, : rows.order + 1], symbols[-1], corner.p)
         equations.append(zero)
-        for k, limit in enumerate(rows.totals):
+        for k, limit in enumerate(corner.run_limits):
             totals += [(integrands[k] / total.scale, total) for total in totals_of(limit)]
         begun.append(rows.inner.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])

@@ -121,6 +121,6 @@ def _kept(task: Task, jets: Array, duration: float) -> bool:
     """Whether a law keeps the limits, without the margin of a plan."""
     stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
     bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
-    values, _ = task.values(stretched)
+    values, integrands = task.values(stretched)
     kept = ((values <= 1.0) & (values >= bounds)).all()
-    return bool(kept and (task.over_all(stretched, duration) <= 0.0).all())
+    return bool(kept and (task.over_all(integrands[:, None], duration) <= 0.0).all())

@@ -46,7 +46,7 @@ class Total(NamedTuple):
 
 def totals_of(limit: Limit) -> list[Total]:
     """Return both sides of a limit of what a run adds up; a lower one has a negative scale."""
-    found, rms = [], limit.over_run is not None and limit.over_run.rms
+    found, rms = [], bool(limit.over_run and limit.over_run.rms)
     for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
         bound = float(np.copysign(side**2, side)) if rms else side
         if np.isfinite(bound):
@@ -111,18 +111,18 @@ class Task:
         largest = np.nanmax(np.array(magnitudes), axis=0, initial=0.0)
         return sizes, np.where(largest > 0.0, largest, 1.0)
 
-    def over_all(self, jets: Array, duration: float) -> Array:
-        """Return by how much totals (totals,) are beyond their bounds, from jets evenly from start to end."""
-        if not self.totals:
-            return np.zeros(0)
-        means = np.trapezoid(self.values(jets)[1], dx=1.0 / (jets.shape[2] - 1), axis=1)
+    def over_all(self, integrands: Array, duration: float) -> Array:
+        """Return by how much totals (totals,) are beyond their bounds, from integrands (totals, intervals, points).
+
+        All intervals are equally long, and points are evenly from start to end of each.
+        """
+        means = np.trapezoid(integrands, dx=1.0 / (integrands.shape[2] - 1)).mean(axis=1)
         over = [mean * (1.0 if e.mean else duration) - e.most for e, mean in zip(self.totals, means, strict=True)]
         return np.where(np.isfinite(over), over, np.inf)
 
-    def excess(self, jets: Array) -> Array:
-        """Return by how much rows are beyond their bounds (rows, n); infinite where there is no number."""
-        values, _ = self.values(jets)
-        over: Array = np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
+    def excess(self, values: Array) -> Array:
+        """Return by how much rows (rows, intervals, points) are beyond their bounds; infinite where undefined."""
+        over: Array = np.maximum(values - self.upper[:, None, None], self.lower[:, None, None] - values)
         return np.where(np.isfinite(values), over, np.inf)
 
 

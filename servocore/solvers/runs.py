@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.checks.between_instants import require_less_than_half_a_turn
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
-from servocore.model.quantity import run_quantities
+from servocore.model.limits import run_quantities
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
@@ -168,17 +168,8 @@ def input_noise(inputs: Array) -> float | None:
 def with_run_quantities(solution: Solution) -> Solution:
     """Return a solution with energies of powers and effective torques of motors up to every instant."""
     found, t = run_quantities(solution.channels), solution.t
-    if not found or len(t) < 2:
-        return solution
     table = np.column_stack([solution.values, *(each.course(t, solution[each.of]) for each in found)])
-    return replace(solution, channels=(*solution.channels, *(each.quantity for each in found)), values=table)
-
-
-def without_run_quantities(solution: Solution) -> Solution:
-    """Return a solution with the quantities of its instants alone, for comparisons with other runs."""
-    added = [each.quantity for each in run_quantities(solution.channels)]
-    own = [k for k, channel in enumerate(solution.channels) if channel not in added]
-    return replace(solution, channels=tuple(solution.channels[k] for k in own), values=solution.values[:, own])
+    return replace(solution, channels=(*solution.channels, *found), values=table)
 
 
 Progress = Callable[[int, int], None]

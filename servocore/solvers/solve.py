@@ -34,7 +34,7 @@ from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
-from servocore.solvers.runs import Progress, with_run_quantities, without_run_quantities
+from servocore.solvers.runs import Progress, with_run_quantities
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.stepping.program import program_of
@@ -279,7 +279,7 @@ def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
-    return better_solver_of(problem, route).estimate(problem, without_run_quantities(solution))
+    return better_solver_of(problem, route).estimate(problem, solution)
 
 
 def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:

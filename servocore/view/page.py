@@ -17,8 +17,8 @@ from servocore.errors import InvalidModel, InvalidSetting, require_kind, require
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.drawing import picture_of
-from servocore.model.limits import Named
-from servocore.model.quantity import Quantity, run_quantities
+from servocore.model.limits import Named, run_quantities
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
 from servocore.model.system import MechanicalSystem
@@ -215,8 +215,8 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     points = written("points", [picture.reported, system.p], [picture.coordinates])
     names = [quantity.name for quantity in quantities]
     added_up = run_quantities(quantities)
-    of_run = {each.quantity.name: each.course(times, rows[each.of]) for each in added_up}
-    rows |= of_run
+    shown = *quantities, *added_up
+    rows |= {each.name: each.course(times, rows[each.of]) for each in added_up}
     source = {"points": points, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, names)
     if live and path_limits:
@@ -231,7 +231,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         "outputs": [
             {**_quantity(quantity), "wraps": quantity.wraps, "input": quantity in system.inputs,
              "nonnegative": quantity.never_negative, "inner": _is_inner(system, quantity)}
-            for quantity in (*quantities, *(each.quantity for each in added_up))
+            for quantity in shown
         ],
         "added_up": [{"of": names.index(each.of), "rms": each.rms} for each in added_up],
         "shown": _shown(system, names),
@@ -243,7 +243,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         "path_limits": path_limits if live else [],
         "steps": steps or None,
         "step": problem.reference.duration / _STEP_PARTS,
-        "solved": {"t": packed(times), "values": packed(np.stack([rows[name] for name in (*names, *of_run)]))},
+        "solved": {"t": packed(times), "values": packed(np.stack([rows[each.name] for each in shown]))},
         **picture.about(),
     }  # fmt: skip
     return about, source
