@@ -5,7 +5,7 @@ q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its
 
     w = R^T w_p + W q_dot,    v = R^T (v_p + w_p x p) + V q_dot;
 
-W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, W = 2 E(e) for a unit quaternion e.
+W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, and for a ball with a unit quaternion too.
 
 R. Featherstone: Rigid Body Dynamics Algorithms. Springer 2008, chapters 5 and 6.
 """
@@ -137,16 +137,6 @@ def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
     return ca.mtimes(ca.sparsify(ca.skew(a)), b)
 
 
-def quaternion_rotation(e: ca.SX) -> ca.SX:
-    """Return R(e), shape (3, 3), of a unit quaternion, scalar part first."""
-    w, x, y, z = ca.vertsplit(e)
-    return ca.blockcat([
-        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ])  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Kinematics and dynamics of stages, for expressions of their coordinates.
@@ -202,9 +192,10 @@ class Motion:
             elif joint.kind == "hinge":
                 rotation, turn = ca.mtimes(rotation, ca.sparsify(turned(rounded(joint.axis), q - joint.zero))), axis
             else:
-                w, x, y, z = ca.vertsplit(q)
-                turn = 2 * ca.blockcat([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
-                rotation = ca.mtimes(rotation, quaternion_rotation(q))
+                w, e = q[0], q[1:]  # R = (w^2 - e.e) 1 + 2 e e^T + 2 w [e]x, W = 2 (-e, w 1 - [e]x)
+                cross, one = ca.sparsify(ca.skew(e)), ca.SX.eye(3)
+                turn = 2 * ca.horzcat(-e, w * one - cross)
+                rotation = ca.mtimes(rotation, (w * w - ca.sumsqr(e)) * one + 2 * ca.mtimes(e, e.T) + 2 * w * cross)
             local.append((rotation, position, turn, slide, v))
         return local
 

@@ -12,11 +12,14 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
+import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.importers.tree import Joint
+from servocore.importers.tree import IDENTITY, Joint
+from servocore.model.rotationless.parts import turned
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import filled
 
 _LARGEST = 2**23  # bytes; robot files have less than a tenth
 _NO_LIMIT = 1e15  # SDF writes 1e16 for none
@@ -142,7 +145,7 @@ class LinkReader:
         if origin is not None:
             text = f"{origin.get('xyz', '0 0 0')} {origin.get('rpy', '0 0 0')}"
         x, y, z, *rpy = self.file.numbers(named, text, (0.0,) * 6)
-        return np.array([x, y, z]), rotation_of(np.array(rpy))
+        return np.array([x, y, z]), _rotation(rpy)
 
     def inertia(self, link: Element, missing: float = 0.0) -> tuple[float, Array, Array]:
         """Return mass, centre of mass and inertia about it in a link's axes; `missing` stands for a missing one."""
@@ -195,11 +198,7 @@ class LinkReader:
         return Joint(name, moves, axis, anchor, lower, upper, velocity, effort, stiffness, rest, damping)
 
 
-def rotation_of(rpy: Array) -> Array:
+def _rotation(rpy: Sequence[float]) -> Array:
     """Return the rotation of roll, pitch and yaw (rad) about fixed axes x, y, z, shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    roll, pitch, yaw = (turned(axis, angle) for axis, angle in zip(IDENTITY, rpy, strict=True))
+    return filled(ca.DM(ca.mtimes([yaw, pitch, roll])))
