@@ -19,7 +19,6 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
-from servocore.importers.options import driven_joints
 from servocore.importers.recursion import rounded, sparse
 from servocore.importers.tree import Closure, Tendon
 from servocore.model.drawing import Part
@@ -121,14 +120,14 @@ class Assembly(Layout):
     @property
     def hint(self) -> str:
         """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
-        tree, driven = self.tree, driven_joints(self.tree, self.options)
+        tree = self.tree
         known = {body.parent for body in tree.bodies if body.mass or body.joints}
         known |= {*self.options.points, *self.options.ropes}
         lines = [
             f"if {body.name} hangs on a rope, ropes=['{body.name}'] replaces"
             f" {', '.join(joint.name for joint in hinges)} by its length, points=['{body.name}'] makes it a point mass"
             for body in tree.bodies
-            if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, driven, False))
+            if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, self.driven))
         ]
         rotors_on = {
             next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.inputs if drive.rotor
@@ -273,12 +272,8 @@ class Assembly(Layout):
     @cached_property
     def posture(self) -> Array:
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
-        given = self.options.posture
-        values = {
-            name: x for joint in self.joints for name, x in zip(joint.coordinates, self.start(joint), strict=True)
-        }
-        values |= {f"{name}{MOTOR}": values[name] for name in self.options.elastic}
-        values |= {name: float(x) for name, x in given.items() if name in self.coordinates.names}
+        values = self.start | {f"{name}{MOTOR}": self.start[name] for name in self.options.elastic}
+        values |= {name: float(x) for name, x in self.options.posture.items() if name in self.coordinates.names}
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
         if not self.rows:
             return q

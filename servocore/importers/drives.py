@@ -12,7 +12,6 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
-from servocore.importers.options import driven_joints
 from servocore.importers.recursion import Place
 from servocore.importers.tree import Actuator, Joint
 from servocore.model.quantity import Quantity
@@ -67,11 +66,10 @@ def chosen_drives(assembly: Assembly) -> list[Drive]:
         If a name is no joint, no drive and no component of a wrench, or stands twice.
     """
     tree, options = assembly.tree, assembly.options
-    driven = driven_joints(tree, options)
     names = options.inputs
     if names is None:
-        names = [name for name in tree.joints if name in driven]
-        names += [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+        beside = [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+        names = [*assembly.driven, *beside]
     if not names:
         raise InvalidSetting(f"{tree.source} has no drive: name inputs, components of wrenches as BODY.force_z too")
     drives = [_drive(name, assembly) for name in names]
