@@ -46,7 +46,7 @@ class Assembly(Layout):
 
     def __call__(self) -> MechanicalSystem:
         """Return the model; raises `InvalidModel` or `InvalidSetting` if the choices do not fit the mechanism."""
-        tree, u = self.tree, ca.SX.sym("u", len(self.inputs))
+        tree = self.tree
         gamma, lam = reference_symbols(len(self.inputs)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
@@ -60,6 +60,7 @@ class Assembly(Layout):
                 " choose others with outputs, inputs, passive or locked"
             )
         output = ca.vertcat(*outputs.values())
+        observed = {quantity: value for drive in self.inputs for quantity, value in drive.observed.items()}
         home, spread = self._prediction(output, list(outputs), posture)
         return MechanicalSystem(
             name=tree.name,
@@ -76,11 +77,11 @@ class Assembly(Layout):
             constraints=ca.vertcat(ca.SX(0, 1), *self.rows.values()),
             constraint_names=tuple(self.rows),
             multipliers=lam,
-            u=u,
+            u=ca.vertcat(*[drive.symbol for drive in self.inputs]),
             gamma=gamma,
             guess=posture + ca.mtimes(ca.DM(spread), gamma[:, 0] - ca.DM(home)),
             home=tuple(home),
-            observables={**self._tensions(lam), **self._observed(u)},
+            observables=self._tensions(lam) | observed | rotors(self, self.inputs),
         )
 
     def drawing(self, v: Mapping[str, Any]) -> list[Part]:
@@ -158,37 +159,41 @@ class Assembly(Layout):
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
         """Return V: weight, springs of joints and tendons, elastic joints."""
-        tree = self.tree
         potential = self.motion.weight(gravity)
         for joint in self.joints:
             if joint.stiffness:
                 potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
-        for tendon in tree.tendons.values():
-            if tendon.stiffness and tendon.name not in self.options.taut:
-                potential += tendon.stiffness / 2 * (self.length(tendon) - tendon.rest) ** 2
-        for name in self.options.elastic:
-            potential += self.parameters[f"{name}.stiffness"] / 2 * self._twist(name, self.q) ** 2
+        for stretch, stiffness, _ in self._springs:
+            potential += stiffness / 2 * stretch**2
         for body in (*self.options.points, *self.options.ropes):
-            potential -= tree.body[body].mass * ca.dot(gravity, self.point(body))
+            potential -= self.tree.body[body].mass * ca.dot(gravity, self.point(body))
         return potential
 
-    def _twist(self, name: str, values: ca.SX) -> ca.SX:
-        """Return the difference of motor and link of an elastic joint, of coordinates or rates."""
-        return values[self.coordinates.index(f"{name}{MOTOR}")] - values[self.coordinates.index(name)]
+    @cached_property
+    def _springs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
+        """Extension, stiffness and damping of tendons and elastic joints."""
+        springs = [
+            (self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping))
+            for tendon in self.tree.tendons.values()
+            if (tendon.stiffness or tendon.damping) and tendon.name not in self.options.taut
+        ]
+        for name, elastic in self.options.elastic.items():
+            stiffness, damping = (self.parameters[f"{name}.{what}"] for what in ("stiffness", "spring_damping"))
+            springs.append((self._twist(name), stiffness, damping if elastic.damping else ca.SX(0)))
+        return springs
+
+    def _twist(self, name: str) -> ca.SX:
+        """Return the angle of the motor of an elastic joint against the link."""
+        return self.coordinates[f"{name}{MOTOR}"] - self.coordinates[name]
 
     def _damping(self) -> ca.SX:
         """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
         motion, A = self.motion, self.reduction
         damping = {joint.name: joint.damping for joint in self.joints if joint.damping}
         forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
-        for tendon in self.tree.tendons.values():
-            if tendon.damping and tendon.name not in self.options.taut:
-                J = ca.jacobian(self.length(tendon), self.q)
-                forces -= tendon.damping * ca.mtimes(J.T, ca.mtimes(J, self.v))
-        for name, elastic in self.options.elastic.items():
-            if elastic.damping:
-                twist = ca.jacobian(self._twist(name, self.v), self.v)
-                forces -= self.parameters[f"{name}.spring_damping"] * ca.mtimes(twist.T, ca.mtimes(twist, self.v))
+        for stretch, _, value in self._springs:
+            J = ca.jacobian(stretch, self.q)
+            forces -= value * ca.mtimes(J.T, ca.mtimes(J, self.v))
         return forces
 
     def length(self, tendon: Tendon) -> ca.SX:
@@ -258,15 +263,6 @@ class Assembly(Layout):
         pulls |= {(name, name): of[f"tendon {name}"] for name in self.options.taut}
         return {Quantity(f"{k}.tension", "N", f"tension of {what}", tension=True): f for (k, what), f in pulls.items()}
 
-    def _observed(self, u: ca.SX) -> dict[Quantity, ca.SX]:
-        found = dict[Quantity, ca.SX]()
-        for k, drive in enumerate(self.inputs):
-            found |= {quantity: expression(u[k]) for quantity, expression in drive.observed.items()}
-        for actuator, factors in rotors(self, self.inputs):
-            force = sum((factor * u[k] for k, factor in factors.items()), ca.SX(0))
-            found[Quantity(f"{actuator.name}.drive", "N", f"drive of {actuator.name}")] = force
-        return found
-
     # The posture, and the configuration near another value of the outputs --------------------------------------------
 
     @cached_property
@@ -299,7 +295,7 @@ class Assembly(Layout):
         Coordinates that neither outputs nor constraints determine stay where they are; motors move with their links.
         """
         m = output.numel()
-        g = ca.vertcat(ca.SX(0, 1), *self.rows.values(), *[self._twist(name, self.q) for name in self.options.elastic])
+        g = ca.vertcat(ca.SX(0, 1), *self.rows.values(), *[self._twist(name) for name in self.options.elastic])
         evaluate = ca.Function("home", [self.q], [output, ca.jacobian(output, self.q), ca.jacobian(g, self.q)])
         value, C, G = (filled(each) for each in evaluate(q))
         stacked = np.vstack([C, G]) if G.size else C

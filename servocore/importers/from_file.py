@@ -181,8 +181,7 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
         if joint.kind != "ball":
             add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
             add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
-    units = {each.name: each.unit for drive in assembly.inputs for each in (drive.quantity, *drive.observed)}
     for drive in assembly.inputs:
-        for name, bounds in drive.bounds.items():
-            add(name, units[name], *bounds)
+        for quantity, bounds in drive.bounds.items():
+            add(quantity.name, quantity.unit, *bounds)
     return tuple(limits)
