@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -19,8 +18,8 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
-from servocore.importers.recursion import rounded, sparse
-from servocore.importers.tree import Closure, Tendon
+from servocore.importers.recursion import sparse
+from servocore.importers.tree import Closure
 from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -90,18 +89,17 @@ class Assembly(Layout):
         Links are bars between joints, joints pins, frames that follow a path bodies.
         """
         values = ca.vertcat(*[v[name] for name in self.coordinates.names])
-        loads = {*self.options.points, *self.options.ropes}
-        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in self.output_names]
-        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
+        named = [name if name in self.tree.body else name.rpartition(".")[0] for name in self.output_names]
+        tips = dict.fromkeys([*self.loads, *(name for name in named if name in self.tree.body)])
         origins = {stage: position for stage, (_, position) in self.motion.world.items()}
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
         parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
         parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
-        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+        for name in tips or [self.tree.bodies[-1].name]:
             tip, stage = self.position(name), self.place(name).stage
             parts += [("body", (tip,), name)]
-            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in self.loads else []
 
         def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
             x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, self.q, values)))
@@ -122,8 +120,7 @@ class Assembly(Layout):
     def hint(self) -> str:
         """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
         tree = self.tree
-        known = {body.parent for body in tree.bodies if body.mass or body.joints}
-        known |= {*self.options.points, *self.options.ropes}
+        known = {*self.loads, *(body.parent for body in tree.bodies if body.mass or body.joints)}
         lines = [
             f"if {body.name} hangs on a rope, ropes=['{body.name}'] replaces"
             f" {', '.join(joint.name for joint in hinges)} by its length, points=['{body.name}'] makes it a point mass"
@@ -152,7 +149,7 @@ class Assembly(Layout):
         for name in self.options.elastic:
             k = self.coordinates.index(f"{name}{MOTOR}")
             mass[k, k] += self.parameters[f"{name}.motor_inertia"]
-        for body in (*self.options.points, *self.options.ropes):
+        for body in self.loads:
             J = ca.jacobian(self.point(body), self.q)
             mass += self.tree.body[body].mass * ca.mtimes(J.T, J)
         return ca.sparsify(mass)
@@ -165,7 +162,7 @@ class Assembly(Layout):
                 potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
         for stretch, stiffness, _ in self._springs:
             potential += stiffness / 2 * stretch**2
-        for body in (*self.options.points, *self.options.ropes):
+        for body in self.loads:
             potential -= self.tree.body[body].mass * ca.dot(gravity, self.point(body))
         return potential
 
@@ -195,16 +192,6 @@ class Assembly(Layout):
             J = ca.jacobian(stretch, self.q)
             forces -= value * ca.mtimes(J.T, ca.mtimes(J, self.v))
         return forces
-
-    def length(self, tendon: Tendon) -> ca.SX:
-        """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
-        if tendon.refusal:
-            raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
-        length = sum((factor * self.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
-        for divisor, frames in tendon.branches:
-            points = [self.position(name) for name in frames]
-            length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
-        return length
 
     # Constraints --------------------------------------------------------------------------------------------------
 
@@ -250,8 +237,7 @@ class Assembly(Layout):
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
             turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
-            skew = [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-            rows += [each / 2 for each in skew] if closure.kind == "weld" else [turned[0, 2], turned[1, 2]]
+            rows += ca.vertsplit(ca.inv_skew(turned) if closure.kind == "weld" else turned[:2, 2])
         return rows
 
     def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
@@ -273,7 +259,7 @@ class Assembly(Layout):
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
         if not self.rows:
             return q
-        for body in (*self.options.points, *self.options.ropes):  # where it is in the file, in the posture
+        for body in self.loads:  # where it is in the file, in the posture
             first = self.coordinates.index(f"{body}.x")
             place = ca.Function("place", [self.q], [self.motion.pose(self.centre(body))[1]])
             q[first : first + 3] = filled(place(q)).ravel()
@@ -295,18 +281,18 @@ class Assembly(Layout):
         Coordinates that neither outputs nor constraints determine stay where they are; motors move with their links.
         """
         m = output.numel()
-        g = ca.vertcat(ca.SX(0, 1), *self.rows.values(), *[self._twist(name) for name in self.options.elastic])
+        # A row of zeros stands for no constraint: an empty matrix has no norm.
+        g = ca.vertcat(ca.SX(1, 1), *self.rows.values(), *[self._twist(name) for name in self.options.elastic])
         evaluate = ca.Function("home", [self.q], [output, ca.jacobian(output, self.q), ca.jacobian(g, self.q)])
         value, C, G = (filled(each) for each in evaluate(q))
-        stacked = np.vstack([C, G]) if G.size else C
-        free = len(q) - np.linalg.matrix_rank(G, _DEPENDENT * np.linalg.norm(G, 2)) if G.size else len(q)
-        rank = np.linalg.matrix_rank(stacked, _DEPENDENT * np.linalg.norm(stacked, 2))
-        if rank < len(q) - free + m:
+        stacked = np.vstack([C, G])
+        tied, rank = (np.linalg.matrix_rank(each, _DEPENDENT * np.linalg.norm(each, 2)) for each in (G, stacked))
+        if rank < tied + m:
             listed = ", ".join(each.name for each in names)
             there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
             raise self.tree.fault(
                 f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
             )
-        spread = rounded(np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float))
+        spread = np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float)
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)

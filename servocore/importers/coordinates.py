@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import cached_property
-from itertools import dropwhile, takewhile
+from itertools import dropwhile, pairwise, takewhile
 from math import comb
 
 import casadi as ca
@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.importers.options import Options, driven_joints
 from servocore.importers.recursion import Motion, Place, stages_of
-from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tree
+from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tendon, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.numerics.compiled_calls import Array
@@ -47,19 +47,20 @@ class Layout:
         self.ropes = {body: rope_hinges(tree, body, self.driven) for body in options.ropes}
         on_way = {name for body, hinges in self.ropes.items() for name in _below(tree, body, hinges)}
         on_way |= {name for body in options.points for name in _light(tree, tree.body[body], self.driven)}
-        points = {*options.points, *options.ropes}
+        self.loads = (*options.points, *options.ropes)
         taut = {f"range of tendon {name}" for name in options.taut}
         self.left_out = [each for each in tree.left_out if each.partition(",")[0] not in taut]
-        self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in points]
-        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points if tree.body[name].mass]
+        self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in self.loads]
+        on_way = on_way.difference(self.loads)
+        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way if tree.body[name].mass]
         self.locked = {*options.locked, *(joint.name for hinges in self.ropes.values() for joint in hinges)}
-        self.stages, self.places = stages_of(tree, points | on_way)
+        self.stages, self.places = stages_of(tree, on_way.union(self.loads))
         self.joints = [stage.joint for stage in self.stages]
         self.moving = [joint for joint in self.joints if joint.name not in self.locked and not joint.mimic]
         self.coordinates = Coordinates(
             *(Quantity(name, UNITS[joint.kind][0]) for joint in self.moving for name in joint.coordinates),
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
-            *(Quantity(f"{name}.{axis}", "m") for name in (*options.points, *options.ropes) for axis in "xyz"),
+            *(Quantity(f"{name}.{axis}", "m") for name in self.loads for axis in "xyz"),
         )
         self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
@@ -154,13 +155,23 @@ class Layout:
         """Return the point mass that a frame belongs to; empty if there is none."""
         way = self.tree.above(name)
         own = way[: next((k + 1 for k, body in enumerate(way) if body.joints), len(way))]
-        return next((body.name for body in own if body.name in (*self.options.points, *self.options.ropes)), "")
+        return next((body.name for body in own if body.name in self.loads), "")
 
     def rotation(self, name: str) -> ca.SX:
         """Return the axes of a frame in those of the ground, shape (3, 3)."""
         if (load := self._load(name)) in self.options.ropes:
             raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
+
+    def length(self, tendon: Tendon) -> ca.SX:
+        """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
+        if tendon.refusal:
+            raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
+        length = sum((factor * self.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
+        for divisor, frames in tendon.branches:
+            points = [self.position(name) for name in frames]
+            length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
+        return length
 
     def output_rows(self, names: Sequence[str], posture: Array) -> dict[Quantity, ca.SX]:
         """Return the servo outputs with their expressions.
@@ -204,7 +215,7 @@ class Layout:
         start = filled(ca.Function("start", [self.coordinates.q], [R])(posture))
         D = ca.mtimes(R, ca.DM(start).T)
         w = ca.sqrt(1 + ca.trace(D)) / 2
-        e = ca.vertcat(D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]) / (4 * w)
+        e = ca.inv_skew(D) / (2 * w)
         for _ in range(_HALVINGS):
             w = ca.sqrt((1 + w) / 2)
             e = e / (2 * w)

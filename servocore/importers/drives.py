@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -16,9 +15,6 @@ from servocore.importers.recursion import Place
 from servocore.importers.tree import Actuator, Joint
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
-
-if TYPE_CHECKING:
-    from servocore.importers.assembly import Assembly
 
 _WRENCH = re.compile(r"(.+)\.(force|torque)_([xyz])")
 _EXACT = 1e-9  # of a unit wrench that rotors must exert
@@ -60,7 +56,7 @@ class Drive:
     rotor: str = ""
 
 
-def chosen_drives(assembly: Assembly) -> list[Drive]:
+def chosen_drives(layout: Layout) -> list[Drive]:
     """Return the inputs: those that were chosen, or all drives of the file but passive ones.
 
     Raises
@@ -68,32 +64,32 @@ def chosen_drives(assembly: Assembly) -> list[Drive]:
     InvalidSetting
         If a name is no joint, no drive and no component of a wrench, or stands twice.
     """
-    tree, options = assembly.tree, assembly.options
+    tree, options = layout.tree, layout.options
     names = options.inputs
     if names is None:
         beside = [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
-        names = [*assembly.driven, *beside]
+        names = [*layout.driven, *beside]
     if not names:
         raise InvalidSetting(f"{tree.source} has no drive: name inputs, components of wrenches as BODY.force_z too")
-    drives = [_drive(name, assembly) for name in names]
+    drives = [_drive(name, layout) for name in names]
     listed = [drive.quantity.name for drive in drives]
     if len(set(listed)) < len(listed):
         raise InvalidSetting(f"inputs: {next(name for name in listed if listed.count(name) > 1)} stands twice")
     return drives
 
 
-def _drive(name: str, assembly: Assembly) -> Drive:
-    tree, motion = assembly.tree, assembly.motion
+def _drive(name: str, layout: Layout) -> Drive:
+    tree, motion = layout.tree, layout.motion
     actuators = {each.name: each for each in tree.actuators}
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         unit = np.eye(6)[number]
-        power = motion.power(assembly.centre(part[1]), unit[:3], unit[3:])
+        power = motion.power(layout.centre(part[1]), unit[:3], unit[3:])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
     joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
     joint = joint if joint in tree.joints else joint.rpartition(".")[0]
     if joint in tree.joints:
-        return _on_joint(tree.joints[joint], assembly)
+        return _on_joint(tree.joints[joint], layout)
     if name not in actuators:
         listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(
@@ -102,13 +98,13 @@ def _drive(name: str, assembly: Assembly) -> Drive:
     actuator = actuators[name]
     gear = np.array(actuator.gear)
     if actuator.kind == "tendon":
-        length = assembly.length(tree.tendons[actuator.on])
-        rate = ca.jtimes(length, assembly.q, assembly.v)
+        length = layout.length(tree.tendons[actuator.on])
+        rate = ca.jtimes(length, layout.q, layout.v)
         return _limited(Drive(Quantity(f"{name}.force", "N"), rate), actuator, float(gear[0]), length)
     size, unit = float(np.linalg.norm(gear[:3])), Quantity(f"{name}.force", "N")
     if not size:
         size, unit = float(np.linalg.norm(gear[3:])), Quantity(f"{name}.torque", "N.m")
-    power = motion.power(assembly.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    power = motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
     return _limited(Drive(unit, power, rotor=actuator.on), replace(actuator, bias=(0.0, 0.0, 0.0)), size, ca.SX(0))
 
 

@@ -91,14 +91,9 @@ def _about(point: Array) -> Array:
     return np.asarray(point @ point * IDENTITY - np.outer(point, point))
 
 
-def rounded(values: Array, least: float = _ROUND_OFF) -> Array:
-    """Return numbers with zero in the place of those that are smaller than the least one."""
-    return np.asarray(np.where(np.abs(values) < least, 0.0, values))
-
-
 def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
     """Return numbers as an expression without those that are smaller than the least one: round-off of zeros."""
-    return ca.SX(ca.sparsify(ca.DM(rounded(values, least))))
+    return ca.SX(ca.sparsify(ca.DM(values), least))
 
 
 def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], dict[str, Place]]:
@@ -160,16 +155,14 @@ class Motion:
     def _inertias(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
         """Mass, first moment and inertia about the origin of every stage."""
         found = []
-        for stage in self.stages:
-            moment, inertia = (
-                sparse(each, _TINY * np.abs(each).max(initial=0.0)) for each in (stage.moment, stage.inertia)
-            )
-            found.append((ca.SX(stage.mass), moment, inertia))
-        for place, mass in self.loads:
-            if place.stage >= 0:
-                m, c, J = found[place.stage]
-                point = place.position
-                found[place.stage] = (m + mass, c + mass * sparse(point), J + mass * sparse(_about(point)))
+        for k, stage in enumerate(self.stages):
+            m = ca.SX(stage.mass)
+            c, J = (sparse(each, _TINY * np.abs(each).max()) for each in (stage.moment, stage.inertia))
+            for place, mass in self.loads:
+                if place.stage == k:
+                    point = place.position
+                    m, c, J = m + mass, c + mass * sparse(point), J + mass * sparse(_about(point))
+            found.append((m, c, J))
         return found
 
     @cached_property
@@ -190,7 +183,8 @@ class Motion:
             if joint.kind == "slide":
                 position, slide = position + ca.mtimes(rotation, axis * (q - joint.zero)), axis
             elif joint.kind == "hinge":
-                rotation, turn = ca.mtimes(rotation, ca.sparsify(turned(rounded(joint.axis), q - joint.zero))), axis
+                turn = axis
+                rotation = ca.mtimes(rotation, ca.sparsify(turned(ca.DM(axis).full().ravel(), q - joint.zero)))
             else:
                 w, e = q[0], q[1:]  # R = (w^2 - e.e) 1 + 2 e e^T + 2 w [e]x, W = 2 (-e, w 1 - [e]x)
                 cross, one = ca.sparsify(ca.skew(e)), ca.SX.eye(3)
@@ -269,10 +263,9 @@ class Motion:
         return ca.sparsify(matrix)
 
     @cached_property
-    def _rows(self) -> list[slice]:
+    def _rows(self) -> list[list[int]]:
         """Numbers of the coordinates of every stage."""
-        named = (stage.joint.coordinates for stage in self.stages)
-        return [slice(self.columns[names[0]], self.columns[names[-1]] + 1) for names in named]
+        return [[self.columns[name] for name in stage.joint.coordinates] for stage in self.stages]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""

@@ -214,7 +214,7 @@ class Tree:
         By name.
     closures : sequence of Closure
         Constraints beside the tree.
-    gravity : tuple of float
+    gravity : sequence of float
         Acceleration in the axes of the ground, m/s2.
     left_out : sequence of str
         Elements of the file that have no part in the model, with the reason.
@@ -231,7 +231,7 @@ class Tree:
     actuators: Sequence[Actuator] = ()
     tendons: Mapping[str, Tendon] = field(default_factory=dict)
     closures: Sequence[Closure] = ()
-    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    gravity: Sequence[float] = STANDARD_GRAVITY
     left_out: Sequence[str] = ()
 
     def __post_init__(self) -> None:

@@ -16,13 +16,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.importers.tree import IDENTITY, Joint
+from servocore.importers.tree import IDENTITY, LARGEST, Joint
 from servocore.model.rotationless.parts import turned
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import filled
 
 _LARGEST = 2**23  # bytes; robot files have less than a tenth
-_NO_LIMIT = 1e15  # SDF writes 1e16 for none
 
 Pose = tuple[Array, Array]
 """Position (m), shape (3,), and rotation, shape (3, 3)."""
@@ -181,7 +180,7 @@ class LinkReader:
             raise file.fault(joint, f"has the lower limit {ends[0]:g} above the upper {ends[1]:g}")
         if kind == "continuous" or ends[0] == ends[1]:
             ends = [-math.inf, math.inf]
-        lower, upper = (end if abs(end) < _NO_LIMIT else math.copysign(math.inf, end) for end in ends)
+        lower, upper = (end if abs(end) < LARGEST else math.copysign(math.inf, end) for end in ends)  # SDF writes 1e16
         largest = {which: file.value(holder, f"limit/{which}", math.inf) for which in ("velocity", "effort")}
         for which, value in largest.items():
             if not value > 0.0:  # many files leave it out in this way
