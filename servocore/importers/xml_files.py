@@ -12,14 +12,11 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.importers.tree import IDENTITY, LARGEST, Joint
-from servocore.model.rotationless.parts import turned
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import filled
 
 _LARGEST = 2**23  # bytes; robot files have less than a tenth
 
@@ -199,5 +196,8 @@ class LinkReader:
 
 def _rotation(rpy: Sequence[float]) -> Array:
     """Return the rotation of roll, pitch and yaw (rad) about fixed axes x, y, z, shape (3, 3)."""
-    roll, pitch, yaw = (turned(axis, angle) for axis, angle in zip(IDENTITY, rpy, strict=True))
-    return filled(ca.DM(ca.mtimes([yaw, pitch, roll])))
+    rotation = IDENTITY
+    for axis, angle in zip(IDENTITY, rpy, strict=True):
+        cross = np.cross(IDENTITY, axis)
+        rotation = (IDENTITY + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross) @ rotation
+    return rotation
