@@ -49,11 +49,10 @@ class Assembly(Layout):
         gamma, lam = reference_symbols(len(self.inputs)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
+        inputs = tuple(drive.quantity for drive in self.inputs)
         outputs = self.output_rows(self.output_names, posture)
         if len(outputs) != len(self.inputs):
-            one, other = (
-                ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.inputs])
-            )
+            one, other = (", ".join(each.name for each in listed) for listed in (outputs, inputs))
             raise InvalidModel(
                 f"{tree.source}: {len(outputs)} outputs ({one}) need as many inputs, not {len(self.inputs)} ({other});"
                 " choose others with outputs, inputs, passive or locked"
@@ -65,7 +64,7 @@ class Assembly(Layout):
             name=tree.name,
             coordinates=self.coordinates,
             parameters=self.parameters,
-            inputs=tuple(drive.quantity for drive in self.inputs),
+            inputs=inputs,
             outputs=tuple(outputs),
             mass=self.mass,
             gyroscopic=ca.mtimes(self.reduction.T, self.motion.inertia_forces()),
@@ -255,7 +254,6 @@ class Assembly(Layout):
     def posture(self) -> Array:
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
         values = self.start | {f"{name}{MOTOR}": self.start[name] for name in self.options.elastic}
-        values |= {name: float(x) for name, x in self.options.posture.items() if name in self.coordinates.names}
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
         if not self.rows:
             return q

@@ -178,9 +178,8 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
             limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
 
     for joint in assembly.moving:
-        if joint.kind != "ball":
-            add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
-            add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
+        add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
+        add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
     for drive in assembly.inputs:
         for quantity, bounds in drive.bounds.items():
             add(quantity.name, quantity.unit, *bounds)

@@ -65,12 +65,6 @@ class Stage:
     moment: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
-    def carry(self, mass: float, centre: Array, inertia: Array) -> None:
-        """Add the inertia of a body about its centre of mass, both in the axes of the stage."""
-        self.mass += mass
-        self.moment += mass * centre
-        self.inertia += inertia + mass * _about(centre)
-
     def require_physical(self, tree: Tree) -> None:
         """Raise `InvalidModel` if no distribution of mass has this inertia.
 
@@ -120,8 +114,10 @@ def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], d
             here = Place(len(stages) - 1, -joint.anchor, IDENTITY)
         places[body.name] = here
         if here.stage >= 0 and body.name not in without:
-            turned = here.rotation @ body.inertia @ here.rotation.T
-            stages[here.stage].carry(body.mass, here.moved(body.centre).position, turned)
+            carrier, centre = stages[here.stage], here.moved(body.centre).position
+            carrier.mass += body.mass
+            carrier.moment += body.mass * centre
+            carrier.inertia += here.rotation @ body.inertia @ here.rotation.T + body.mass * _about(centre)
     for stage in stages:
         stage.require_physical(tree)
     return stages, places
@@ -141,7 +137,7 @@ class Motion:
     stages : sequence of Stage
         Parents before children.
     q, v : mapping of str to casadi.SX
-        Coordinates and their rates by name.
+        Coordinates and their rates by name, in the order of the stages.
     loads : sequence of (Place, casadi.SX)
         Further point masses, kg.
     """
@@ -168,8 +164,7 @@ class Motion:
     @cached_property
     def columns(self) -> Mapping[str, int]:
         """Number of every coordinate of the stages."""
-        names = [name for stage in self.stages for name in stage.joint.coordinates]
-        return {name: k for k, name in enumerate(names)}
+        return {name: k for k, name in enumerate(self.q)}
 
     @cached_property
     def _local(self) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]]:

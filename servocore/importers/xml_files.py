@@ -185,10 +185,8 @@ class LinkReader:
                 largest[which] = math.inf
         if file.value(holder, "dynamics/friction", 0.0):
             self.left_out.append(f"dry friction of joint {name}")
-        stiffness, rest, damping = (
-            file.value(holder, f"dynamics/{which}", 0.0)
-            for which in ("spring_stiffness", "spring_reference", "damping")
-        )
+        names = ("spring_stiffness", "spring_reference", "damping")
+        stiffness, rest, damping = (file.value(holder, f"dynamics/{which}", 0.0) for which in names)
         velocity, effort = largest.values()
         moves = "slide" if kind == "prismatic" else "hinge"
         return Joint(name, moves, axis, anchor, lower, upper, velocity, effort, stiffness, rest, damping)
