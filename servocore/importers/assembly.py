@@ -126,10 +126,8 @@ class Assembly(Layout):
             for body in tree.bodies
             if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, self.driven))
         ]
-        rotors_on = {
-            next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.inputs if drive.rotor
-        }
-        for body in rotors_on:
+        ways = [tree.above(drive.rotor) for drive in self.inputs if drive.rotor]
+        for body in {next(body.name for body in way if body.mass) for way in ways}:
             wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
             lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")
         return "; ".join(lines)
@@ -145,12 +143,11 @@ class Assembly(Layout):
         motion, A = self.motion, self.reduction
         armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
-        for name in self.options.elastic:
-            k = self.coordinates.index(f"{name}{MOTOR}")
-            mass[k, k] += self.parameters[f"{name}.motor_inertia"]
-        for body in self.loads:
-            J = ca.jacobian(self.point(body), self.q)
-            mass += self.tree.body[body].mass * ca.mtimes(J.T, J)
+        beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
+        beside += [(f"{body}.{axis}", ca.SX(self.tree.body[body].mass)) for body in self.loads for axis in "xyz"]
+        for name, inertia in beside:
+            k = self.coordinates.index(name)
+            mass[k, k] += inertia
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
@@ -241,10 +238,9 @@ class Assembly(Layout):
 
     def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
         """Return the tension of every rope: the multiplier is the force for each metre of the length."""
-        of, square = dict(zip(self.rows, ca.vertsplit(lam), strict=True)), self._rope_square
-        pulls = {
-            (name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * ca.sqrt(square(name)) for name in self.ropes
-        }
+        of = dict(zip(self.rows, ca.vertsplit(lam), strict=True))
+        lengths = {name: ca.sqrt(self._rope_square(name)) for name in self.ropes}
+        pulls = {(name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * lengths[name] for name in lengths}
         pulls |= {(name, name): of[f"tendon {name}"] for name in self.options.taut}
         return {Quantity(f"{k}.tension", "N", f"tension of {what}", tension=True): f for (k, what), f in pulls.items()}
 

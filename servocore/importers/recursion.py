@@ -242,8 +242,11 @@ class Motion:
                 f, j = ca.mtimes(R, f), self.stages[j].parent
                 n = ca.mtimes(R, n) + _cross(p, f)
             if (parent := self.stages[i].parent) >= 0:
-                above, added = composite[parent], _shifted(m, c, J, *self._local[i][:2])
-                composite[parent] = (above[0] + added[0], above[1] + added[1], above[2] + added[2])
+                R, p, *_ = self._local[i]
+                c, P, above = ca.mtimes(R, c), ca.sparsify(ca.skew(p)), composite[parent]
+                C = ca.sparsify(ca.skew(c))
+                J = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
+                composite[parent] = above[0] + m, above[1] + c + m * p, above[2] + J
         return ca.sparsify(mass)
 
     def spread(self, values: Mapping[str, float]) -> ca.SX:
@@ -290,11 +293,3 @@ class Motion:
             for k, (m, c, _) in enumerate(self._inertias)
         ]
         return -sum(terms, ca.SX(0))
-
-
-def _shifted(m: ca.SX, c: ca.SX, J: ca.SX, R: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return mass, first moment and inertia of a stage about the origin and in the axes of its parent."""
-    c, P = ca.mtimes(R, c), ca.sparsify(ca.skew(p))
-    C = ca.sparsify(ca.skew(c))
-    inertia = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
-    return m, c + m * p, inertia
