@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -19,9 +18,8 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
 from servocore.importers.drives import Drive, chosen_drives, rotors
-from servocore.importers.options import driven_joints
-from servocore.importers.recursion import rounded, sparse
-from servocore.importers.tree import Closure, Tendon
+from servocore.importers.recursion import sparse
+from servocore.importers.tree import Closure
 from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -47,26 +45,26 @@ class Assembly(Layout):
 
     def __call__(self) -> MechanicalSystem:
         """Return the model; raises `InvalidModel` or `InvalidSetting` if the choices do not fit the mechanism."""
-        tree, u = self.tree, ca.SX.sym("u", len(self.inputs))
+        tree = self.tree
         gamma, lam = reference_symbols(len(self.inputs)), ca.SX.sym("lam", len(self.rows))
         gravity = ca.SX(ca.DM(list(tree.gravity if self.options.gravity is None else self.options.gravity)))
         posture = self.posture
+        inputs = tuple(drive.quantity for drive in self.inputs)
         outputs = self.output_rows(self.output_names, posture)
         if len(outputs) != len(self.inputs):
-            one, other = (
-                ", ".join(each.name for each in listed) for listed in (outputs, [d.quantity for d in self.inputs])
-            )
+            one, other = (", ".join(each.name for each in listed) for listed in (outputs, inputs))
             raise InvalidModel(
                 f"{tree.source}: {len(outputs)} outputs ({one}) need as many inputs, not {len(self.inputs)} ({other});"
                 " choose others with outputs, inputs, passive or locked"
             )
         output = ca.vertcat(*outputs.values())
+        observed = {quantity: value for drive in self.inputs for quantity, value in drive.observed.items()}
         home, spread = self._prediction(output, list(outputs), posture)
         return MechanicalSystem(
             name=tree.name,
             coordinates=self.coordinates,
             parameters=self.parameters,
-            inputs=tuple(drive.quantity for drive in self.inputs),
+            inputs=inputs,
             outputs=tuple(outputs),
             mass=self.mass,
             gyroscopic=ca.mtimes(self.reduction.T, self.motion.inertia_forces()),
@@ -77,11 +75,11 @@ class Assembly(Layout):
             constraints=ca.vertcat(ca.SX(0, 1), *self.rows.values()),
             constraint_names=tuple(self.rows),
             multipliers=lam,
-            u=u,
+            u=ca.vertcat(*[drive.symbol for drive in self.inputs]),
             gamma=gamma,
             guess=posture + ca.mtimes(ca.DM(spread), gamma[:, 0] - ca.DM(home)),
             home=tuple(home),
-            observables={**self._tensions(lam), **self._observed(u)},
+            observables=self._tensions(lam) | observed | rotors(self, self.inputs),
         )
 
     def drawing(self, v: Mapping[str, Any]) -> list[Part]:
@@ -90,18 +88,17 @@ class Assembly(Layout):
         Links are bars between joints, joints pins, frames that follow a path bodies.
         """
         values = ca.vertcat(*[v[name] for name in self.coordinates.names])
-        loads = {*self.options.points, *self.options.ropes}
-        named = [name if name in self.tree.body else name.rpartition(".")[0] or name for name in self.output_names]
-        tips = [*loads, *(name for name in named if name in self.tree.body.keys() - loads)]
+        named = [name if name in self.tree.body else name.rpartition(".")[0] for name in self.output_names]
+        tips = dict.fromkeys([*self.loads, *(name for name in named if name in self.tree.body)])
         origins = {stage: position for stage, (_, position) in self.motion.world.items()}
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
         parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
         parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
-        for name in dict.fromkeys(tips or [self.tree.bodies[-1].name]):
+        for name in tips or [self.tree.bodies[-1].name]:
             tip, stage = self.position(name), self.place(name).stage
             parts += [("body", (tip,), name)]
-            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in loads else []
+            parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in self.loads else []
 
         def at(point: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
             x, y, z = ca.vertsplit(ca.densify(ca.substitute(point, self.q, values)))
@@ -121,19 +118,16 @@ class Assembly(Layout):
     @property
     def hint(self) -> str:
         """Options that show flatness which relative coordinates or forces of rotors hide; empty without any."""
-        tree, driven = self.tree, driven_joints(self.tree, self.options)
-        known = {body.parent for body in tree.bodies if body.mass or body.joints}
-        known |= {*self.options.points, *self.options.ropes}
+        tree = self.tree
+        known = {*self.loads, *(body.parent for body in tree.bodies if body.mass or body.joints)}
         lines = [
             f"if {body.name} hangs on a rope, ropes=['{body.name}'] replaces"
             f" {', '.join(joint.name for joint in hinges)} by its length, points=['{body.name}'] makes it a point mass"
             for body in tree.bodies
-            if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, driven, False))
+            if body.mass and body.name not in known and (hinges := rope_hinges(tree, body.name, self.driven))
         ]
-        rotors_on = {
-            next(body.name for body in tree.above(drive.rotor) if body.mass) for drive in self.inputs if drive.rotor
-        }
-        for body in rotors_on:
+        ways = [tree.above(drive.rotor) for drive in self.inputs if drive.rotor]
+        for body in {next(body.name for body in way if body.mass) for way in ways}:
             wrench = [f"{body}.{part}" for part in ("force_z", "torque_x", "torque_y", "torque_z")]
             lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")
         return "; ".join(lines)
@@ -149,58 +143,51 @@ class Assembly(Layout):
         motion, A = self.motion, self.reduction
         armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
-        for name in self.options.elastic:
-            k = self.coordinates.index(f"{name}{MOTOR}")
-            mass[k, k] += self.parameters[f"{name}.motor_inertia"]
-        for body in (*self.options.points, *self.options.ropes):
-            J = ca.jacobian(self.point(body), self.q)
-            mass += self.tree.body[body].mass * ca.mtimes(J.T, J)
+        beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
+        beside += [(f"{body}.{axis}", ca.SX(self.tree.body[body].mass)) for body in self.loads for axis in "xyz"]
+        for name, inertia in beside:
+            k = self.coordinates.index(name)
+            mass[k, k] += inertia
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
         """Return V: weight, springs of joints and tendons, elastic joints."""
-        tree = self.tree
         potential = self.motion.weight(gravity)
         for joint in self.joints:
             if joint.stiffness:
                 potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
-        for tendon in tree.tendons.values():
-            if tendon.stiffness and tendon.name not in self.options.taut:
-                potential += tendon.stiffness / 2 * (self.length(tendon) - tendon.rest) ** 2
-        for name in self.options.elastic:
-            potential += self.parameters[f"{name}.stiffness"] / 2 * self._twist(name, self.q) ** 2
-        for body in (*self.options.points, *self.options.ropes):
-            potential -= tree.body[body].mass * ca.dot(gravity, self.point(body))
+        for stretch, stiffness, _ in self._springs:
+            potential += stiffness / 2 * stretch**2
+        for body in self.loads:
+            potential -= self.tree.body[body].mass * ca.dot(gravity, self.point(body))
         return potential
 
-    def _twist(self, name: str, values: ca.SX) -> ca.SX:
-        """Return the difference of motor and link of an elastic joint, of coordinates or rates."""
-        return values[self.coordinates.index(f"{name}{MOTOR}")] - values[self.coordinates.index(name)]
+    @cached_property
+    def _springs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
+        """Extension, stiffness and damping of tendons and elastic joints."""
+        springs = [
+            (self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping))
+            for tendon in self.tree.tendons.values()
+            if (tendon.stiffness or tendon.damping) and tendon.name not in self.options.taut
+        ]
+        for name, elastic in self.options.elastic.items():
+            stiffness, damping = (self.parameters[f"{name}.{what}"] for what in ("stiffness", "spring_damping"))
+            springs.append((self._twist(name), stiffness, damping if elastic.damping else ca.SX(0)))
+        return springs
+
+    def _twist(self, name: str) -> ca.SX:
+        """Return the angle of the motor of an elastic joint against the link."""
+        return self.coordinates[f"{name}{MOTOR}"] - self.coordinates[name]
 
     def _damping(self) -> ca.SX:
         """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
         motion, A = self.motion, self.reduction
         damping = {joint.name: joint.damping for joint in self.joints if joint.damping}
         forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
-        for tendon in self.tree.tendons.values():
-            if tendon.damping and tendon.name not in self.options.taut:
-                J = ca.jacobian(self.length(tendon), self.q)
-                forces -= tendon.damping * ca.mtimes(J.T, ca.mtimes(J, self.v))
-        for name, elastic in self.options.elastic.items():
-            if elastic.damping:
-                twist = ca.jacobian(self._twist(name, self.v), self.v)
-                forces -= self.parameters[f"{name}.spring_damping"] * ca.mtimes(twist.T, ca.mtimes(twist, self.v))
+        for stretch, _, value in self._springs:
+            J = ca.jacobian(stretch, self.q)
+            forces -= value * ca.mtimes(J.T, ca.mtimes(J, self.v))
         return forces
-
-    def length(self, tendon: Tendon) -> ca.SX:
-        """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
-        if tendon.refusal:
-            raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
-        length = sum((factor * self.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
-        for divisor, frames in tendon.branches:
-            points = [self.position(name) for name in frames]
-            length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
-        return length
 
     # Constraints --------------------------------------------------------------------------------------------------
 
@@ -246,43 +233,27 @@ class Assembly(Layout):
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
             turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
-            skew = [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-            rows += [each / 2 for each in skew] if closure.kind == "weld" else [turned[0, 2], turned[1, 2]]
+            rows += ca.vertsplit(ca.inv_skew(turned) if closure.kind == "weld" else turned[:2, 2])
         return rows
 
     def _tensions(self, lam: ca.SX) -> dict[Quantity, ca.SX]:
         """Return the tension of every rope: the multiplier is the force for each metre of the length."""
-        of, square = dict(zip(self.rows, ca.vertsplit(lam), strict=True)), self._rope_square
-        pulls = {
-            (name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * ca.sqrt(square(name)) for name in self.ropes
-        }
+        of = dict(zip(self.rows, ca.vertsplit(lam), strict=True))
+        lengths = {name: ca.sqrt(self._rope_square(name)) for name in self.ropes}
+        pulls = {(name, f"the rope of {name}"): 2 * of[f"rope of {name}"] * lengths[name] for name in lengths}
         pulls |= {(name, name): of[f"tendon {name}"] for name in self.options.taut}
         return {Quantity(f"{k}.tension", "N", f"tension of {what}", tension=True): f for (k, what), f in pulls.items()}
-
-    def _observed(self, u: ca.SX) -> dict[Quantity, ca.SX]:
-        found = dict[Quantity, ca.SX]()
-        for k, drive in enumerate(self.inputs):
-            found |= {quantity: expression(u[k]) for quantity, expression in drive.observed.items()}
-        for actuator, factors in rotors(self, self.inputs):
-            force = sum((factor * u[k] for k, factor in factors.items()), ca.SX(0))
-            found[Quantity(f"{actuator.name}.drive", "N", f"drive of {actuator.name}")] = force
-        return found
 
     # The posture, and the configuration near another value of the outputs --------------------------------------------
 
     @cached_property
     def posture(self) -> Array:
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
-        given = self.options.posture
-        values = {
-            name: x for joint in self.joints for name, x in zip(joint.coordinates, self.start(joint), strict=True)
-        }
-        values |= {f"{name}{MOTOR}": values[name] for name in self.options.elastic}
-        values |= {name: float(x) for name, x in given.items() if name in self.coordinates.names}
+        values = self.start | {f"{name}{MOTOR}": self.start[name] for name in self.options.elastic}
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
         if not self.rows:
             return q
-        for body in (*self.options.points, *self.options.ropes):  # where it is in the file, in the posture
+        for body in self.loads:  # where it is in the file, in the posture
             first = self.coordinates.index(f"{body}.x")
             place = ca.Function("place", [self.q], [self.motion.pose(self.centre(body))[1]])
             q[first : first + 3] = filled(place(q)).ravel()
@@ -304,18 +275,18 @@ class Assembly(Layout):
         Coordinates that neither outputs nor constraints determine stay where they are; motors move with their links.
         """
         m = output.numel()
-        g = ca.vertcat(ca.SX(0, 1), *self.rows.values(), *[self._twist(name, self.q) for name in self.options.elastic])
+        # A row of zeros stands for no constraint: an empty matrix has no norm.
+        g = ca.vertcat(ca.SX(1, 1), *self.rows.values(), *[self._twist(name) for name in self.options.elastic])
         evaluate = ca.Function("home", [self.q], [output, ca.jacobian(output, self.q), ca.jacobian(g, self.q)])
         value, C, G = (filled(each) for each in evaluate(q))
-        stacked = np.vstack([C, G]) if G.size else C
-        free = len(q) - np.linalg.matrix_rank(G, _DEPENDENT * np.linalg.norm(G, 2)) if G.size else len(q)
-        rank = np.linalg.matrix_rank(stacked, _DEPENDENT * np.linalg.norm(stacked, 2))
-        if rank < len(q) - free + m:
+        stacked = np.vstack([C, G])
+        tied, rank = (np.linalg.matrix_rank(each, _DEPENDENT * np.linalg.norm(each, 2)) for each in (G, stacked))
+        if rank < tied + m:
             listed = ", ".join(each.name for each in names)
             there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
             raise self.tree.fault(
                 f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
             )
-        spread = rounded(np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float))
+        spread = np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float)
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)

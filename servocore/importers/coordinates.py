@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
-from itertools import dropwhile, takewhile
+from itertools import dropwhile, pairwise, takewhile
 from math import comb
 
 import casadi as ca
@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.importers.options import Options, driven_joints
 from servocore.importers.recursion import Motion, Place, stages_of
-from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tree
+from servocore.importers.tree import IDENTITY, ZERO, Body, Joint, Tendon, Tree
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.numerics.compiled_calls import Array
@@ -43,23 +43,24 @@ class Layout:
 
     def __init__(self, tree: Tree, options: Options) -> None:
         options.require_known(tree)
-        self.tree, self.options, driven = tree, options, driven_joints(tree, options)
-        self.ropes = {body: rope_hinges(tree, body, driven) for body in options.ropes}
-        on_way = {name for hinges in self.ropes.values() for name in _below(tree, hinges)}
-        on_way |= {name for body in options.points for name in _light(tree, tree.body[body], driven)}
-        points = {*options.points, *options.ropes}
+        self.tree, self.options, self.driven = tree, options, driven_joints(tree, options)
+        self.ropes = {body: rope_hinges(tree, body, self.driven) for body in options.ropes}
+        on_way = {name for body, hinges in self.ropes.items() for name in _below(tree, body, hinges)}
+        on_way |= {name for body in options.points for name in _light(tree, tree.body[body], self.driven)}
+        self.loads = (*options.points, *options.ropes)
         taut = {f"range of tendon {name}" for name in options.taut}
         self.left_out = [each for each in tree.left_out if each.partition(",")[0] not in taut]
-        self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in points]
-        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way - points if tree.body[name].mass]
+        self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in self.loads]
+        on_way = on_way.difference(self.loads)
+        self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way if tree.body[name].mass]
         self.locked = {*options.locked, *(joint.name for hinges in self.ropes.values() for joint in hinges)}
-        self.stages, self.places = stages_of(tree, points | on_way)
+        self.stages, self.places = stages_of(tree, on_way.union(self.loads))
         self.joints = [stage.joint for stage in self.stages]
         self.moving = [joint for joint in self.joints if joint.name not in self.locked and not joint.mimic]
         self.coordinates = Coordinates(
             *(Quantity(name, UNITS[joint.kind][0]) for joint in self.moving for name in joint.coordinates),
             *(Quantity(f"{name}{MOTOR}", UNITS[tree.joints[name].kind][0]) for name in options.elastic),
-            *(Quantity(f"{name}.{axis}", "m") for name in (*options.points, *options.ropes) for axis in "xyz"),
+            *(Quantity(f"{name}.{axis}", "m") for name in self.loads for axis in "xyz"),
         )
         self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
@@ -82,33 +83,37 @@ class Layout:
             for name, mass in self.options.payload.items()
         ]
 
-    def start(self, joint: Joint) -> Array:
-        """Return the posture of a joint: as given, or zero, or the middle of limits that exclude zero.
+    @cached_property
+    def start(self) -> dict[str, float]:
+        """Posture of all joints: as given, or zero, or the middle of limits that exclude zero.
 
         Loops are closed in the file where all joints are at zero.
         """
-        given = self.options.posture
-        if joint.kind == "ball":
-            values = np.array([given.get(name, float(k == 0)) for k, name in enumerate(joint.coordinates)])
-            return np.asarray(values / np.linalg.norm(values))
-        at_zero = self.tree.closures or joint.lower <= joint.zero <= joint.upper
-        usual = joint.zero if at_zero else (joint.lower + joint.upper) / 2
-        return np.array([given.get(joint.name, usual)])
-
-    def _values(self, names: Mapping[str, ca.SX], scale: float) -> dict[str, ca.SX]:
-        """Return all coordinates of the stages from those that move; `scale` is zero for rates of constants."""
-        values = {name: names[name] for joint in self.moving for name in joint.coordinates}
+        start, given = dict[str, float](), self.options.posture
         for joint in self.joints:
-            if joint.name in self.locked:
-                held = scale * self.start(joint)
-                values |= {name: ca.SX(float(each)) for name, each in zip(joint.coordinates, held, strict=True)}
-        for joint in self.joints:
-            self._follow(joint, values, scale, [])
-        return values
+            if joint.kind == "ball":
+                turn = np.array([given.get(name, float(k == 0)) for k, name in enumerate(joint.coordinates)])
+                start |= zip(joint.coordinates, (turn / np.linalg.norm(turn)).tolist(), strict=True)
+            else:
+                at_zero = self.tree.closures or joint.lower <= joint.zero <= joint.upper
+                usual = joint.zero if at_zero else (joint.lower + joint.upper) / 2
+                start[joint.name] = float(given.get(joint.name, usual))
+        return start
 
-    def _follow(self, joint: Joint, values: dict[str, ca.SX], scale: float, followers: list[str]) -> None:
+    @cached_property
+    def _values(self) -> dict[str, ca.SX]:
+        """Coordinates of all stages, affine in those that move."""
+        values = {name: self.coordinates[name] for joint in self.moving for name in joint.coordinates}
+        held = [name for joint in self.joints if joint.name in self.locked for name in joint.coordinates]
+        values |= {name: ca.SX(self.start[name]) for name in held}
+        for joint in self.joints:
+            if joint.mimic:
+                self._follow(joint, values, [])
+        return {name: values[name] for joint in self.joints for name in joint.coordinates}
+
+    def _follow(self, joint: Joint, values: dict[str, ca.SX], followers: list[str]) -> None:
         """Add the value of a joint that mimics another one, after that of the other one."""
-        if joint.name in values or joint.kind == "ball":
+        if joint.name in values:
             return
         if not joint.mimic:
             raise self.tree.fault(f"the joint {joint.name} is mimicked by others and has no coordinate of its own")
@@ -116,24 +121,20 @@ class Layout:
         if master in (*followers, joint.name) or master not in self.tree.joints:
             why = "itself" if master in self.tree.joints else "no joint of the file"
             raise self.tree.fault(f"the joint {joint.name} mimics {master}, which is {why}")
-        self._follow(self.tree.joints[master], values, scale, [*followers, joint.name])
-        values[joint.name] = factor * values[master] + scale * offset
-
-    @cached_property
-    def motion(self) -> Motion:
-        """Kinematics and dynamics of the stages."""
-        q, v = (
-            self._values(dict(zip(self.coordinates.names, ca.vertsplit(symbols), strict=True)), scale)
-            for symbols, scale in ((self.coordinates.q, 1.0), (self.coordinates.v, 0.0))
-        )
-        loads = [(self.place(name), self.parameters[f"{name}.payload"]) for name in self.options.payload]
-        return Motion(self.stages, q, v, loads)
+        self._follow(self.tree.joints[master], values, [*followers, joint.name])
+        values[joint.name] = factor * values[master] + offset
 
     @cached_property
     def reduction(self) -> ca.SX:
         """d(coordinates of the stages)/dq, constant, shape (of the stages, n)."""
-        rates = ca.vertcat(ca.SX(0, 1), *[self.motion.v[name] for name in self.motion.columns])
-        return ca.jacobian(rates, self.coordinates.v)
+        return ca.jacobian(ca.vertcat(ca.SX(0, 1), *self._values.values()), self.q)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Kinematics and dynamics of the stages."""
+        rates = dict(zip(self._values, ca.vertsplit(ca.mtimes(self.reduction, self.v)), strict=True))
+        loads = [(self.place(name), self.parameters[f"{name}.payload"]) for name in self.options.payload]
+        return Motion(self.stages, self._values, rates, loads)
 
     def place(self, name: str) -> Place:
         """Return the place of a frame; raises `InvalidModel` if there is none."""
@@ -154,13 +155,23 @@ class Layout:
         """Return the point mass that a frame belongs to; empty if there is none."""
         way = self.tree.above(name)
         own = way[: next((k + 1 for k, body in enumerate(way) if body.joints), len(way))]
-        return next((body.name for body in own if body.name in (*self.options.points, *self.options.ropes)), "")
+        return next((body.name for body in own if body.name in self.loads), "")
 
     def rotation(self, name: str) -> ca.SX:
         """Return the axes of a frame in those of the ground, shape (3, 3)."""
         if (load := self._load(name)) in self.options.ropes:
             raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
+
+    def length(self, tendon: Tendon) -> ca.SX:
+        """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
+        if tendon.refusal:
+            raise self.tree.fault(f"the tendon {tendon.name} {tendon.refusal}")
+        length = sum((factor * self.motion.q[name] for name, factor in tendon.terms.items()), ca.SX(0))
+        for divisor, frames in tendon.branches:
+            points = [self.position(name) for name in frames]
+            length += sum((ca.norm_2(b - a) for a, b in pairwise(points)), ca.SX(0)) / divisor
+        return length
 
     def output_rows(self, names: Sequence[str], posture: Array) -> dict[Quantity, ca.SX]:
         """Return the servo outputs with their expressions.
@@ -204,7 +215,7 @@ class Layout:
         start = filled(ca.Function("start", [self.coordinates.q], [R])(posture))
         D = ca.mtimes(R, ca.DM(start).T)
         w = ca.sqrt(1 + ca.trace(D)) / 2
-        e = ca.vertcat(D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1]) / (4 * w)
+        e = ca.inv_skew(D) / (2 * w)
         for _ in range(_HALVINGS):
             w = ca.sqrt((1 + w) / 2)
             e = e / (2 * w)
@@ -228,24 +239,17 @@ class Layout:
         return self.places[body].moved(self.tree.body[body].centre)
 
 
-def rope_hinges(tree: Tree, load: str, driven: Collection[str], required: bool = True) -> list[Joint]:
-    """Return the hinges and balls without a drive on which a load hangs, the lowest first; slides may lie below them.
-
-    Raises
-    ------
-    InvalidModel
-        If there are none, and they are required.
-    """
+def rope_hinges(tree: Tree, load: str, driven: Collection[str]) -> list[Joint]:
+    """Return hinges and balls without a drive on which a load hangs, the lowest first; slides may lie below them."""
     above = [joint for body in tree.above(load) for joint in reversed(body.joints)]
     free = dropwhile(lambda joint: joint.kind == "slide", above)
-    hinges = list(takewhile(lambda joint: joint.kind != "slide" and joint.name not in driven, free))
-    if required and not hinges:
+    return list(takewhile(lambda joint: joint.kind != "slide" and joint.name not in driven, free))
+
+
+def _below(tree: Tree, load: str, hinges: list[Joint]) -> list[str]:
+    """Return the bodies that the hinges of a rope move; raises `InvalidModel` without any, or if another one moves."""
+    if not hinges:
         raise tree.fault(f"ropes: {load} cannot hang on a rope: no hinge without a drive lies above it")
-    return hinges
-
-
-def _below(tree: Tree, hinges: list[Joint]) -> list[str]:
-    """Return the bodies that the hinges of a rope move; raises `InvalidModel` if another hinge is among them."""
     found = list[str]()
     for body in tree.bodies:
         if hinges[-1] in body.joints or body.parent in found:

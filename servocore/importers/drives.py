@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
-from servocore.importers.options import driven_joints
 from servocore.importers.recursion import Place
 from servocore.importers.tree import Actuator, Joint
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
-
-if TYPE_CHECKING:
-    from servocore.importers.assembly import Assembly
 
 _WRENCH = re.compile(r"(.+)\.(force|torque)_([xyz])")
 _EXACT = 1e-9  # of a unit wrench that rotors must exert
@@ -39,10 +34,12 @@ class Drive:
         Power of a unit input, linear in the rates.
     joint : str
         The joint on which it acts; empty for others.
-    bounds : mapping of str to (float, float)
-        Limits of the input and of what is observed of it, by name.
-    observed : mapping of Quantity to callable
-        Quantities as functions of the input.
+    symbol : casadi.SX
+        Its symbol.
+    bounds : mapping of Quantity to (float, float)
+        Limits of the input and of what is observed of it.
+    observed : mapping of Quantity to casadi.SX
+        Quantities that depend on the input.
     wrench : (str, int), optional
         Body and number of the component of a wrench on it.
     rotor : str
@@ -52,13 +49,14 @@ class Drive:
     quantity: Quantity
     power: ca.SX
     joint: str = ""
-    bounds: Mapping[str, Bounds] = field(default_factory=dict)
-    observed: Mapping[Quantity, Callable[[ca.SX], ca.SX]] = field(default_factory=dict)
+    symbol: ca.SX = field(default_factory=lambda: ca.SX.sym("u"))
+    bounds: Mapping[Quantity, Bounds] = field(default_factory=dict)
+    observed: Mapping[Quantity, ca.SX] = field(default_factory=dict)
     wrench: tuple[str, int] | None = None
     rotor: str = ""
 
 
-def chosen_drives(assembly: Assembly) -> list[Drive]:
+def chosen_drives(layout: Layout) -> list[Drive]:
     """Return the inputs: those that were chosen, or all drives of the file but passive ones.
 
     Raises
@@ -66,33 +64,32 @@ def chosen_drives(assembly: Assembly) -> list[Drive]:
     InvalidSetting
         If a name is no joint, no drive and no component of a wrench, or stands twice.
     """
-    tree, options = assembly.tree, assembly.options
-    driven = driven_joints(tree, options)
+    tree, options = layout.tree, layout.options
     names = options.inputs
     if names is None:
-        names = [name for name in tree.joints if name in driven]
-        names += [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+        beside = [each.name for each in tree.actuators if each.kind != "joint" and each.name not in options.passive]
+        names = [*layout.driven, *beside]
     if not names:
         raise InvalidSetting(f"{tree.source} has no drive: name inputs, components of wrenches as BODY.force_z too")
-    drives = [_drive(name, assembly) for name in names]
+    drives = [_drive(name, layout) for name in names]
     listed = [drive.quantity.name for drive in drives]
     if len(set(listed)) < len(listed):
         raise InvalidSetting(f"inputs: {next(name for name in listed if listed.count(name) > 1)} stands twice")
     return drives
 
 
-def _drive(name: str, assembly: Assembly) -> Drive:
-    tree, motion = assembly.tree, assembly.motion
+def _drive(name: str, layout: Layout) -> Drive:
+    tree, motion = layout.tree, layout.motion
     actuators = {each.name: each for each in tree.actuators}
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         unit = np.eye(6)[number]
-        power = motion.power(assembly.centre(part[1]), unit[:3], unit[3:])
+        power = motion.power(layout.centre(part[1]), unit[:3], unit[3:])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
     joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
     joint = joint if joint in tree.joints else joint.rpartition(".")[0]
     if joint in tree.joints:
-        return _on_joint(tree.joints[joint], assembly)
+        return _on_joint(tree.joints[joint], layout)
     if name not in actuators:
         listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(
@@ -101,13 +98,13 @@ def _drive(name: str, assembly: Assembly) -> Drive:
     actuator = actuators[name]
     gear = np.array(actuator.gear)
     if actuator.kind == "tendon":
-        length = assembly.length(tree.tendons[actuator.on])
-        rate = ca.jtimes(length, assembly.q, assembly.v)
+        length = layout.length(tree.tendons[actuator.on])
+        rate = ca.jtimes(length, layout.q, layout.v)
         return _limited(Drive(Quantity(f"{name}.force", "N"), rate), actuator, float(gear[0]), length)
     size, unit = float(np.linalg.norm(gear[:3])), Quantity(f"{name}.force", "N")
     if not size:
         size, unit = float(np.linalg.norm(gear[3:])), Quantity(f"{name}.torque", "N.m")
-    power = motion.power(assembly.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    power = motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
     return _limited(Drive(unit, power, rotor=actuator.on), replace(actuator, bias=(0.0, 0.0, 0.0)), size, ca.SX(0))
 
 
@@ -119,41 +116,40 @@ def _on_joint(joint: Joint, layout: Layout) -> Drive:
         raise InvalidSetting(f"inputs: {name} is {why} and has no drive of its own")
     motor = f"{name}{MOTOR}" if name in layout.options.elastic else name
     quantity = Quantity(f"{name}.{force}", unit)
-    bounds = {quantity.name: (-joint.effort, joint.effort)}
-    drive = Drive(quantity, layout.coordinates.velocity(motor), name, bounds)
+    effort = {quantity: (-joint.effort, joint.effort)}
+    drive = Drive(quantity, layout.coordinates.velocity(motor), name, bounds=effort)
     on = [actuator for actuator in layout.tree.actuators if actuator.kind == "joint" and actuator.on == name]
     return _limited(drive, on[0], on[0].gear[0], layout.coordinates[motor]) if len(on) == 1 else drive
 
 
 def _limited(drive: Drive, actuator: Actuator, gear: float, length: ca.SX) -> Drive:
     """Return the drive with the limits of an actuator, and its ctrl where that is not the force itself."""
-    name, gain, (constant, position, damping) = drive.quantity.name, actuator.gain, actuator.bias
-    low, high = drive.bounds.get(name, (-np.inf, np.inf))
-    ranges = [(actuator.lower, actuator.upper)]
-    ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
-    bounds, observed = dict[str, Bounds](), dict[Quantity, Callable[[ca.SX], ca.SX]]()
+    gain, (constant, position, damping) = actuator.gain, actuator.bias
+    low, high = drive.bounds.get(drive.quantity, (-np.inf, np.inf))
+    ranges, bounds, observed = [(actuator.lower, actuator.upper)], dict[Quantity, Bounds](), dict[Quantity, ca.SX]()
     if any(actuator.bias):
+        ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
         bias = constant + gear * (position * length + damping * drive.power)
-        observed[ctrl], bounds[ctrl.name] = lambda u: (u / gear - bias) / gain, actuator.control
+        observed[ctrl], bounds[ctrl] = (drive.symbol / gear - bias) / gain, actuator.control
     else:
         ranges.append((gain * actuator.control[0], gain * actuator.control[1]))
     for each in ranges:
         ends = sorted((gear * each[0], gear * each[1]))
         low, high = max(low, ends[0]), min(high, ends[1])
-    return replace(drive, bounds=bounds | {name: (low, high)}, observed=observed)
+    return replace(drive, bounds=bounds | {drive.quantity: (low, high)}, observed=observed)
 
 
-def rotors(layout: Layout, drives: list[Drive]) -> list[tuple[Actuator, Mapping[int, float]]]:
-    """Return the drives of frames that share the wrenches among the inputs: force = sum of factor times input.
+def rotors(layout: Layout, drives: list[Drive]) -> dict[Quantity, ca.SX]:
+    """Return the forces of the drives of frames that share the wrenches among the inputs.
 
     Raises
     ------
     InvalidSetting
         If they cannot exert the wrenches alone.
     """
-    found = list[tuple[Actuator, Mapping[int, float]]]()
+    found = dict[Quantity, ca.SX]()
     for body in dict.fromkeys(drive.wrench[0] for drive in drives if drive.wrench):
-        parts = {drive.wrench[1]: k for k, drive in enumerate(drives) if drive.wrench and drive.wrench[0] == body}
+        parts = {drive.wrench[1]: drive for drive in drives if drive.wrench and drive.wrench[0] == body}
         centre = layout.centre(body)
         placed = [(each, layout.place(each.on)) for each in layout.tree.actuators if each.kind == "frame"]
         on = [(each, place) for each, place in placed if place.stage == centre.stage]
@@ -164,10 +160,11 @@ def rotors(layout: Layout, drives: list[Drive]) -> list[tuple[Actuator, Mapping[
         if np.abs(G @ share[:, list(parts)] - np.eye(6)[:, list(parts)]).max() > _EXACT:
             raise InvalidSetting(
                 f"inputs: {', '.join(each.name for each, _ in on)} cannot exert"
-                f" {', '.join(drives[k].quantity.name for k in parts.values())} independently of each other"
+                f" {', '.join(drive.quantity.name for drive in parts.values())} independently of each other"
             )
         for row, (each, _) in zip(share, on, strict=True):
-            found.append((each, {k: float(row[number]) for number, k in parts.items()}))
+            force = ca.dot(row[list(parts)], ca.vertcat(*[drive.symbol for drive in parts.values()]))
+            found[Quantity(f"{each.name}.drive", "N", f"drive of {each.name}")] = force
     return found
 
 

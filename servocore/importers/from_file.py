@@ -178,11 +178,9 @@ def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
             limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
 
     for joint in assembly.moving:
-        if joint.kind != "ball":
-            add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
-            add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
-    units = {each.name: each.unit for drive in assembly.inputs for each in (drive.quantity, *drive.observed)}
+        add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
+        add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
     for drive in assembly.inputs:
-        for name, bounds in drive.bounds.items():
-            add(name, units[name], *bounds)
+        for quantity, bounds in drive.bounds.items():
+            add(quantity.name, quantity.unit, *bounds)
     return tuple(limits)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from servocore.errors import InvalidModel, extra
-from servocore.importers.tree import GROUND, IDENTITY, LARGEST, Actuator, Body, Closure, Joint, Tendon, Tree
+from servocore.importers.tree import GROUND, IDENTITY, LARGEST, ZERO, Actuator, Body, Closure, Joint, Tendon, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
@@ -97,7 +97,7 @@ class _Reader:
         self._require_representable()
         self._list_left_out()
         weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        x, y, z = (0.0, 0.0, 0.0) if weightless else m.opt.gravity.tolist()
+        gravity = ZERO if weightless else m.opt.gravity
         name = (root.get("model") or root.get("name") or self.file.path.stem).replace(" ", "_")
         tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
         actuators = [self._actuator(k) for k in range(m.nu)]
@@ -107,8 +107,7 @@ class _Reader:
                 self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
         closures = [closure for k in range(m.neq) for closure in self._closure(k)]
         bodies = [*(self._body(k) for k in range(1, m.nbody)), *self.frames]
-        left_out = tuple(self.left_out)
-        return Tree(name, self.file.path.name, bodies, actuators, tendons, closures, (x, y, z), left_out)
+        return Tree(name, self.file.path.name, bodies, actuators, tendons, closures, gravity.tolist(), self.left_out)
 
     def _rotation(self, quaternion: Array) -> Array:
         matrix = np.zeros(9)
@@ -118,9 +117,8 @@ class _Reader:
     def _require_representable(self) -> None:
         """Refuse elements that change the motion and have no counterpart."""
         m, bits = self.m, self.mujoco.mjtDisableBit
-        for count, what in ((m.nflex, "flex"), (m.nplugin, "plugin")):
-            if count:
-                raise self.fault(f"it holds a {what}, which cannot be represented")
+        if m.nflex:
+            raise self.fault("it holds a flex, which cannot be represented")
         for flag, what in (("SPRING", "springs"), ("DAMPER", "dampers"), ("EQUALITY", "equality")):
             if m.opt.disableflags & int(getattr(bits, f"mjDSBL_{flag}", 0)):
                 raise self.fault(f"its flags disable {what}: delete these elements instead")
@@ -140,8 +138,7 @@ class _Reader:
     def _body(self, k: int) -> Body:
         m = self.m
         axes, rotation = self._rotation(m.body_iquat[k]), self._rotation(m.body_quat[k])
-        adr, count = m.body_jntadr[k], m.body_jntnum[k]
-        joints = [joint for j in range(adr, adr + count) for joint in self._joint(j, rotation)]
+        joints = [joint for j in np.flatnonzero(m.jnt_bodyid == k) for joint in self._joint(int(j), rotation)]
         inertia = axes @ np.diag(m.body_inertia[k]) @ axes.T
         return Body(
             self.bodies[k], self.bodies[m.body_parentid[k]], np.array(m.body_pos[k]), rotation, float(m.body_mass[k]),
@@ -197,14 +194,14 @@ class _Reader:
 
     def _closure(self, k: int) -> list[Closure]:
         """Return an equality constraint; none where it is not active."""
-        m, kinds, sites = self.m, self.mujoco.mjtEq, self.mujoco.mjtObj.mjOBJ_SITE
-        names = {getattr(kinds, f"mjEQ_{kind.upper()}"): kind for kind in ("joint", "tendon", "connect", "weld")}
-        name, kind, data = m.eq(k).name or f"equality{k}", names.get(int(m.eq_type[k])), m.eq_data[k]
+        m, sites = self.m, self.mujoco.mjtObj.mjOBJ_SITE
+        kind = self.mujoco.mjtEq(m.eq_type[k]).name.removeprefix("mjEQ_").lower()
+        name, data = m.eq(k).name or f"equality{k}", m.eq_data[k]
         first, second = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
         if not m.eq_active0[k]:
             self.left_out.append(f"equality {name}, which is not active")
             return []
-        if kind is None:
+        if kind not in ("joint", "tendon", "connect", "weld"):
             raise self.fault(f"equality {name} has a type that cannot be represented")
         if kind in ("joint", "tendon"):
             of, values = (self.joints, m.qpos0[m.jnt_qposadr]) if kind == "joint" else (self.tendons, m.tendon_length0)

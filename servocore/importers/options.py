@@ -50,13 +50,16 @@ class Elastic:
                 raise InvalidSetting(f"the {name} of an elastic joint must be {sign} and finite, not {value:g}")
 
 
-def driven_joints(tree: Tree, options: Options) -> frozenset[str]:
-    """Return the joints that have a drive: in files without drives all hinges and slides but those of free bodies."""
+def driven_joints(tree: Tree, options: Options) -> list[str]:
+    """Return the joints that have a drive, in the order of the file.
+
+    In files without drives all hinges and slides have one but those of free bodies.
+    """
     on = [actuator.on for actuator in tree.actuators if actuator.kind == "joint"]
     if not tree.actuators:
         tied = [body for body in tree.bodies if all(joint.kind != "ball" for joint in body.joints)]
         on = [joint.name for body in tied for joint in body.joints if not joint.mimic]
-    return frozenset(name for name in on if name not in options.passive and name not in options.locked)
+    return [name for name in tree.joints if name in on and name not in (*options.passive, *options.locked)]
 
 
 @dataclass(frozen=True)
@@ -104,9 +107,7 @@ class Options:
             raise InvalidSetting(f"{source}: there is no setting {unknown[0]}; there are {known}")
         cls(**values)._require_kinds()
         if not isinstance(elastic, Mapping):
-            elastic = dict.fromkeys(
-                (name for name in tree.joints if name in driven_joints(tree, cls(**values))), elastic
-            )
+            elastic = dict.fromkeys(driven_joints(tree, cls(**values)), elastic)
         joints = dict[str, Elastic]()
         for name, value in elastic.items():
             table = dict(value) if isinstance(value, Mapping) else {"stiffness": value}
@@ -118,21 +119,19 @@ class Options:
 
     def require_known(self, tree: Tree) -> None:
         """Raise `InvalidSetting` for a wrong kind of a value, or a name that the file does not have."""
-        known = {
-            "joint": [*tree.joints, *(name for joint in tree.joints.values() for name in joint.coordinates)],
-            "body": list(tree.body),
-            "tendon": list(tree.tendons),
-        }
-        listed = {
-            "elastic": "joint", "passive": "joint", "locked": "joint", "posture": "joint", "points": "body",
-            "ropes": "body", "taut": "tendon",
-        }  # fmt: skip
+        joints = [*tree.joints, *(name for joint in tree.joints.values() for name in joint.coordinates)]
+        listed = (
+            ("joint", joints, ("elastic", "passive", "locked", "posture")),
+            ("body", tree.body, ("points", "ropes")),
+            ("tendon", tree.tendons, ("taut",)),
+        )
         self._require_kinds()
-        for option, kind in listed.items():
-            for name in getattr(self, option):
-                if name not in known[kind]:
-                    there_are = ", ".join(known[kind]) or "none"
-                    raise InvalidSetting(f"{option}: {tree.source} has no {kind} {name}; there are {there_are}")
+        for kind, known, options in listed:
+            for option in options:
+                for name in getattr(self, option):
+                    if name not in known:
+                        there_are = ", ".join(known) or "none"
+                        raise InvalidSetting(f"{option}: {tree.source} has no {kind} {name}; there are {there_are}")
         self._require_consistent(tree)
 
     def _require_kinds(self) -> None:

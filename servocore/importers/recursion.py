@@ -5,7 +5,7 @@ q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its
 
     w = R^T w_p + W q_dot,    v = R^T (v_p + w_p x p) + V q_dot;
 
-W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, W = 2 E(e) for a unit quaternion e.
+W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, and for a ball with a unit quaternion too.
 
 R. Featherstone: Rigid Body Dynamics Algorithms. Springer 2008, chapters 5 and 6.
 """
@@ -65,12 +65,6 @@ class Stage:
     moment: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
-    def carry(self, mass: float, centre: Array, inertia: Array) -> None:
-        """Add the inertia of a body about its centre of mass, both in the axes of the stage."""
-        self.mass += mass
-        self.moment += mass * centre
-        self.inertia += inertia + mass * _about(centre)
-
     def require_physical(self, tree: Tree) -> None:
         """Raise `InvalidModel` if no distribution of mass has this inertia.
 
@@ -91,14 +85,9 @@ def _about(point: Array) -> Array:
     return np.asarray(point @ point * IDENTITY - np.outer(point, point))
 
 
-def rounded(values: Array, least: float = _ROUND_OFF) -> Array:
-    """Return numbers with zero in the place of those that are smaller than the least one."""
-    return np.asarray(np.where(np.abs(values) < least, 0.0, values))
-
-
 def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
     """Return numbers as an expression without those that are smaller than the least one: round-off of zeros."""
-    return ca.SX(ca.sparsify(ca.DM(rounded(values, least))))
+    return ca.SX(ca.sparsify(ca.DM(values), least))
 
 
 def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], dict[str, Place]]:
@@ -125,8 +114,10 @@ def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], d
             here = Place(len(stages) - 1, -joint.anchor, IDENTITY)
         places[body.name] = here
         if here.stage >= 0 and body.name not in without:
-            turned = here.rotation @ body.inertia @ here.rotation.T
-            stages[here.stage].carry(body.mass, here.moved(body.centre).position, turned)
+            carrier, centre = stages[here.stage], here.moved(body.centre).position
+            carrier.mass += body.mass
+            carrier.moment += body.mass * centre
+            carrier.inertia += here.rotation @ body.inertia @ here.rotation.T + body.mass * _about(centre)
     for stage in stages:
         stage.require_physical(tree)
     return stages, places
@@ -135,16 +126,6 @@ def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], d
 def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
     """Return the columns a x b of a vector and a matrix."""
     return ca.mtimes(ca.sparsify(ca.skew(a)), b)
-
-
-def quaternion_rotation(e: ca.SX) -> ca.SX:
-    """Return R(e), shape (3, 3), of a unit quaternion, scalar part first."""
-    w, x, y, z = ca.vertsplit(e)
-    return ca.blockcat([
-        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +137,7 @@ class Motion:
     stages : sequence of Stage
         Parents before children.
     q, v : mapping of str to casadi.SX
-        Coordinates and their rates by name.
+        Coordinates and their rates by name, in the order of the stages.
     loads : sequence of (Place, casadi.SX)
         Further point masses, kg.
     """
@@ -170,23 +151,20 @@ class Motion:
     def _inertias(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
         """Mass, first moment and inertia about the origin of every stage."""
         found = []
-        for stage in self.stages:
-            moment, inertia = (
-                sparse(each, _TINY * np.abs(each).max(initial=0.0)) for each in (stage.moment, stage.inertia)
-            )
-            found.append((ca.SX(stage.mass), moment, inertia))
-        for place, mass in self.loads:
-            if place.stage >= 0:
-                m, c, J = found[place.stage]
-                point = place.position
-                found[place.stage] = (m + mass, c + mass * sparse(point), J + mass * sparse(_about(point)))
+        for k, stage in enumerate(self.stages):
+            m = ca.SX(stage.mass)
+            c, J = (sparse(each, _TINY * np.abs(each).max()) for each in (stage.moment, stage.inertia))
+            for place, mass in self.loads:
+                if place.stage == k:
+                    point = place.position
+                    m, c, J = m + mass, c + mass * sparse(point), J + mass * sparse(_about(point))
+            found.append((m, c, J))
         return found
 
     @cached_property
     def columns(self) -> Mapping[str, int]:
         """Number of every coordinate of the stages."""
-        names = [name for stage in self.stages for name in stage.joint.coordinates]
-        return {name: k for k, name in enumerate(names)}
+        return {name: k for k, name in enumerate(self.q)}
 
     @cached_property
     def _local(self) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]]:
@@ -200,11 +178,13 @@ class Motion:
             if joint.kind == "slide":
                 position, slide = position + ca.mtimes(rotation, axis * (q - joint.zero)), axis
             elif joint.kind == "hinge":
-                rotation, turn = ca.mtimes(rotation, ca.sparsify(turned(rounded(joint.axis), q - joint.zero))), axis
+                turn = axis
+                rotation = ca.mtimes(rotation, ca.sparsify(turned(ca.DM(axis).full().ravel(), q - joint.zero)))
             else:
-                w, x, y, z = ca.vertsplit(q)
-                turn = 2 * ca.blockcat([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
-                rotation = ca.mtimes(rotation, quaternion_rotation(q))
+                w, e = q[0], q[1:]  # R = (w^2 - e.e) 1 + 2 e e^T + 2 w [e]x, W = 2 (-e, w 1 - [e]x)
+                cross, one = ca.sparsify(ca.skew(e)), ca.SX.eye(3)
+                turn = 2 * ca.horzcat(-e, w * one - cross)
+                rotation = ca.mtimes(rotation, (w * w - ca.sumsqr(e)) * one + 2 * ca.mtimes(e, e.T) + 2 * w * cross)
             local.append((rotation, position, turn, slide, v))
         return local
 
@@ -262,8 +242,11 @@ class Motion:
                 f, j = ca.mtimes(R, f), self.stages[j].parent
                 n = ca.mtimes(R, n) + _cross(p, f)
             if (parent := self.stages[i].parent) >= 0:
-                above, added = composite[parent], _shifted(m, c, J, *self._local[i][:2])
-                composite[parent] = (above[0] + added[0], above[1] + added[1], above[2] + added[2])
+                R, p, *_ = self._local[i]
+                c, P, above = ca.mtimes(R, c), ca.sparsify(ca.skew(p)), composite[parent]
+                C = ca.sparsify(ca.skew(c))
+                J = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
+                composite[parent] = above[0] + m, above[1] + c + m * p, above[2] + J
         return ca.sparsify(mass)
 
     def spread(self, values: Mapping[str, float]) -> ca.SX:
@@ -278,10 +261,9 @@ class Motion:
         return ca.sparsify(matrix)
 
     @cached_property
-    def _rows(self) -> list[slice]:
+    def _rows(self) -> list[list[int]]:
         """Numbers of the coordinates of every stage."""
-        named = (stage.joint.coordinates for stage in self.stages)
-        return [slice(self.columns[names[0]], self.columns[names[-1]] + 1) for names in named]
+        return [[self.columns[name] for name in stage.joint.coordinates] for stage in self.stages]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
@@ -311,11 +293,3 @@ class Motion:
             for k, (m, c, _) in enumerate(self._inertias)
         ]
         return -sum(terms, ca.SX(0))
-
-
-def _shifted(m: ca.SX, c: ca.SX, J: ca.SX, R: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return mass, first moment and inertia of a stage about the origin and in the axes of its parent."""
-    c, P = ca.mtimes(R, c), ca.sparsify(ca.skew(p))
-    C = ca.sparsify(ca.skew(c))
-    inertia = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
-    return m, c + m * p, inertia

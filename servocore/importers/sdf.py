@@ -61,11 +61,10 @@ class _Reader(LinkReader):
                 self._close(joint, parent, child)
             hung.setdefault(child, joint)
         bodies = [self._body(name, link, hung.get(name)) for name, link in links.items()]
-        x, y, z = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
-        return Tree(
-            file.required(model, "name"), file.path.name, [*bodies, *self.frames], closures=self.closures,
-            gravity=(x, y, z), left_out=tuple(self.left_out),
-        )  # fmt: skip
+        gravity = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
+        bodies += self.frames
+        name = file.required(model, "name")
+        return Tree(name, file.path.name, bodies, (), {}, self.closures, gravity, self.left_out)
 
     def _body(self, name: str, link: Element, joint: Element | None) -> Body:
         parent = _WORLD if joint is None else self.end(joint, "parent", self.poses)
@@ -98,10 +97,9 @@ class _Reader(LinkReader):
         if kind == "ball":
             return (Joint(name, "ball", anchor=anchor),)
         axes = [self.file.child(joint, tag) for tag in ("axis", "axis2")[: _AXES[kind]]]
-        names = (name, f"{name}.2")
-        found = zip(axes, names, strict=False)
+        found = zip((name, f"{name}.2"), axes, strict=False)
         return tuple(
-            self.single(joint, axis, each, kind, self._axis(joint, axis, child), anchor) for axis, each in found
+            self.single(joint, axis, each, kind, self._axis(joint, axis, child), anchor) for each, axis in found
         )
 
     def _close(self, joint: Element, parent: str, child: str) -> None:

@@ -214,7 +214,7 @@ class Tree:
         By name.
     closures : sequence of Closure
         Constraints beside the tree.
-    gravity : tuple of float
+    gravity : sequence of float
         Acceleration in the axes of the ground, m/s2.
     left_out : sequence of str
         Elements of the file that have no part in the model, with the reason.
@@ -231,7 +231,7 @@ class Tree:
     actuators: Sequence[Actuator] = ()
     tendons: Mapping[str, Tendon] = field(default_factory=dict)
     closures: Sequence[Closure] = ()
-    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    gravity: Sequence[float] = STANDARD_GRAVITY
     left_out: Sequence[str] = ()
 
     def __post_init__(self) -> None:
@@ -244,8 +244,7 @@ class Tree:
                 raise self.fault(f"two {kind} are called {twice}")
         ordered = sorted(self.bodies, key=lambda body: len(self.above(body.name)))
         object.__setattr__(self, "bodies", tuple(ordered))
-        for body in self.bodies:
-            self._require_physical(body)
+        self._require_physical()
         self._require_metres()
 
     def fault(self, sentence: str) -> InvalidModel:
@@ -267,13 +266,14 @@ class Tree:
                 raise self.fault(f"the bodies form a cycle: {' on '.join(cycle)}")
         return way
 
-    def _require_physical(self, body: Body) -> None:
+    def _require_physical(self) -> None:
         """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
-        values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
-        if not (np.abs(values) < LARGEST).all():
-            raise self.fault(f"the body {body.name} holds a number that is not finite, or above {LARGEST:g}")
-        if body.mass < 0.0:
-            raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
+        for body in self.bodies:
+            values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
+            if not (np.abs(values) < LARGEST).all():
+                raise self.fault(f"the body {body.name} holds a number that is not finite, or above {LARGEST:g}")
+            if body.mass < 0.0:
+                raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
 
     def _require_metres(self) -> None:
         """Refuse sizes out of proportion: files in millimetres."""

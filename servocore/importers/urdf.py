@@ -61,7 +61,7 @@ class _Reader(LinkReader):
         if transmissions:
             self.left_out.append(f"transmissions {', '.join(transmissions)}: inputs act on the joints")
         bodies = [self._body(link, hung.get(file.required(link, "name"))) for link in root.findall("link")]
-        return Tree(root.get("name") or file.path.stem, file.path.name, bodies, left_out=tuple(self.left_out))
+        return Tree(root.get("name") or file.path.stem, file.path.name, bodies, left_out=self.left_out)
 
     def _body(self, link: Element, joint: Element | None) -> Body:
         name, (mass, centre, inertia) = str(link.get("name")), self.inertia(link)

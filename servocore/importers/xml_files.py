@@ -15,11 +15,10 @@ from xml.parsers import expat
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.importers.tree import Joint
+from servocore.importers.tree import IDENTITY, LARGEST, Joint
 from servocore.numerics.compiled_calls import Array
 
 _LARGEST = 2**23  # bytes; robot files have less than a tenth
-_NO_LIMIT = 1e15  # SDF writes 1e16 for none
 
 Pose = tuple[Array, Array]
 """Position (m), shape (3,), and rotation, shape (3, 3)."""
@@ -142,7 +141,7 @@ class LinkReader:
         if origin is not None:
             text = f"{origin.get('xyz', '0 0 0')} {origin.get('rpy', '0 0 0')}"
         x, y, z, *rpy = self.file.numbers(named, text, (0.0,) * 6)
-        return np.array([x, y, z]), rotation_of(np.array(rpy))
+        return np.array([x, y, z]), _rotation(rpy)
 
     def inertia(self, link: Element, missing: float = 0.0) -> tuple[float, Array, Array]:
         """Return mass, centre of mass and inertia about it in a link's axes; `missing` stands for a missing one."""
@@ -178,7 +177,7 @@ class LinkReader:
             raise file.fault(joint, f"has the lower limit {ends[0]:g} above the upper {ends[1]:g}")
         if kind == "continuous" or ends[0] == ends[1]:
             ends = [-math.inf, math.inf]
-        lower, upper = (end if abs(end) < _NO_LIMIT else math.copysign(math.inf, end) for end in ends)
+        lower, upper = (end if abs(end) < LARGEST else math.copysign(math.inf, end) for end in ends)  # SDF writes 1e16
         largest = {which: file.value(holder, f"limit/{which}", math.inf) for which in ("velocity", "effort")}
         for which, value in largest.items():
             if not value > 0.0:  # many files leave it out in this way
@@ -186,20 +185,17 @@ class LinkReader:
                 largest[which] = math.inf
         if file.value(holder, "dynamics/friction", 0.0):
             self.left_out.append(f"dry friction of joint {name}")
-        stiffness, rest, damping = (
-            file.value(holder, f"dynamics/{which}", 0.0)
-            for which in ("spring_stiffness", "spring_reference", "damping")
-        )
+        names = ("spring_stiffness", "spring_reference", "damping")
+        stiffness, rest, damping = (file.value(holder, f"dynamics/{which}", 0.0) for which in names)
         velocity, effort = largest.values()
         moves = "slide" if kind == "prismatic" else "hinge"
         return Joint(name, moves, axis, anchor, lower, upper, velocity, effort, stiffness, rest, damping)
 
 
-def rotation_of(rpy: Array) -> Array:
+def _rotation(rpy: Sequence[float]) -> Array:
     """Return the rotation of roll, pitch and yaw (rad) about fixed axes x, y, z, shape (3, 3)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    rotation = IDENTITY
+    for axis, angle in zip(IDENTITY, rpy, strict=True):
+        cross = np.cross(IDENTITY, axis)
+        rotation = (IDENTITY + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross) @ rotation
+    return rotation
