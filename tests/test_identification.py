@@ -277,6 +277,34 @@ def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(m
             sc.excitation(crane, NAMES, given, duration=duration)
 
 
+@pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
+def test_an_exciting_path_predicts_the_standard_errors_of_its_log_with_internal_dynamics(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 5)
+    factory, measured, true = WITH_INTERNAL_DYNAMICS[kind]
+    limits: dict[str, Any] = {"u": 8.0, measured[0]: (-2, 2)}
+    scene = factory()
+    path, report = sc.excitation(scene, list(true), limits)
+    assert report.gain > 1.5
+    moved = scene.with_reference(path)
+    run = sc.solve(moved.with_limits(**limits), step=0.005)  # which refuses a path that breaks a limit
+    size = 0.01 * sc.solve(scene)["u"].std()
+    noisy = run["u"] + size * np.random.default_rng(0).standard_normal(len(run.t))
+    result = sc.identify(
+        scene, {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}, list(true)
+    )
+    assert np.abs(z_scores(result, scene)).max() < 4.0
+    for name, value in result.values.items():
+        assert report.standard_errors[name] == pytest.approx(result.standard_errors[name] / value, rel=0.3)
+
+
+def test_an_excitation_of_unstable_internal_dynamics_is_refused() -> None:
+    arm = sc.scenes.passive_joint_arm().with_parameters(tracked_distance=1.0)
+    with pytest.raises(sc.errors.PlanningFailed, match="unstable internal dynamics"):
+        sc.excitation(arm, "joint_damping", {"u": 8.0})
+
+
 def test_a_study_continues_where_it_was_interrupted_and_its_page_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

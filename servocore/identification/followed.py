@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -39,16 +41,13 @@ def followed(scene: Scene, measured: tuple[str, ...], count: int) -> Inverted:
     if problem.flat:
         return inverted(problem, measured, count)
     system = problem.system
-    found = solve(scene, step=problem.reference.duration / (count - 1), checks=False)
-    q, inputs = (
-        np.column_stack([found[each.name] for each in known])
-        for known in (system.coordinates.quantities, system.inputs)
-    )
+    found = solve(replace(scene, limits=()), step=problem.reference.duration / (count - 1), checks=False)
+    rows = np.column_stack([found[each.name] for each in (*system.coordinates.quantities, *system.inputs)])
+    q, inputs = np.split(rows, [len(system.coordinates)], axis=1)
     v = make_interp_spline(found.t, q, k=5).derivative()(found.t)
     quantities, y = measured_in(system, measured)
     read = ca.Function("sc_followed", [system.q, system.v], [y, ca.jtimes(y, system.q, system.v)])
     positions, rates = (each.reshape(-1, len(found.t), order="F").T for each in mapped(read, len(found.t))(q.T, v.T))
     wraps = [quantity.wraps for quantity in quantities]
     positions[:, wraps] = np.unwrap(positions[:, wraps], axis=0)
-    start = np.concatenate([q[0], v[0]])
-    return Inverted(problem, measured, found.t, inputs, positions - positions[0], rates, start, q[-1])
+    return Inverted(problem, measured, found.t, inputs, positions - positions[0], rates, np.append(q[0], v[0]), q[-1])
