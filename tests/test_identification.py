@@ -15,6 +15,8 @@ import servocore as sc
 from benchmarks.identification import study
 from benchmarks.identification.cranes import KINDS, changed
 from benchmarks.identification.page import page
+from servocore.effects.closed_loop import run_loop
+from servocore.identification.followed import followed
 from servocore.identification.page import identified_page
 from servocore.identification.prediction import Prediction, information
 from servocore.identification.splines import PathSpline
@@ -139,29 +141,63 @@ def axis() -> sc.Scene:
     return as_scene(system, sc.through([[0.0], [0.6], [0.1], [0.9], [0.0]], [0, 5, 11, 16, 25]))
 
 
-@pytest.mark.parametrize(
-    ("scene", "measured", "true"),
-    [
-        (sc.scenes.mass_on_car(), ("x", "s"), {"car_mass": 1.2, "mass": 2.3, "stiffness": 4.4, "damping": 1.2}),
-        (sc.scenes.passive_joint_arm(), ("a", "b"), {"second_mass": 3.4, "joint_damping": 1.3, "first_inertia": 1.1}),
-    ],
-)
-def test_internal_dynamics_are_channels_of_their_own(
-    scene: sc.Scene, measured: tuple[str, ...], true: dict[str, float]
-) -> None:
-    path = sc.through([[0.0], [1.0], [0.2], [1.5], [0.0], [0.7], [0.0]], duration=10.0)
+WITH_INTERNAL_DYNAMICS: dict[str, tuple[Callable[[], sc.Scene], tuple[str, ...], dict[str, float]]] = {
+    "mass_on_car": (
+        sc.scenes.mass_on_car, ("x", "s"), {"car_mass": 1.2, "mass": 2.3, "stiffness": 4.4, "damping": 1.2},
+    ),
+    "passive_joint_arm": (
+        sc.scenes.passive_joint_arm, ("a", "b"), {"second_mass": 3.4, "joint_damping": 1.3, "first_inertia": 1.1},
+    ),
+}  # fmt: skip
+
+
+def identified(kind: str) -> tuple[sc.Identified, sc.Scene]:
+    """Return what a log that begins in motion shows of a scene with internal dynamics, and its plant."""
+    factory, measured, true = WITH_INTERNAL_DYNAMICS[kind]
+    scene, path = factory(), sc.through([[0.0], [1.0], [0.2], [1.5], [0.0], [0.7], [0.0]], duration=10.0)
     moved, real = (each.with_reference(path) for each in (scene, scene.with_parameters(**true)))
     run = sc.simulate(real, inputs=sc.solve(moved))
-    t = np.arange(2.0, 10.0, 0.005)  # begins in motion
+    t = np.arange(2.0, 10.0, 0.005)
     noise = np.random.default_rng(0).standard_normal(len(t))
     known = {name: np.round(np.interp(t, run.t, run[name]), 5) for name in measured}
     columns = {"time": t, "u": np.interp(t, run.t, run["u"]) + 0.01 * np.ptp(run["u"]) * noise + 0.3, **known}
-    result = sc.identify(scene, columns, list(true))
+    return sc.identify(scene, columns, list(true)), real
+
+
+@pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
+def test_internal_dynamics_are_channels_of_their_own(kind: str) -> None:
+    result, real = identified(kind)
     assert not result.doubts
     assert np.abs(z_scores(result, real)).max() < 4.0
-    assert max(result.standard_errors[name] / value for name, value in true.items()) < 0.1
-    with pytest.raises(sc.errors.InvalidModel, match="internal dynamics"):
-        result.stray(path)
+    assert max(result.standard_errors[name] / result.values[name] for name in result.names) < 0.1
+
+
+@pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
+def test_plants_with_parameters_drawn_from_the_estimates_stay_within_the_predicted_stray(kind: str) -> None:
+    result, real = identified(kind)
+    job, drive = sc.rest_to_rest((0.0,), (1.0,), 3.0), WITH_INTERNAL_DYNAMICS[kind][1][:1]
+    motion, stray = followed(result.scene().with_reference(job), drive, 501), result.stray(job)
+
+    def strayed(plant: sc.Scene) -> float:
+        run = run_loop(followed(plant.with_reference(job), drive, 501), motion, motion.gains(result.loops))
+        return 1e3 * run.error
+
+    assert strayed(real) <= stray.total
+    drawn = np.random.default_rng(5).multivariate_normal(list(result.values.values()), result.covariance, 40)
+    named = (dict(zip(result.names, values.tolist(), strict=True)) for values in drawn)
+    strays = np.array([strayed(real.with_parameters(**values)) for values in named])
+    assert np.mean(strays <= stray.by_parameters) >= 0.87
+    assert float(np.quantile(strays, 0.95)) == pytest.approx(stray.by_parameters, rel=0.4)
+
+
+def test_a_plant_whose_internal_dynamics_are_unstable_is_driven_from_before_its_path() -> None:
+    job = sc.rest_to_rest((0.0,), (1.0,), 3.0)
+    arm = sc.scenes.passive_joint_arm().with_parameters(tracked_distance=1.0).with_reference(job)
+    motion = followed(arm, ("a",), 201)
+    assert motion.t[0] < -1.0
+    assert run_loop(motion, motion, motion.gains(sc.PositionLoops())).error < 1e-6
+    wrong = followed(arm.with_parameters(second_mass=3.3), ("a",), 201)
+    assert 1e-4 < run_loop(wrong, motion, motion.gains(sc.PositionLoops())).error < 0.1
 
 
 Columns = dict[str, Array]
@@ -239,6 +275,34 @@ def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(m
     for given, duration, words in ((None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")):
         with pytest.raises(sc.errors.InvalidSetting, match=words):
             sc.excitation(crane, NAMES, given, duration=duration)
+
+
+@pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
+def test_an_exciting_path_predicts_the_standard_errors_of_its_log_with_internal_dynamics(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 5)
+    factory, measured, true = WITH_INTERNAL_DYNAMICS[kind]
+    limits: dict[str, Any] = {"u": 8.0, measured[0]: (-2, 2)}
+    scene = factory()
+    path, report = sc.excitation(scene, list(true), limits)
+    assert report.gain > 1.5
+    moved = scene.with_reference(path)
+    run = sc.solve(moved.with_limits(**limits), step=0.005)  # which refuses a path that breaks a limit
+    size = 0.01 * sc.solve(scene)["u"].std()
+    noisy = run["u"] + size * np.random.default_rng(0).standard_normal(len(run.t))
+    result = sc.identify(
+        scene, {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}, list(true)
+    )
+    assert np.abs(z_scores(result, scene)).max() < 4.0
+    for name, value in result.values.items():
+        assert report.standard_errors[name] == pytest.approx(result.standard_errors[name] / value, rel=0.3)
+
+
+def test_an_excitation_of_unstable_internal_dynamics_is_refused() -> None:
+    arm = sc.scenes.passive_joint_arm().with_parameters(tracked_distance=1.0)
+    with pytest.raises(sc.errors.PlanningFailed, match="unstable internal dynamics"):
+        sc.excitation(arm, "joint_damping", {"u": 8.0})
 
 
 def test_a_study_continues_where_it_was_interrupted_and_its_page_counts(

@@ -167,7 +167,7 @@ def run_loop(
         raise InvalidModel(
             f"{problem.system.name} is too stiff for a forward simulation: it needs steps of {step:.1g} s"
         )
-    duration = problem.reference.duration
+    duration = model.t[-1] - model.t[0]  # longer than the path where its inputs begin before it
     moving, after = (int(np.ceil(time / step)) for time in (duration, tail))
     h = duration / moving
     at = model.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)

@@ -10,17 +10,23 @@ import numpy as np
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import limited_values
 from servocore.effects.report import aligned
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed, require_real
-from servocore.identification.identify import UNCERTAINTY, chosen_parameters, spreads_of
+from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting, PlanningFailed, require_real
+from servocore.identification.fit import LEAST_SCALE, Fit, Weights
+from servocore.identification.identify import FORCE_NOISE, UNCERTAINTY, chosen_parameters, spreads_of
+from servocore.identification.logs import BLOCK, Blocks
 from servocore.identification.prediction import Prediction, information, prediction_of
+from servocore.identification.splines import PathSpline
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import KeptLimits, kept_limits, sides
 from servocore.problem import Problem
 from servocore.references.base import Reference
+from servocore.references.bspline import Ends, to_path
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import through
+from servocore.solvers.solve import recommended, solve
+from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.exact_evaluation import exact_unknowns
 
 _FASTEST, _MOST = 0.4, 12  # Hz and number of harmonics: faster ones excite what models leave out
@@ -29,6 +35,7 @@ _WINDOW = 2.0  # s in which the harmonics grow from rest
 _STARTS, _TRIALS = 30, 1000
 _MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
 _SAMPLE, _NOISE = 0.005, 0.01  # s between samples of the log that is predicted, its noise by the inputs
+_QUANTUM, _LOGGED = 1e-5, 0.02  # of encoders, and s between the instants of a log with them
 _SHRUNK, _SHRINKS = 0.97, 20
 
 
@@ -77,7 +84,8 @@ def excitation(
     Parameters
     ----------
     scene : Scene
-        With the believed values of its parameters. Without internal dynamics.
+        With the believed values of its parameters. Of one with internal dynamics the log is supposed to have all
+        coordinates, from encoders with quanta of 0.01 mm or 0.01 mrad; its limits are not proved, but evaluated.
     parameters : str or sequence of str
         Names or patterns, see `identify`.
     limits : mapping of str to bounds
@@ -103,9 +111,9 @@ def excitation(
     InvalidSetting
         If there are no limits, or a setting is invalid.
     InvalidModel
-        If the scene has internal dynamics, or no such parameter.
+        If there is no such parameter.
     PlanningFailed
-        If no path about home keeps the limits.
+        If no path about home keeps the limits, or the internal dynamics are unstable.
     """
     require_scene(scene, "excitation")
     require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
@@ -113,14 +121,14 @@ def excitation(
         raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
     extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
     problem = Problem.of(extended)
-    if not problem.flat:
-        raise InvalidModel(f"{scene.name} has internal dynamics: an excitation needs a flat output")
     if not problem.motion_limits:
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")
+    if isinstance(recommended(problem)[0], StableInversion):
+        raise PlanningFailed(f"{scene.name} has unstable internal dynamics: a search needs too many stable inversions")
     names = chosen_parameters(parameters, problem)
-    search = _Search.of(problem, names, spreads_of(names, believed), float(duration))
+    search = _Search.of(extended, names, spreads_of(names, believed), float(duration))
     best = search.improved(np.random.default_rng(seed))
-    path, kept = search.certified(extended, best)
+    path, kept = search.certified(best)
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]
@@ -133,10 +141,12 @@ class _Search:
 
     Attributes
     ----------
-    problem : Problem
+    scene : Scene
         With its limits.
+    problem : Problem
+        Without internal dynamics, see `released`: its path has the coordinates that the output leaves free.
     prediction : Prediction
-        Of the inputs.
+        Of the inputs, and where there are internal dynamics of all coordinates.
     basis : PiecewisePolynomial
         The path through one waypoint for each of its components.
     harmonics : ndarray, shape (waypoints, 2 harmonics)
@@ -145,6 +155,7 @@ class _Search:
         Units and relative uncertainties of the parameters, and noise of the inputs at the instants of the search.
     """
 
+    scene: Scene
     problem: Problem
     prediction: Prediction
     basis: PiecewisePolynomial
@@ -154,22 +165,24 @@ class _Search:
     noise: Array
 
     @classmethod
-    def of(cls, problem: Problem, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
-        """Return the search for parameters of a problem."""
-        order = problem.array.reference_order
-        prediction, scales = prediction_of(problem, names)
+    def of(cls, scene: Scene, names: tuple[str, ...], spreads: Array, duration: float) -> _Search:
+        """Return the search for parameters of a scene."""
+        given = Problem.of(scene)
+        encoders = () if given.flat else tuple(each.name for each in given.system.coordinates.quantities)
+        prediction, scales = prediction_of(given, names, encoders)
+        problem = replace(given, resolved=prediction.resolved)
         t = np.linspace(0.0, duration, round(duration / _SPACING) + 1)
-        basis = through(np.eye(len(t)), t, rest_order=order)
+        basis = through(np.eye(len(t)), t, rest_order=given.array.reference_order)
         count = int(np.clip(round(_FASTEST * duration), 2, _MOST))
         grown = np.clip(np.minimum(t, duration - t) / _WINDOW, 0.0, 1.0)
         phases = 2 * np.pi * np.arange(1, count + 1) * t[:, None] / duration
         harmonics = np.hstack([np.sin(phases), np.cos(phases)]) * (grown**3 * (10 - 15 * grown + 6 * grown**2))[:, None]
-        own = problem.reference
-        jets = own.jet(np.linspace(own.start_time, own.end_time, 400), order)
-        size = prediction(jets, problem.p).values.std(axis=0)
+        search = cls(scene, problem, prediction, basis, harmonics, scales, spreads, np.empty(0))
+        own = search.motion(scene.reference)
+        jets = own.jet(np.linspace(own.start_time, own.end_time, 400), problem.array.reference_order)
+        size = prediction(jets, problem.p).values[:, : prediction.inputs].std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
-        per_instant = _NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE)
-        return cls(problem, prediction, basis, harmonics, scales, spreads, per_instant)
+        return replace(search, noise=_NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE))
 
     def path(self, x: Array) -> PiecewisePolynomial:
         """Return the path of amplitudes (2 harmonics, outputs)."""
@@ -179,16 +192,49 @@ class _Search:
 
     def errors(self, path: Reference) -> Array:
         """Return the predicted relative standard errors of a path."""
-        return np.sqrt(np.diag(np.linalg.inv(self._information(path))))
+        return np.sqrt(np.diag(np.linalg.inv(self._information(self.motion(path)))))
 
-    def _information(self, path: Reference) -> Array:
-        t = np.arange(path.start_time, path.end_time + _GRID / 2, _GRID)
-        jets, p = path.jet(t, self.problem.array.reference_order), self.problem.p
+    def motion(self, path: Reference) -> Reference:
+        """Return a path of the output with the motion of the coordinates that it leaves free."""
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - kept out of the run time of an FMU
+
+        if not self.prediction.measured:
+            return path
+        found = solve(replace(self.scene, reference=path, limits=()), step=_GRID / 2, checks=False)
+        places = np.column_stack([found[each.name] for each in self.problem.system.outputs])
+        free = Ends(start=False, end=False, order=self.problem.array.reference_order)
+        return to_path(make_interp_spline(found.t, places, k=free.degree), free, None)
+
+    def _information(self, motion: Reference) -> Array:
+        step = _LOGGED if self.prediction.measured else _GRID
+        t = np.arange(motion.start_time, motion.end_time + step / 2, step)
+        jets, p = motion.jet(t, self.problem.array.reference_order), self.problem.p
+        if self.prediction.measured:
+            return self._with_encoders(t, jets)
         return np.diag(self.spreads**-2) + information(self.prediction, jets, _GRID, p, self.scales, self.noise)
 
-    def excess(self, x: Array) -> float:
+    def _with_encoders(self, t: Array, jets: Array) -> Array:
+        """Return the information of the log of a motion with encoders at all coordinates, as `identify` finds it.
+
+        Parameters of the internal dynamics follow from equations between coordinates alone.
+        """
+        p, spreads, columns = self.problem.p, self.spreads * self.scales, list(self.prediction.columns)
+        predicted, counts = self.prediction(jets, p), (self.prediction.inputs, jets.shape[2] - self.prediction.inputs)
+        peak = float(np.abs(predicted.values[:, : counts[0]]).max())
+        known = LEAST_SCALE * FORCE_NOISE * peak / np.sqrt(_LOGGED / BLOCK)
+        encoders = np.full(len(self.prediction.measured), _QUANTUM / np.sqrt(12 * _LOGGED / _SAMPLE))
+        noise = np.concatenate([self.noise * np.sqrt(_GRID / _LOGGED), np.full(counts[1], known), encoders])
+        data = (Blocks(t, predicted.values, np.tile(noise, (len(t), 1))),)
+        splines = (PathSpline(t, jets.shape[1] + 1, jets.shape[1], jets.shape[2], _GRID),)
+        biases = np.repeat([_NOISE * peak, 1e-9 * peak], counts)
+        fit = Fit(self.prediction, p, p[columns], self.scales, spreads, biases, data, splines)
+        weights = [Weights(np.ones(len(noise)), fit.factors(0, predicted))]
+        total = fit.step(fit.start([jets[:, 0]]), weights, 0.0)[1]
+        return np.asarray(np.linalg.inv(np.linalg.inv(total)[: len(spreads), : len(spreads)]), dtype=np.float64)
+
+    def excess(self, motion: Reference) -> float:
         """Return by how much of half its range a limit is broken at the instants of the search, at least 0."""
-        problem = replace(self.problem, reference=self.path(x))
+        problem = replace(self.problem, reference=motion)
         t = np.arange(problem.reference.start_time, problem.reference.end_time + _GRID / 4, _GRID / 2)
         values = limited_values(Motion(problem, t, exact_unknowns(problem, t)[0]))
         over = [each for limit, row in zip(problem.motion_limits, values, strict=True) for _, each in sides(limit, row)]
@@ -197,16 +243,20 @@ class _Search:
     def tried(self, x: Array) -> tuple[float, Array]:
         """Return how good amplitudes are, shrunk until they keep the limits, and these; minus infinity for no use."""
         for _ in range(4):
-            excess = self.excess(x)
+            try:
+                motion = self.motion(self.path(x))
+                excess = self.excess(motion)
+            except IntegrationFailed:  # of internal dynamics
+                excess = np.inf
             if excess == 0.0:
-                total = self._information(self.path(x))
+                total = self._information(motion)
                 return float(np.linalg.slogdet(total)[1]) if np.isfinite(total).all() else -np.inf, x
             x = x * (1.0 - 1e-3) / (1.0 + min(excess, 1.0))
         return -np.inf, x
 
     def improved(self, random: np.random.Generator) -> Array:
         """Return the best amplitudes that were found; raises `PlanningFailed` without any."""
-        shape = self.harmonics.shape[1], len(self.problem.system.outputs)
+        shape = self.harmonics.shape[1], self.prediction.inputs
         slow = 1.0 / np.tile(np.arange(1, shape[0] // 2 + 1), 2)[:, None]
         score, best, size = -np.inf, np.zeros(shape), 0.0
         for k in range(_STARTS + _TRIALS):
@@ -223,12 +273,13 @@ class _Search:
                 )
         return best
 
-    def certified(self, scene: Scene, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
+    def certified(self, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:
         """Return a path that keeps the limits at all times, and whether that is proved."""
         for _ in range(_SHRINKS):
             path = self.path(x)
             try:
-                kept = kept_limits(scene.with_reference(path), None, (replace(self.problem, reference=path),), {}, True)
+                problem = replace(self.problem, reference=self.motion(path))
+                kept = kept_limits(self.scene.with_reference(path), None, (problem,), {}, not self.prediction.measured)
                 if kept.violation == 0.0:
                     return path, kept
             except InvalidReference:  # a limit of the path itself, as the rope's tension

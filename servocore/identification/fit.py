@@ -27,6 +27,9 @@ _STEPS, _ROUNDS = 25, 3
 HUBER = 3.0
 """Standard deviations from which on a residual counts less."""
 
+LEAST_SCALE = 0.1
+"""Of the noise of a channel is left at least."""
+
 _CREEP = 4.0  # times the usual slope of an input by velocities: in creep dry friction is not known well enough
 _BESIDE = 7  # blocks
 _LEFT, _BLURRED = 0.03, 0.3  # weights of inputs and positions there
@@ -241,7 +244,7 @@ def _scale(parts: list[Array]) -> float:
     if not len(every):
         return 1.0
     size = float(np.sqrt(np.mean(np.minimum(every**2, (3.0 * 1.4826 * np.median(np.abs(every))) ** 2))))
-    return float(max(size * persistence(parts) ** 0.5, 0.1))
+    return float(max(size * persistence(parts) ** 0.5, LEAST_SCALE))
 
 
 def correlation(parts: list[Array], lag: int) -> float:

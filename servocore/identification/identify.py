@@ -35,7 +35,9 @@ _BENT = 1.3  # times the noise of a position
 _EXPLAINED = 0.3  # of the changes of an input: beyond, its unit or its clock is doubtful
 _UNITS, _LAG, _ALIKE = 30.0, 0.05, 0.03  # factor, s, and s between the lags of inputs with one clock
 _EVERY, _SMOOTH = 0.05, 6.0  # s between equilibria, and standard deviation of their low-pass in these
-_FORCE = 1e-3  # noise of forces that are known to be zero, by the largest input
+FORCE_NOISE = 1e-3
+"""Noise of forces that are known to be zero, by the largest input."""
+
 _NONE = 1e-9  # relative standard deviation of a bias that there is not
 _ROUNDS, _AT_REST = 30, 1e-6  # of Newton's method, and its last step
 
@@ -170,7 +172,7 @@ def _fit(
         values = np.column_stack([known[each] for each in (*inputs, *forces, *measured)])
         parts += stretches(record.t, values, len(inputs) + len(forces), k)
     for part in parts:
-        part.noise[:, len(inputs) : -len(measured)] = _FORCE * peaks.max()
+        part.noise[:, len(inputs) : -len(measured)] = FORCE_NOISE * peaks.max()
     if {part.log for part in parts} != set(range(len(read))):
         raise InvalidReference("a log has so many gaps that no second of it is left")
     resolved, center = prediction.resolved, problem.p[list(prediction.columns)]

@@ -10,16 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.effects.closed_loop import run_loop
-from servocore.effects.model_inversion import inverted
 from servocore.effects.position_loops import PositionLoops
 from servocore.effects.report import aligned
-from servocore.errors import InvalidModel, InvalidSetting, require_kind
+from servocore.errors import InvalidSetting, require_kind
 from servocore.files import csv_text
 from servocore.identification.fit import HUBER, Converged, Fit, correlation, persistence, used
+from servocore.identification.followed import followed
 from servocore.identification.prediction import showing
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
-from servocore.problem import Problem
 from servocore.references.base import Reference
 
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
@@ -246,27 +245,24 @@ class Identified:
         Stray
             ``total``, and ``by_parameters``, what their uncertainty contributes.
 
-        Raises
-        ------
-        InvalidModel
-            If the scene has internal dynamics.
+        Notes
+        -----
+        The drives measure what the effects of the scene say, or else the positions that come first in the logs. Of a
+        model with internal dynamics the inputs are those of `servocore.solve`; where they begin before the path, so
+        does the motion of the plant.
         """
         require_kind(path, Reference, "the path of stray", "a Reference", InvalidSetting)
-        if not Problem.of(self.based_on).flat:
-            raise InvalidModel(
-                f"{self.based_on.name} has internal dynamics: how far it goes off a path is not computed"
-            )
         scene = self.scene().with_reference(path)
-        measured = scene.effects.measured or tuple(quantity.name for quantity in scene.model().outputs)
+        measured = scene.effects.measured or self.fit.prediction.measured[: len(self._inputs)]
         count = max(_FEWEST, int(np.ceil(path.duration / _INSTANT))) + 1
-        motion = inverted(Problem.of(scene), measured, count)
+        motion = followed(scene, measured, count)
         gains, slopes = motion.gains(self.loops), []
         base = run_loop(motion, motion, gains).deviation
         # S = d output / d theta by simulations of changed plants.
         for name, error in self.standard_errors.items():
             value = scene.parameter_values()[name]
             change = min(_SHARE * error, _SMALL * abs(value) or np.inf)
-            plant = inverted(Problem.of(scene.with_parameters(**{name: value + change})), measured, count)
+            plant = followed(scene.with_parameters(**{name: value + change}), measured, count)
             deviation = run_loop(plant, motion, gains).deviation
             at, own = np.linspace(0.0, 1.0, len(base)), np.linspace(0.0, 1.0, len(deviation))
             slopes.append((np.column_stack([np.interp(at, own, each) for each in deviation.T]) - base) / change)
