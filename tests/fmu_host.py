@@ -9,8 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -22,7 +21,6 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 
-import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.catalogue import KINDS, ORDERS
 from servocore.numerics.compiled_calls import Array
@@ -41,20 +39,14 @@ def scratch() -> Path:
     return folder
 
 
-@cache
-def fmu_file(name: str = "RotaryCrane") -> Path:
-    """Return an FMU that the first process to ask for it has built; the others wait."""
+def built_once(name: str, build: Callable[[Path], object], seconds: float = 900.0) -> Path:
+    """Return a file or folder that the first process to ask for it has built; the others wait.
+
+    The sign of a process that builds is a folder: making one either succeeds or finds it made.
+    """
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
     folder.mkdir(exist_ok=True)
-    file = folder / f"{name}.fmu"
-    with only_one(folder / f"{name}.busy"), shared_by_all_files():
-        return file if file.is_file() else build_fmu(folder, kind=KINDS[name], targets="host")
-
-
-@contextmanager
-def only_one(sign: Path, seconds: float = 900.0) -> Iterator[None]:
-    """Wait until no other process holds the sign; making a folder either succeeds or finds it made."""
-    until = time.monotonic() + seconds
+    place, sign, until = folder / name, folder / f"{name}.busy", time.monotonic() + seconds
     while True:
         try:
             sign.mkdir()
@@ -64,9 +56,17 @@ def only_one(sign: Path, seconds: float = 900.0) -> Iterator[None]:
                 raise TimeoutError(f"{sign} has been held for {seconds:g} s") from None
             time.sleep(0.05)
     try:
-        yield
+        with shared_by_all_files():
+            if not place.exists():
+                build(place)
     finally:
         sign.rmdir()
+    return place
+
+
+@cache
+def fmu_file(name: str = "RotaryCrane") -> Path:
+    return built_once(f"{name}.fmu", lambda file: build_fmu(file.parent, kind=KINDS[name], targets="host"))
 
 
 @cache
@@ -179,10 +179,8 @@ def size_of(variable: Any) -> int:
     return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
 
 
-def follow(host: Host, reference: sc.Reference, times: Array, *, at: str = "start") -> dict[str, np.ndarray]:
-    """Drive an instance along a path; `at` is its input_time. Returns outputs by name at all times."""
-    times = np.asarray(times, dtype=float)
-    jets = reference.jet(times, 4)
+def follow(host: Host, jets: Array, times: Array, *, at: str = "start") -> dict[str, np.ndarray]:
+    """Drive an instance along jets of a path; `at` is its input_time. Returns outputs by name at all times."""
     host.set(input_time=at).start(jets[0], float(times[0]))
     rows = [host.outputs()]
     for k in range(len(times) - 1):

@@ -165,7 +165,7 @@ class Machine:
     def set_reals(self, live: Live) -> None:
         late = live.account.phase in LATE
         for _ in range(self.random.randrange(4)):
-            reference, value = self.random.choice(self.fmu.reals).reference, self.random.choice(VALUES)
+            reference, value = self.random.choice(self.fmu.reals).valueReference, self.random.choice(VALUES)
             self.done(live, ("set_reals", [reference], [value]), valid=self.fmu.settable(reference, late=late))
         self.done(live, ("set_reals", [self.fmu.beyond, 4_294_967_290], [1.0, 2.0]), valid=False)
         if self.fmu.is_deferred or live.account.phase != "terminated":
@@ -179,8 +179,8 @@ class Machine:
         if self.fmu.choices:
             variable = self.random.choice(self.fmu.choices)
             value = self.random.choice((*range(1, self.fmu.items[variable.name] + 1), 0, -1, 99, 2**31 - 1))
-            call = "set_integers", "Integer", [variable.reference], [value]
-            self.done(live, call, valid=self.fmu.settable(variable.reference, late=live.account.phase in LATE))
+            call = "set_integers", "Integer", [variable.valueReference], [value]
+            self.done(live, call, valid=self.fmu.settable(variable.valueReference, late=live.account.phase in LATE))
 
     def other_types(self, live: Live) -> None:
         reference, text = self.random.choice((0, 20, 999)), self.random.choice((b"", b"%n%s", b"x" * 100))
@@ -193,17 +193,17 @@ class Machine:
             assert live.instance.set_text(0, self.random.choice(NO_TEXTS)) == ERROR
 
     def get(self, live: Live) -> None:
-        references = [each.reference for each in self.fmu.reals]
+        references = [each.valueReference for each in self.fmu.reals]
         status, values = live.instance.get_reals([*references, self.fmu.beyond, 2**32 - 1])
         assert status == (OK if self.fmu.is_deferred else ERROR)
         assert all(math.isnan(each) for each in values[-2:])
-        choices = [each.reference for each in self.fmu.choices]
+        choices = [each.valueReference for each in self.fmu.choices]
         live.instance.get_integers("Integer", [*choices, max(choices, default=self.fmu.beyond) + 1, 999_999])
 
     def differentiate(self, live: Live) -> None:
         """Ask for derivatives, which only native FMUs have, by variables and along directions of any kind."""
         if not self.fmu.is_deferred:
-            before, known = self.seen(live), [each.reference for each in self.fmu.reals] + [self.fmu.beyond]
+            before, known = self.seen(live), [each.valueReference for each in self.fmu.reals] + [self.fmu.beyond]
             of, by = (self.random.choices(known, k=self.random.randrange(4)) for _ in range(2))
             status = live.instance.differentiate(of, by, self.random.choices(VALUES, k=len(by)))
             assert status in (OK, DISCARD, ERROR)
@@ -240,7 +240,7 @@ class Machine:
             self.stepped(live, status, 0.1, before)
 
     def healthy(self, live: Live) -> bool:
-        _, values = live.instance.get_reals([each.reference for each in self.fmu.reals])
+        _, values = live.instance.get_reals([each.valueReference for each in self.fmu.reals])
         described = dict(zip((each.name for each in self.fmu.reals), values, strict=True))
         outputs = [described[name] for name in self.fmu.outputs]
         # values of the usual size: with others a step may rightly be impossible
@@ -321,10 +321,10 @@ def go_on(fmu: Fmu, steps: int) -> None:
     instance = Instance(fmu, lambda _: None)
     for each in fmu.choices:
         if each.name == "connected":  # the position alone: the others are estimated
-            instance.set_integers("Integer", [each.reference], [1])
+            instance.set_integers("Integer", [each.valueReference], [1])
     for call in (("setup", 0.0), ("enter",), ("leave",)):
         assert instance.do(call) == OK, instance.messages
-    outputs = [each.reference for each in fmu.reals if each.name in fmu.outputs]
+    outputs = [each.valueReference for each in fmu.reals if each.name in fmu.outputs]
     for k in range(steps):
         instance.set_reals(fmu.inputs, fmu.swinging(0.01 * k, 0.01))
         assert instance.step(0.01 * k, 0.01) <= WARNING, instance.messages[-1:]

@@ -6,8 +6,7 @@ import ctypes
 import math
 import struct
 from collections.abc import Callable, Sequence
-from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
-from dataclasses import dataclass
+from ctypes import byref, c_char, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from itertools import takewhile
 from pathlib import Path
 from random import Random
@@ -15,35 +14,13 @@ from typing import Any
 
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 
 OK, WARNING, DISCARD, ERROR = range(4)
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e300, -0.0, 5e-324, 0.0)
 HANGING = (0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 5.0, 0.0, -5.0, 0.0, 0.0, 0.0)
 """Measured values of the default crane at rest."""
-
-_ARGUMENTS: dict[str, list[Any]] = {
-    "SetupExperiment": [c_void_p, c_int, c_double, c_double, c_int, c_double],
-    "DoStep": [c_void_p, c_double, c_double, c_int],
-    "SetFMUstate": [c_void_p, c_void_p],
-    "GetFMUstate": [c_void_p, POINTER(c_void_p)],
-    "FreeFMUstate": [c_void_p, POINTER(c_void_p)],
-    "SerializedFMUstateSize": [c_void_p, c_void_p, POINTER(c_size_t)],
-    "SerializeFMUstate": [c_void_p, c_void_p, c_char_p, c_size_t],
-    "DeSerializeFMUstate": [c_void_p, c_char_p, c_size_t, POINTER(c_void_p)],
-    "GetDirectionalDerivative": [c_void_p, *[c_void_p, c_size_t] * 2, c_void_p, c_void_p],
-    **{f"{verb}{kind}": [c_void_p, c_void_p, c_size_t, c_void_p]
-       for verb in ("Get", "Set") for kind in ("Real", "Integer", "Boolean", "String")},
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Variable:
-    """Of the model description."""
-
-    name: str
-    reference: int
 
 
 class Fmu:
@@ -59,18 +36,15 @@ class Fmu:
         self.folder = folder
         self.description = read_model_description(str(folder), validate=False)
         identifier = self.description.coSimulation.modelIdentifier
-        binary = folder / "binaries" / "linux64" / f"{identifier}.so"
-        self.has_shim = len(list(binary.parent.iterdir())) > 1
+        self.has_shim = len(list((folder / "binaries" / "linux64").iterdir())) > 1
         self.is_deferred = (folder / "resources" / "slavemodule.txt").exists()  # a PythonFMU: its setters cannot fail
-        self.dll = ctypes.CDLL(str(binary))
-        self.dll.fmi2Instantiate.restype = c_void_p
-        self.dll.fmi2Instantiate.argtypes = [c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int]
-        self.dll.fmi2FreeInstance.restype, self.dll.fmi2FreeInstance.argtypes = None, [c_void_p]
+        loaded = FMU2Slave(guid=self.description.guid, unzipDirectory=str(folder), modelIdentifier=identifier)
+        self.dll = loaded.dll  # with the types of all arguments
         variables = self.description.modelVariables
-        self.reals = [Variable(each.name, each.valueReference) for each in variables if each.type == "Real"]
-        self.choices = [Variable(each.name, each.valueReference) for each in variables if each.type == "Enumeration"]
-        self.beyond = 1 + max(each.reference for each in self.reals)  # the first reference that is none of a number
-        self.items = {each.name: len(each.declaredType.items) for each in variables if each.type == "Enumeration"}
+        self.reals = [each for each in variables if each.type == "Real"]
+        self.choices = [each for each in variables if each.type == "Enumeration"]
+        self.beyond = 1 + max(each.valueReference for each in self.reals)  # the first reference of no number
+        self.items = {each.name: len(each.declaredType.items) for each in self.choices}
         # The path; what can be measured comes later in the table.
         first = list(takewhile(lambda each: each.causality == "input", variables))
         self.inputs = [each.valueReference for each in first]
@@ -124,9 +98,7 @@ class Instance:
     def call(self, name: str, *arguments: object, shown: object = "") -> int:
         """Make an FMI call and return its status."""
         self._tell(f"{self._component:x} {name} {shown or arguments}")
-        function = self._fmu.dll[f"fmi2{name}"]
-        function.restype, function.argtypes = c_int, _ARGUMENTS.get(name, [c_void_p])
-        return int(function(self._component, *arguments))
+        return int(getattr(self._fmu.dll, f"fmi2{name}")(self._component, *arguments))
 
     def free(self) -> None:
         self._tell(f"{self._component:x} FreeInstance")
@@ -177,9 +149,9 @@ class Instance:
 
     def everything(self) -> tuple[object, ...]:
         """Bits of all Reals, and all choices, with statuses: outputs of a start that fails cannot be read."""
-        status, values = self.get_reals([each.reference for each in self._fmu.reals])
+        status, values = self.get_reals([each.valueReference for each in self._fmu.reals])
         bits = [b"nan" if value != value else struct.pack("d", value) for value in values]  # noqa: PLR0124
-        return status, bits, self.get_integers("Integer", [each.reference for each in self._fmu.choices])
+        return status, bits, self.get_integers("Integer", [each.valueReference for each in self._fmu.choices])
 
     def get_state(self) -> tuple[int, int]:
         state = c_void_p()
@@ -201,7 +173,8 @@ class Instance:
     def restore(self, text: bytes) -> int:
         """Read a state from its bytes and restore it; returns the status of the call that refuses."""
         state = c_void_p()
-        status = self.call("DeSerializeFMUstate", text, len(text), byref(state), shown=text[:60])
+        given = (c_char * len(text)).from_buffer_copy(text)
+        status = self.call("DeSerializeFMUstate", given, len(text), byref(state), shown=text[:60])
         if status == OK:
             status = self.set_state(state.value or 0)
             assert self.free_state(state.value or 0) == OK

@@ -5,40 +5,17 @@ What is linearized, by differences, is what an FMU carries, with a plant that kn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 from called import Sampled
-from loops import CRANE
+from loops import CRANE, jets_at
+from plain_crane import advance, flat, measured_of
 
-import servocore as sc
-
-_MODEL = CRANE.model("generalized")
 P = np.array(list(CRANE.parameter_values().values()))
 _COST, _PATH = 100, 21  # of the memory: the cost-to-go first, and last what does not depend on the state
 _NO_LIMITS = [1e9] * 3
-
-
-def _plant_step() -> Callable[..., np.ndarray]:
-    plant, none = sc.compile_plant(_MODEL), np.zeros(3)
-
-    def step(x: np.ndarray, u: np.ndarray, slope: np.ndarray, h: float) -> np.ndarray:
-        middle = plant.advance(x, u, slope, none, P, h / 2)
-        return plant.advance(middle, u + slope * h / 2, slope, none, P, h / 2)
-
-    return step
-
-
-_Q, _V = ca.SX.sym("q", 5), ca.SX.sym("v", 5)
-_PLACE = ca.substitute(_MODEL.output, _MODEL.q, _Q)
-_LOAD = ca.Function("load", [ca.vertcat(_Q, _V)], [ca.vertcat(_PLACE, ca.jtimes(_PLACE, _Q, _V))])
-
-
-def seen(x: np.ndarray) -> np.ndarray:
-    """Return what is measured of a state."""
-    return np.concatenate([x[:3], x[5:8], np.array(_LOAD(x)).ravel()])
 
 
 class Loop:
@@ -49,10 +26,9 @@ class Loop:
     """
 
     def __init__(self, law: Sampled, at: str, h: float, jet: np.ndarray) -> None:
-        self._law, self._at_end, self._h, self._plant = law, at == "end", h, _plant_step()
-        x = np.array([np.arctan2(jet[1], jet[0]), np.hypot(*jet[:2]), -jet[2], *[0.0] * 7])
-        u = np.array([0.0, 0.0, -P[2] * P[5] * P[4]])
-        (memory,) = law.begin(jet, seen(x), P, h)
+        self._law, self._at_end, self._h = law, at == "end", h
+        x, u = flat(np.reshape([*jet[:3], *[0.0] * 12], (5, 3)), P)
+        (memory,) = law.begin(jet, measured_of(x), P, h)
         self.cost = memory[:_COST]
         self.state = np.concatenate([x, u, u, u, memory[_COST:]])
         self.moving = len(self.state) - _PATH
@@ -64,10 +40,10 @@ class Loop:
         x, given, before, own, rest = np.split(state, [10, 13, 16, 19])
         told, old = (following, jet) if self._at_end else (jet, jet)
         memory = np.concatenate([self.cost, rest])
-        memory, new = self._law.follow(memory, told, old, seen(x), own, own, P, self._h, 1.0, _NO_LIMITS)
+        memory, new = self._law.follow(memory, told, old, measured_of(x), own, own, P, self._h, 1.0, _NO_LIMITS)
         then = new + more
         slope = (then - given) / self._h if self._at_end else (given - before) / self._h
-        after = self._plant(x, given, slope, self._h)
+        after = advance(False, x, given, slope, np.zeros(3), P, self._h)
         return np.concatenate([after, then, given, new, memory[_COST:]]), memory[:_COST]
 
     def jacobian(self, jet: np.ndarray, following: np.ndarray) -> np.ndarray:
@@ -89,9 +65,7 @@ def transition_norms(law: Sampled, at: str, h: float) -> Iterator[float]:
     """Yield norms of the transition matrix from the start of the default manoeuvre on, until four seconds after it."""
     path = CRANE.reference
     t = h * np.arange(round((path.duration + 4.0) / h) + 2)
-    jets = path.jet(np.minimum(t, path.end_time), 4)
-    jets[t > path.end_time, 1:] = 0.0
-    jets = jets.reshape(len(t), 15)
+    jets = jets_at(path, t).reshape(len(t), 15)
     loop = Loop(law, at, h, jets[0])
     loop.advance(jets[0], jets[1])
     product = np.eye(loop.moving)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from fmu_host import JET, Host
 from native_fmu import native_file
+from present import present
 
 import servocore as sc
 from crane_fmu.build.native import LARGEST_TURN
@@ -81,28 +82,31 @@ class Loop:
         """Take step k, at k h if no time is given; returns where the load is then."""
         t = k * h if t is None else t
         self.crane.fmu.setReal(self._given, self.measured())
+        if self.at == "start":
+            self._tell_plant()
+        self.crane.fmu.setReal(self._jet, jets[k + (self.at == "end")].ravel().tolist())
+        assert self.crane.step(t, h), self.crane.messages
         if self.at == "end":
-            self.crane.fmu.setReal(self._jet, jets[k + 1].ravel().tolist())
-            assert self.crane.step(t, h), self.crane.messages
             self._tell_plant()
-        else:
-            self._tell_plant()
-            self.crane.fmu.setReal(self._jet, jets[k].ravel().tolist())
-            assert self.crane.step(t, h), self.crane.messages
         if not self.plant.step(t, h):
             raise PlantRefusedError(self.plant.messages[-1])
         return np.array(self.measured()[6:9])
 
 
-def deviation(case: Case, h: float, at: str = "start", **settings: float | str) -> float:
-    """Largest distance in mm of the load from its path, also a second after it."""
-    t = h * np.arange(round((case.reference.duration + 1.0) / h) + 1)
-    return _deviation_at(Loop(case, at, **settings), t, np.full(len(t) - 1, h))
-
-
-def jets_of(path: sc.Reference, h: float) -> np.ndarray:
-    """The path at all communication points, until a second after its end."""
-    return jets_at(path, path.start_time + h * np.arange(round((path.duration + 1.0) / h) + 1))
+def deviation(
+    case: Case, h: float | np.ndarray, at: str = "start", stop: float | None = None, **settings: float | str
+) -> float:
+    """Largest distance in mm of the load from its path, until a second after it or another time; steps may vary."""
+    path = case.reference
+    if isinstance(h, float):
+        t = h * np.arange(round((path.duration + 1.0 if stop is None else stop) / h) + 1)
+    else:
+        t = np.concatenate([[0.0], np.cumsum(h)])
+    jets, steps = jets_at(path, path.start_time + t), np.broadcast_to(h, len(t) - 1)
+    with Loop(case, at, **settings) as loop:
+        places = [loop.step(jets, k, each, t[k]) for k, each in enumerate(steps.tolist())]
+        assert not loop.crane.messages, loop.crane.messages
+    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
 
 
 def jets_at(path: sc.Reference, t: np.ndarray) -> np.ndarray:
@@ -110,20 +114,6 @@ def jets_at(path: sc.Reference, t: np.ndarray) -> np.ndarray:
     jets = path.jet(np.minimum(t, path.end_time), 4)
     jets[t > path.end_time, 1:] = 0.0
     return jets
-
-
-def deviation_over(case: Case, steps: np.ndarray, at: str = "start") -> float:
-    """`deviation` where steps vary."""
-    return _deviation_at(Loop(case, at), np.concatenate([[0.0], np.cumsum(steps)]), steps)
-
-
-def _deviation_at(loop: Loop, t: np.ndarray, steps: np.ndarray) -> float:
-    path = loop.case.reference
-    jets = jets_at(path, path.start_time + t)
-    with loop:
-        places = [loop.step(jets, k, h, t[k]) for k, h in enumerate(steps.tolist())]
-        assert not loop.crane.messages, loop.crane.messages
-    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
 
 
 # Random cases --------------------------------------------------------------------------------------------------------
@@ -152,8 +142,7 @@ def random_case(
 
 def feasible(path: sc.Reference, crane: dict[str, float], snap: float = SNAP) -> bool:
     jets = path.jet(np.linspace(0.0, path.duration, 400), 4)
-    assert CRANE.closed_form is not None
-    found = CRANE.closed_form(jets, crane)
+    found = present(CRANE.closed_form)(jets, crane)
     s, phi = found["s"], np.unwrap(found["phi"])
     turning = np.abs(np.gradient(phi, path.duration / 399)).max()
     sizes = [float(np.linalg.norm(jets[:, k], axis=1).max()) for k in (2, 4)]
@@ -175,8 +164,7 @@ def fastest(case: Case) -> float:
     """Angular frequency of the fastest pendulum on the way, in rad/s: a trolley that is free to roll."""
     crane = CRANE.parameter_values() | case.crane
     path = case.reference
-    assert CRANE.closed_form is not None
-    found = CRANE.closed_form(path.jet(np.linspace(0.0, path.duration, 200), 4), crane)
+    found = present(CRANE.closed_form)(path.jet(np.linspace(0.0, path.duration, 200), 4), crane)
     return math.sqrt(crane["gravity"] / found["l"].min() * (1.0 + crane["load_mass"] / crane["trolley_mass"]))
 
 
@@ -211,7 +199,7 @@ def distances(count: int, kind: str, longest: float, factor: float, at: str) -> 
         if fastest(case) * longest <= LARGEST_TURN:
             steps = schedule(rng, kind, longest, factor, case.reference.duration + 1.0)
             try:
-                found.append(deviation_over(case, steps, at))
+                found.append(deviation(case, steps, at))
             except AssertionError:  # the plant has refused to go on, or the load was left to the feedforward
                 found.append(np.inf)
     return np.array(found)

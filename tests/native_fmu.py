@@ -15,8 +15,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import numpy.typing as npt
-from budgets import shared_by_all_files
-from fmu_host import OK, Host, only_one, scratch
+from fmu_host import OK, Host, built_once, scratch
 from outside import timed
 from present import of_kind
 from problems import driven_crane
@@ -24,7 +23,7 @@ from scipy.interpolate import BPoly
 
 import servocore as sc
 from crane_fmu.build.estimates import estimates_of
-from crane_fmu.build.native import feedback_of
+from crane_fmu.build.native import PLANT, feedback_of
 from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
@@ -87,6 +86,11 @@ def c_host(fmi: int) -> Path:
     return program
 
 
+def numbers_of(text: str) -> np.ndarray:
+    """Return what a host in C prints."""
+    return np.array([line.split() for line in text.splitlines()], dtype=float)
+
+
 @cache
 def scene_called(name: str) -> sc.Scene:
     return {**sc.scenes.REGISTRY, **OTHERS}[name]()
@@ -146,7 +150,7 @@ def exported(name: str) -> Any:
     and estimated derivatives."""
     scene, _, what = name.partition(" ")
     if what == "plant":
-        plant = plant_model(scene_called(scene), None, CRANE_PLANT if scene == "rotary_crane" else None)
+        plant = plant_model(scene_called(scene), None, PLANT if scene == "rotary_crane" else None)
         return plant.with_run_quantities()
     if what == "trajectory":
         return trajectory_model(scene_called(scene), None, sc.TrajectoryOptions(path_of(scene)))
@@ -154,9 +158,6 @@ def exported(name: str) -> Any:
     if what == "loop":
         return inverse_model(own, None, feedback_of(own), estimates_of(own))
     return inverse_model(own).with_run_quantities()
-
-
-CRANE_PLANT = sc.PlantOptions(errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")})
 
 
 @cache
@@ -169,14 +170,8 @@ def path_of(scene: str) -> sc.Reference | None:
 
 @cache
 def native_file(name: str, fmi: int) -> Path:
-    """Return an FMU that the first process to ask for it has built; the others wait."""
-    folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
-    folder.mkdir(exist_ok=True)
-    file = folder / f"native-{name.replace(' ', '-')}-{fmi}.fmu"
-    with only_one(folder / f"native-{name.replace(' ', '-')}-{fmi}.busy"), shared_by_all_files():
-        if not file.is_file():
-            written(exported(name), file, fmi, "host", lambda _: None)
-    return file
+    file = f"native-{name.replace(' ', '-')}-{fmi}.fmu"
+    return built_once(file, lambda place: written(exported(name), place, fmi, "host", lambda _: None))
 
 
 class Native(Host):

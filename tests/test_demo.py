@@ -25,11 +25,6 @@ FIGURES = ("crane", "reference_function", "inputs_paper", "error_against_step", 
 
 
 @pytest.fixture(scope="module")
-def fmu() -> Path:
-    return fmu_file()
-
-
-@pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     said: list[str] = []
     result = demo(tmp_path_factory.mktemp("demo") / "deep" / "out", said.append, STEPS)
@@ -148,21 +143,21 @@ def test_the_command_prints_tables_and_where_the_report_is(
 
 
 class TestRunFmu:
-    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu: Path) -> None:
+    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self) -> None:
         over_the_axis = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
         with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = .* of 10 s .*slewing axis"):
-            run_fmu(fmu, over_the_axis, 0.1)
+            run_fmu(fmu_file(), over_the_axis, 0.1)
 
-    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu: Path) -> None:
+    def test_a_run_leaves_no_module_of_the_fmu_behind(self) -> None:
         before = set(sys.modules), list(sys.path)
-        run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.5)
+        run_fmu(fmu_file(), sc.scenes.rotary_crane().reference, 0.5)
         stayed = [name for name in set(sys.modules) - before[0] if name.startswith("rotary_crane")]
         assert stayed == []
         assert sys.path == before[1]
 
-    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu: Path) -> None:
+    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self) -> None:
         with pytest.raises(sc.IntegrationFailed, match="load_mass"):
-            run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
+            run_fmu(fmu_file(), sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
 
 
 class TestExamples:

@@ -26,19 +26,11 @@ run = CommandLine(app, "servocore")
 OWN = """
 from dataclasses import replace
 
-import casadi as ca
 import servocore as sc
+from test_export_command import one_mass
 
 def hoist():
-    x = sc.Coordinates(sc.Quantity("w", "m"))
-    p = sc.Parameters(sc.Parameter("m", 2.0, "kg", 0.1, 10.0), sc.Parameter("g", 9.81, "m/s2", 0.0))
-    def model():
-        return sc.MechanicalSystem(
-            name="bare hoist", coordinates=x, parameters=p, inputs=(sc.Quantity("F", "N"),),
-            outputs=(sc.Quantity("height", "m"),), mass=ca.SX(p["m"]), output=x.q, input_matrix=ca.SX(-1),
-            potential=p["m"] * p["g"] * x.q, gamma=(gamma := ca.SX.sym("gamma", 1, sc.MAX_REFERENCE_ORDER + 1)),
-            guess=gamma[0, 0])
-    return sc.Scene(name="bare hoist", models={"only": model}, reference=sc.rest_to_rest((1.0,), (2.0,), 1.0))
+    return one_mass("bare hoist")
 
 def nothing():
     return 3

@@ -19,7 +19,19 @@ import numpy as np
 import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmu_host import extracted
-from native_fmu import FULL, HEADERS, NATIVE, Native, along_path, c_host, exported, jets_of, native_file, scene_called
+from native_fmu import (
+    FULL,
+    HEADERS,
+    NATIVE,
+    Native,
+    along_path,
+    c_host,
+    exported,
+    jets_of,
+    native_file,
+    numbers_of,
+    scene_called,
+)
 
 import servocore as sc
 from servocore.export.targets import zig
@@ -40,10 +52,6 @@ def host_words(name: str, fmi: int, steps: int) -> tuple[list[str], str]:
     outputs = len(model.of("output"))
     words = [variables, inputs, first, outputs, numbers, steps, repr(float(t[1] - t[0])), 1]
     return [str(each) for each in words], " ".join(map(repr, jets_of(name, t).ravel().tolist()))
-
-
-def numbers_of(text: str) -> np.ndarray:
-    return np.array([line.split() for line in text.splitlines()], dtype=float)
 
 
 # Hosts ---------------------------------------------------------------------------------------------------------------

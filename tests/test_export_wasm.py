@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from browser import Page, require_browser
-from budgets import shared_by_all_files
 from command_lines import CommandLine
-from fmu_host import only_one, scratch
+from fmu_host import built_once
 from native_fmu import FULL, scene_called
 
 import servocore as sc
@@ -35,10 +34,7 @@ Found = tuple[dict[str, Array], npt.NDArray[np.int32]]
 
 @cache
 def module_file(name: str) -> Path:
-    """Return a module that the first to ask for it has built."""
-    file = scratch() / f"{name}.wasm"
-    with only_one(scratch() / f"{name}.wasm.busy"), shared_by_all_files():
-        return file if file.is_file() else sc.export_wasm(scene_called(name), file)
+    return built_once(f"{name}.wasm", lambda file: sc.export_wasm(scene_called(name), file))
 
 
 class Engine:

@@ -97,8 +97,9 @@ def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan() -> 
 
 def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> None:
     t = np.arange(51.0) * 0.1
+    jets = CRANE.reference.jet(t, 4)
     with Host(logging=False) as quiet, Host(logging=True) as loud:
-        found = follow(quiet, CRANE.reference, t), follow(loud, CRANE.reference, t)
+        found = follow(quiet, jets, t), follow(loud, jets, t)
         assert not quiet.step(0.0, 0.1)
         assert quiet.messages == []
         assert found[0]["M_b"].tolist() == found[1]["M_b"].tolist()

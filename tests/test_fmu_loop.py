@@ -18,10 +18,8 @@ from loops import (
     Case,
     Loop,
     deviation,
-    deviation_over,
     distances,
     fastest,
-    jets_of,
     random_case,
     schedule,
 )
@@ -74,27 +72,18 @@ def test_no_load_is_lost_where_steps_vary(longest: float, factor: float, at: str
 @pytest.mark.parametrize("at", MASTERS)
 def test_fmus_keep_the_load_where_steps_vary(at: str) -> None:
     steps = schedule(np.random.default_rng(5), "either", 0.1, 10.0, 21.0)
-    assert deviation_over(Case(), steps, at) < BOUNDS[0.1]
-    assert deviation_over(BLOWN_AT, steps, at) < 60.0  # with feedforward alone the load falls
+    assert deviation(Case(), steps, at) < BOUNDS[0.1]
+    assert deviation(BLOWN_AT, steps, at) < 60.0  # with feedforward alone the load falls
 
 
 def test_steps_that_differ_by_round_off_are_steps_of_one_length() -> None:
     uneven = np.diff(0.1 * np.arange(211))
     assert len(set(uneven.tolist())) > 1
-    assert deviation_over(Case(), uneven) == pytest.approx(deviation(Case(), 0.1), rel=1e-9)
+    assert deviation(Case(), uneven) == pytest.approx(deviation(Case(), 0.1), rel=1e-9)
 
 
 NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three_phase())
 """The trolley passes the axis at 1.4 m, on a rope of 6.7 m."""
-
-
-def beside(case: Case, stop: float, feedback: float = 1.0) -> float:
-    """Largest distance in mm of the load from its path at 10 ms, until some time."""
-    count, h = round(stop / 0.01), 0.01
-    jets = case.reference.jet(h * np.arange(count + 1), 4)
-    with Loop(case, feedback=feedback) as loop:
-        places = [loop.step(jets, k, h) for k in range(count)]
-    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
 
 
 @pytest.mark.parametrize("force", GUSTS)
@@ -105,21 +94,23 @@ def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(
     path: sc.Reference, begin: float, force: tuple[float, float, float]
 ) -> None:
     gust = {f"gust[{k + 1}]": force[k] for k in range(3)} | {"gust_start": begin, "gust_duration": 2.0}
-    assert beside(Case(path, disturbance={"mass_error": 0.05, **gust}), begin + 3.0) < 10.0
+    case = Case(path, disturbance={"mass_error": 0.05, **gust})
+    assert deviation(case, 0.01, stop=begin + 3.0) < 10.0
 
 
 def test_without_feedback_a_gust_is_not_forgiven() -> None:
     """The bound above is no matter of course: a pendulum of four metres gives way by 80 mm."""
     gust = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
-    assert beside(Case(disturbance=gust), 11.0, feedback=0.0) > 50.0
+    assert deviation(Case(disturbance=gust), 0.01, stop=11.0, feedback=0.0) > 50.0
 
 
 def test_a_steady_wind_leaves_no_lasting_error() -> None:
-    assert beside(Case(disturbance={"wind[1]": 10.0, "wind[2]": -10.0, "mass_error": -0.05}), 6.0) < 10.0
+    blown = Case(disturbance={"wind[1]": 10.0, "wind[2]": -10.0, "mass_error": -0.05})
+    assert deviation(blown, 0.01, stop=6.0) < 10.0
 
 
 def test_a_breeze_does_not_let_the_load_fall_before_the_first_inputs_arrive() -> None:
-    assert beside(Case(disturbance={"wind[1]": 1e-3}), 4.0, feedback=0.0) < 0.2
+    assert deviation(Case(disturbance={"wind[1]": 1e-3}), 0.01, stop=4.0, feedback=0.0) < 0.2
 
 
 def test_drives_that_give_no_more_bring_the_load_back_without_winding_up() -> None:
@@ -154,7 +145,7 @@ OFF_THE_PATH = {
 def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(
     start: dict[str, float], h: float, at: str
 ) -> None:
-    jets, tensions = jets_of(CRANE.reference, h)[: round(9.0 / h)], []
+    jets, tensions = CRANE.reference.jet(h * np.arange(round(9.0 / h)), 4), []
     with Loop(Case(disturbance=start), at) as loop:
         for k in range(len(jets) - 1):
             place = loop.step(jets, k, h)

@@ -16,7 +16,6 @@ from crane_fmu.catalogue import KINDS
 from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
-OTHERS = ("LoadTrajectory", "CranePlant")
 LOAD = tuple(f"load.position[{k}]" for k in (1, 2, 3))
 
 
@@ -90,7 +89,7 @@ with Host(Path(sys.argv[1])) as host:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name: str, tmp_path: Path) -> None:
+def test_a_state_goes_on_bit_by_bit_in_another_process(name: str, tmp_path: Path) -> None:
     outputs = [each.name for each in described(name, "output")]
     with Host(fmu_file(name)) as host:
         if name == "CranePlant":
@@ -98,14 +97,9 @@ def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name: str, tmp_p
         host.start()
         for k in range(5):
             assert host.step(k * 0.1, 0.1)
-        kept = host.fmu.getFMUState()
+        state = bytes(host.fmu.serializeFMUstate(host.fmu.getFMUState()))
         assert host.step(0.5, 0.1)
         wanted = [host[each] for each in outputs]
-        assert host.step(0.6, 0.1)
-        host.fmu.setFMUState(kept)
-        state = bytes(host.fmu.serializeFMUstate(kept))
-        assert host.step(0.5, 0.1)
-        assert [host[each] for each in outputs] == wanted
     (tmp_path / "state").write_text(json.dumps(list(state)))
     done = in_a_process(CONTINUE, fmu_file(name), tmp_path / "state", json.dumps(outputs))
     assert json.loads(done.stdout) == wanted, done.stderr
@@ -126,11 +120,6 @@ def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(na
         assert other.fmu.getInteger([other.references[setting]]) == [UNKNOWN]
         assert math.isnan(other[output])
         assert " = 99 is unknown" in other.messages[0]
-
-
-def test_it_starts_where_the_crane_and_the_plant_do() -> None:
-    with Host(fmu_file("LoadTrajectory")) as host, plant() as other:
-        np.testing.assert_array_equal(load(host.start()), load(other.start()))
 
 
 @pytest.mark.parametrize("name", KINDS)

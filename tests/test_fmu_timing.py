@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from called import estimation
-from fmu_host import OUTPUTS, Host
+from fmu_host import Host, follow
 from hypothesis import given
 from hypothesis import strategies as st
 from present import present
@@ -36,21 +36,11 @@ def sine(t: Array | float) -> Array:
 
 def driven(t: Array, connected: str, jets: Array, at: str = "start") -> tuple[dict[str, Array], list[str]]:
     """Outputs after each step, and what was said, of a host that connects derivatives up to one order."""
-    rows = []
+    told = jets.copy()
+    told[:, ORDERS.index(connected) + 1 :] = 0.0
     with Host() as host:
-        host.set(input_time=at, connected=connected).start(_told(jets[0], connected), float(t[0]))
-        for k, (now, then) in enumerate(pairwise(t.tolist())):
-            host.tell(_told(jets[k + (at == "end")], connected))
-            assert host.step(now, then - now), host.messages
-            rows.append(host.get(*OUTPUTS))
-        said = list(host.messages)
-    return dict(zip(OUTPUTS, np.array(rows).T, strict=True)), said
-
-
-def _told(jet: Array, connected: str) -> Array:
-    told = jet.copy()
-    told[ORDERS.index(connected) + 1 :] = 0.0
-    return told
+        found = follow(host.set(connected=connected), told, t, at=at)
+        return {name: row[1:] for name, row in found.items()}, list(host.messages)
 
 
 def exact(t: Array) -> dict[str, Array]:

@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -29,7 +29,6 @@ from crane_fmu.catalogue import KINDS, ROTARY_CRANE
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60
 TOLERANCE = 1e-9  # of each output's peak
-FILES = {name: partial(fmu_file, name) for name in KINDS}
 
 # Each script gets a `task` and prints rows of outputs. Where a master runs several, a second instance has nothing
 # connected.
@@ -171,21 +170,21 @@ def test_every_master_gets_what_solve_gets(master: str, native: bool, tmp_path: 
         assert worst < TOLERANCE, f"{name} differs by {worst:.1e} of its peak"
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("master", MASTERS)
 def test_every_fmu_runs_in_every_master_with_nothing_connected(master: str, name: str, tmp_path: Path) -> None:
     required(master)
     outputs = [each.name for each in described(name, "output")]
-    found = in_master(MASTERS[master], task(FILES[name](), [[]] * 11, (), outputs), tmp_path / "task.json")
+    found = in_master(MASTERS[master], task(fmu_file(name), [[]] * 11, (), outputs), tmp_path / "task.json")
     assert len(found) in (10, 11)  # libcosim does not show the initial values
     assert np.isfinite(found).all()
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", KINDS)
 def test_fmutool_finds_no_problems(name: str) -> None:
     required("fmu_manipulation_toolbox")
     code = "import sys; from fmu_manipulation_toolbox.cli.fmutool import fmutool; sys.exit(fmutool())"
-    command = [sys.executable, "-c", code, "-input", str(FILES[name]()), "-check"]
+    command = [sys.executable, "-c", code, "-input", str(fmu_file(name)), "-check"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=scratch())
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
@@ -193,7 +192,7 @@ def test_fmutool_finds_no_problems(name: str) -> None:
     assert "ERROR" not in said
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", KINDS)
 def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_path: Path) -> None:
     required("ecospy")
     program = Path(str(find_spec("ecospy").origin)).parent / "binaries" / "ecos"  # type: ignore[union-attr]  # it is there
@@ -203,7 +202,7 @@ def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_pa
     shutil.copy(program, copy)
     copy.chmod(0o755)
     table = tmp_path / "table.csv"
-    command = [copy, "simulate", "--path", FILES[name](), "--stopTime", "1", "--stepSize", "0.1"]
+    command = [copy, "simulate", "--path", fmu_file(name), "--stopTime", "1", "--stepSize", "0.1"]
     done = subprocess.run(
         [str(each) for each in command],
         capture_output=True,

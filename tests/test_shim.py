@@ -14,7 +14,7 @@ import pytest
 from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmu_host import JET, OUTPUTS, Host, extracted, fmu_file, in_a_process, scratch
-from native_fmu import c_host
+from native_fmu import c_host, numbers_of
 
 from crane_fmu.catalogue import FEEDBACK_INPUTS
 
@@ -56,10 +56,6 @@ def run(folder: Path, *, given: str | None = None, location: str | None = None) 
     )
 
 
-def numbers(text: str) -> np.ndarray:
-    return np.array([[float(each) for each in line.split()] for line in text.splitlines()])
-
-
 def expected() -> np.ndarray:
     with Host() as host:
         rows = [host.start().outputs()]
@@ -73,7 +69,7 @@ def test_a_c_program_runs_it_with_nothing_preloaded_and_gets_the_same_numbers() 
     done = run(unpacked())
     assert done.returncode == 0, done.stderr
     wanted = expected()
-    assert numbers(done.stdout).tolist() == wanted.tolist()
+    assert numbers_of(done.stdout).tolist() == wanted.tolist()
     assert wanted[-1][2] == pytest.approx(-98.1)
 
 

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import warnings
 import zipfile
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from budgets import shared_by_all_files
 from click.testing import CliRunner
 from command_lines import CommandLine
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import fmu_file, in_a_process, only_one, scratch
+from fmu_host import built_once, fmu_file, in_a_process, scratch
 from test_masters import missing
 
 import servocore as sc
@@ -36,12 +34,8 @@ STEP = 0.01
 
 @cache
 def system(native: bool = False) -> Path:
-    """Return the system that the first process to ask for it has built; the others wait."""
-    folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch()) / f"system{' native' * native}"
-    with only_one(folder.with_suffix(".busy")), shared_by_all_files():
-        if not folder.is_dir():
-            build_ssp(folder, options=SystemOptions(targets="host", native=native))
-    return folder / "Crane.ssp"
+    options = SystemOptions(targets="host", native=native)
+    return built_once(f"system{' native' * native}", partial(build_ssp, options=options)) / "Crane.ssp"
 
 
 def deviation(stop: float = 20.0, native: bool = False, /, **parameters: float) -> float:

@@ -194,9 +194,8 @@ def _longer(n: int, fit: ca.Function) -> ca.Function:
     rows, spread, *_ = fit(*samples)
     snap, spread = top @ rows, top @ spread * size
     apart = [found[:, k] - snap[k] for k in range(DIMENSION)]
-    far = ca.sqrt(sum(each**2 for each in apart)) > _AGREE * (
-        spreads + spread
-    )  # spreads of longer windows are infinite
+    # Spreads of longer windows are infinite.
+    far = ca.sqrt(sum(each**2 for each in apart)) > _AGREE * (spreads + spread)
     agrees, here = ca.mmax(far) == 0, _only(place, range(len(_MORE))).T
     after = [agrees, ca.if_else(agrees, rows, chosen), ca.if_else(agrees, spread, wide)]
     after += [ca.horzcat(*(ca.if_else(here, snap[k], found[:, k]) for k in range(DIMENSION)))]

@@ -23,7 +23,7 @@ from xml.etree import ElementTree as ET
 
 import servocore as sc
 from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
-from crane_fmu.build.page import documentation_page, user_page
+from crane_fmu.build.page import documentation_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
@@ -111,22 +111,6 @@ def build_fmu(
         _check(archive, kind, starts)
         write_together({target: archive})
     return target
-
-
-def page_of(kind: FmuKind) -> str:
-    """Return the user page of an FMU as Markdown, without compiling it.
-
-    Parameters
-    ----------
-    kind : FmuKind
-        Which one.
-
-    Returns
-    -------
-    str
-        The page.
-    """
-    return user_page(kind, native_fmu(kind, targets="none", host=OF_PYTHONFMU))
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:

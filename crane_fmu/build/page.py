@@ -16,6 +16,7 @@ from markdown_it import MarkdownIt
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification
+from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
 from crane_fmu.catalogue import ORDERS, FmuKind
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
@@ -28,16 +29,17 @@ _STYLE = (
 )
 
 
-def user_page(kind: FmuKind, fmu: bytes) -> str:
+def user_page(kind: FmuKind, fmu: bytes | None = None) -> str:
     """Return the page of an FMU as Markdown.
 
     Parameters
     ----------
     kind : FmuKind
         Which one.
-    fmu : bytes
-        Its archive, or that of the native FMU; only the model description is read.
+    fmu : bytes, optional
+        Its archive, or that of the native FMU; only the model description is read. Without it nothing is compiled.
     """
+    fmu = fmu or native_fmu(kind, targets="none", host=OF_PYTHONFMU)
     described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
     template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))

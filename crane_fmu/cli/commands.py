@@ -66,12 +66,12 @@ def build(subject: Subject, which: Which, place: Place, platforms: Platforms) ->
     libraries for this machine and 64-bit Windows. python build_fmu.py does the same. With --fmu it is another one of
     the system's FMUs.
     """
-    from crane_fmu.build import build_fmu, page_of  # noqa: PLC0415
+    from crane_fmu.build import build_fmu, user_page  # noqa: PLC0415
 
     crane = subject.driven()
     changed = subject.changes(crane)
     if which.page is not None:
-        write_together({which.page: page_of(which.fmu).encode()})
+        write_together({which.page: user_page(which.fmu).encode()})
         return
     with PatientProgress("building the FMU") as progress:
         file = build_fmu(

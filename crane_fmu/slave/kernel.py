@@ -268,10 +268,4 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
             self._library.fmi2SetFMUstate(self._instance, restored)
             self._library.fmi2FreeFMUstate(self._instance, byref(restored))
 
-    @staticmethod
-    def _fmu_state_to_bytes(state: bytes) -> bytes:
-        return state
-
-    @staticmethod
-    def _fmu_state_from_bytes(state: bytes) -> bytes:
-        return bytes(state)
+    _fmu_state_to_bytes = _fmu_state_from_bytes = staticmethod(bytes)  # a state is its bytes already
