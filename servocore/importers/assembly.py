@@ -17,7 +17,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.importers.coordinates import MOTOR, Layout, rope_hinges
-from servocore.importers.drives import Drive, chosen_drives, rotors
+from servocore.importers.drives import chosen_drives, rotors
 from servocore.importers.recursion import sparse
 from servocore.importers.tree import Closure
 from servocore.model.drawing import Part
@@ -132,10 +132,8 @@ class Assembly(Layout):
             lines.append(f"inputs={wrench} takes the wrench of the rotors of {body}")
         return "; ".join(lines)
 
-    @cached_property
-    def inputs(self) -> list[Drive]:
-        """Inputs."""
-        return chosen_drives(self)
+    inputs = cached_property(chosen_drives)
+    """Inputs."""
 
     @cached_property
     def mass(self) -> ca.SX:

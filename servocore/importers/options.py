@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from servocore.errors import InvalidModel, InvalidSetting, require_kind, require_real
+from servocore.errors import InvalidModel, InvalidSetting, require_kind, require_positive, require_real
 from servocore.importers.tree import Tree
 
 
@@ -40,14 +39,10 @@ class Elastic:
     damping: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, least in (("stiffness", math.ulp(0.0)), ("motor_inertia", 0.0), ("damping", 0.0)):
+        for name in ("stiffness", "motor_inertia", "damping"):
             value = getattr(self, name)
-            if name == "motor_inertia" and value is None:
-                continue
-            require_real(value, f"the {name} of an elastic joint", "a number", InvalidSetting)
-            if not least <= value < math.inf:
-                sign = "positive" if least else "zero or more"
-                raise InvalidSetting(f"the {name} of an elastic joint must be {sign} and finite, not {value:g}")
+            if name != "motor_inertia" or value is not None:
+                require_positive(value, f"the {name} of an elastic joint", "a number", or_zero=name != "stiffness")
 
 
 def driven_joints(tree: Tree, options: Options) -> list[str]:
@@ -101,8 +96,7 @@ class Options:
         """
         values = dict(settings)
         motor, elastic = values.pop("motor_inertia", None), values.pop("elastic", {})
-        unknown = [name for name in values if name not in cls.__dataclass_fields__]
-        if unknown:
+        if unknown := [name for name in values if name not in cls.__dataclass_fields__]:
             known = ", ".join([*cls.__dataclass_fields__, "motor_inertia"])
             raise InvalidSetting(f"{source}: there is no setting {unknown[0]}; there are {known}")
         cls(**values)._require_kinds()

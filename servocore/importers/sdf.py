@@ -60,9 +60,8 @@ class _Reader(LinkReader):
             if child in hung:
                 self._close(joint, parent, child)
             hung.setdefault(child, joint)
-        bodies = [self._body(name, link, hung.get(name)) for name, link in links.items()]
+        bodies = [*(self._body(name, link, hung.get(name)) for name, link in links.items()), *self.frames]
         gravity = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
-        bodies += self.frames
         name = file.required(model, "name")
         return Tree(name, file.path.name, bodies, (), {}, self.closures, gravity, self.left_out)
 
