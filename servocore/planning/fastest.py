@@ -111,12 +111,7 @@ def fastest(
     >>> solution = sc.solve(crane.with_reference(path).with_limits(**limits))
     """
     require_scene(scene, "fastest")
-    if not (isinstance(intervals, int) and intervals >= 4 and intervals % 2 == 0):
-        raise InvalidSetting(f"a plan needs an even number of intervals, 4 or more, not {intervals!r}")
-    if isinstance(smooth, bool) or not (isinstance(smooth, int) and 0 <= smooth <= 2):
-        raise InvalidSetting(
-            f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
-        )
+    _require_settings(intervals, smooth)
     if progress is not None:
         require_callable(progress, "progress", "a function of a text")
     told = progress or (lambda _: None)
@@ -158,6 +153,16 @@ def fastest(
         deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )
+
+
+def _require_settings(intervals: int, smooth: int) -> None:
+    """Refuse a grid or a smoothness that no plan has."""
+    if not (isinstance(intervals, int) and intervals >= 4 and intervals % 2 == 0):
+        raise InvalidSetting(f"a plan needs an even number of intervals, 4 or more, not {intervals!r}")
+    if isinstance(smooth, bool) or not (isinstance(smooth, int) and 0 <= smooth <= 2):
+        raise InvalidSetting(
+            f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
+        )
 
 
 def _begun(
