@@ -24,7 +24,7 @@ from fmu_host import JET, OUTPUTS, described, fmu_file, in_a_process, scratch
 import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.build.native import native_fmu
-from crane_fmu.catalogue import KINDS, ROTARY_CRANE
+from crane_fmu.catalogue import KINDS, ORDERS, ROTARY_CRANE
 
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60
@@ -143,12 +143,12 @@ def in_master(script: str, given: dict[str, object], place: Path) -> np.ndarray:
 
 
 @cache
-def at_end(native: bool) -> Path:
+def at_end(native: bool, connected: str = ORDERS[-1]) -> Path:
     """Return an FMU built for inputs of the end of a step: not every master sets enumerations."""
-    starts = {"input_time": "end"}
+    starts = {"input_time": "end", "connected": connected}
     if not native:
-        return build_fmu(scratch() / "at end", starts=starts, targets="host")
-    file = scratch() / "native at end.fmu"
+        return build_fmu(scratch() / f"{connected} at end", starts=starts, targets="host")
+    file = scratch() / f"native {connected} at end.fmu"
     file.write_bytes(native_fmu(ROTARY_CRANE, starts=starts, targets="host"))
     return file
 
@@ -168,6 +168,19 @@ def test_every_master_gets_what_solve_gets(master: str, native: bool, tmp_path: 
         exact = wanted[name][40 : 40 + COUNT + 1][-len(found) :]
         worst = np.abs(column - exact).max() / np.abs(wanted[name]).max()
         assert worst < TOLERANCE, f"{name} differs by {worst:.1e} of its peak"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("count", [1, 2], ids=["position", "velocity"])
+@pytest.mark.parametrize("master", MASTERS)
+def test_both_fmus_estimate_the_same_in_every_master(master: str, count: int, tmp_path: Path) -> None:
+    required(master)
+    jets = CRANE.reference.jet(solution().t[40 : 40 + COUNT + 1], count - 1).reshape(COUNT + 1, -1)
+    found = []
+    for script, native in ((FMPY, True), (MASTERS[master], True), (MASTERS[master], False)):
+        given = task(at_end(native, ORDERS[count - 1]), jets.tolist(), JET[: jets.shape[1]], OUTPUTS)
+        found.append(in_master(script, given, tmp_path / "task.json")[-COUNT:])
+    assert (np.abs(np.subtract(found[1:], found[0])).max(axis=(0, 1)) < 1e-13 * np.abs(found[0]).max(axis=0)).all()
 
 
 @pytest.mark.parametrize("name", KINDS)

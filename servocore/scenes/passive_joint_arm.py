@@ -148,7 +148,7 @@ def drawing(v: Mapping[str, Any]) -> list[Part]:
 def independent_solution(t: Array, reference: Reference, parameters: Mapping[str, float]) -> dict[str, Array]:
     """Torque and motion by the equation of joint 2 alone: the solution that stays bounded for all times.
 
-    Minimum phase: from rest, to about 1e-12. Non-minimum phase: a boundary value problem, to about 1e-9.
+    Minimum phase: from rest, to about 1e-12. Non-minimum phase: a boundary value problem, to about 1e-11.
 
     Parameters
     ----------
