@@ -38,6 +38,11 @@ def user_page(kind: FmuKind, fmu: bytes | None = None) -> str:
         Which one.
     fmu : bytes, optional
         Its archive, or that of the native FMU; only the model description is read. Without it nothing is compiled.
+
+    Returns
+    -------
+    str
+        The page.
     """
     fmu = fmu or native_fmu(kind, targets="none", host=OF_PYTHONFMU)
     described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
