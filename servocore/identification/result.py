@@ -232,7 +232,7 @@ class Identified:
     def stray(self, path: Reference) -> Stray:
         """Return how far the output will go off a path in 95 of 100 cases, in mm, under the position loops.
 
-        By parameters it is the quantile of max over t of |S zeta|, S = d output / d theta, for zeta of the normal
+        By parameters it is the quantile of the largest norm of S zeta, S = d output / d theta, for zeta of the normal
         distribution with the covariance of the estimates.
 
         Parameters
