@@ -230,6 +230,8 @@ class TestExpressions:
         assert f"at t = {by_name['time']} s" in str(said.value)
 
     def test_symbols_of_another_model_are_refused(self) -> None:
+        with pytest.raises(sc.ServocoreError, match="needs a function that returns an expression"):
+            sc.Limit("x", "m", 0.0, "", "x")  # type: ignore[arg-type]  # wrong on purpose
         strange = sc.Limit("it", "1", 0.0, "", lambda _: ca.SX.sym("strange"), upper=1.0)
         with pytest.raises(sc.InvalidModel, match=r"a limit holds symbols that are none of this model: \['strange'\]"):
             sc.solve(replace(CRANE, limits=(strange,)))

@@ -101,12 +101,12 @@ def left_out(cases: Mapping[tuple[str, str, str], str]) -> list[object]:
 
 
 @pytest.mark.parametrize(("scene_name", "model", "of"), left_out(UNSTABLE))
-@pytest.mark.parametrize("steps", [200, 800])
+@pytest.mark.parametrize("steps", [200, 1000])
 def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(
     scene_name: str, model: str, of: FormulationCase, steps: int
 ) -> None:
     step = scene(scene_name).reference.duration / steps
-    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved|turns by .* in the step"):
+    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved"):
         sc.solve(scene(scene_name), of.formulation, sc.BackwardEuler(), step=step, model=model)
 
 

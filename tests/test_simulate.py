@@ -136,3 +136,11 @@ def test_it_reports_inputs_outputs_observables_and_coordinates_with_units() -> N
 def test_inputs_given_as_a_function_need_times() -> None:
     with pytest.raises(sc.InvalidSetting, match="need the times at which to report"):
         sc.simulate(released(driven_pendulum(), 1.0, 1.0), NO_TORQUE)
+
+
+def test_a_heavier_load_than_planned_does_not_arrive() -> None:
+    """What the simulation is for: the inputs were made for another crane."""
+    inputs = solved(problem("overhead_crane", "points", "reduced"), 800)
+    found = sc.simulate(scene("overhead_crane").with_parameters(load_mass=130.0), inputs)
+    assert found["tracking_error"][-1] > 0.1
+    assert sc.simulate(scene("overhead_crane"), inputs)["tracking_error"][-1] < 1e-4

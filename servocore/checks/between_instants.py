@@ -19,7 +19,7 @@ from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path
@@ -228,20 +228,28 @@ def _followed(motion: Motion, program: Program, channel: int, angle: Array, uncl
 
 @made_once
 def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
-    """Return the angles among the coordinates, reported as they are, of which an equation is no linear function.
+    """Return the angles among the coordinates, reported as they are, of which an equation is a periodic function.
 
-    An angle that enters linearly, of a wheel say, may turn as far as it likes.
+    Decided by numbers, at a point without symmetry. Any other angle, of a wheel or of a torsion spring say, may turn as
+    far as it likes.
     """
     system = resolved.system
-    forces = ca.gradient(ca.SX(system.potential), system.q), system.force
-    terms = ca.vertcat(*map(ca.vec, (system.constraints, system.output, system.mass, system.input_matrix, *forces)))
+    terms = (system.constraints, system.output, system.potential, system.mass, system.input_matrix, system.force)
+    arguments = [system.q, system.v, system.p, system.time]
+    evaluate = Call(ca.Function("sc_terms", arguments, [ca.densify(ca.vertcat(*map(ca.vec, terms)))]))
+    point, p = np.sin(1.0 + np.arange(len(system.coordinates))), system.parameters.values()
+    time = np.full(system.time.numel(), 0.7)
     observed = {quantity.name: expression for quantity, expression in system.observables.items()}
-    return tuple(
-        quantity.name
-        for quantity, q in zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True)
-        if quantity.unit == "rad" and ca.is_equal(observed.get(quantity.name, q), q)
-        if ca.depends_on(ca.jacobian(terms, q), q)
-    )
+    periodic = []
+    for k, quantity in enumerate(system.coordinates.quantities):
+        if quantity.unit != "rad" or not ca.is_equal(observed.get(quantity.name, system.q[k]), system.q[k]):
+            continue
+        aside = np.arange(len(point)) == k
+        here, there, round_again = (evaluate(point + turn * aside, point, p, time)[0] for turn in (0.0, 1.0, 2 * np.pi))
+        scale = ROUND_OFF * np.maximum(np.abs(here), np.abs(there))
+        if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > scale)).any():
+            periodic.append(quantity.name)
+    return tuple(periodic)
 
 
 def require_less_than_half_a_turn(problem: Problem, program: Program, t: Array, values: Array) -> None:

@@ -168,6 +168,8 @@ def input_noise(inputs: Array) -> float | None:
 def with_run_quantities(solution: Solution) -> Solution:
     """Return a solution with energies of powers and effective torques of motors up to every instant."""
     found, t = run_quantities(solution.channels), solution.t
+    if not found:
+        return solution
     table = np.column_stack([solution.values, *(each.course(t, solution[each.of]) for each in found)])
     return replace(solution, channels=(*solution.channels, *found), values=table)
 
