@@ -121,11 +121,11 @@ def show_drives(subject: Subject, path: GivenPath, rows: Rows) -> None:
     with PatientProgress("solving"):
         solution = solve(scene, step=rows.step, model=subject.model)
     head = ("drive", "quantity", "value", "at", "limit", "margin")
-    rows_ = [(name, *row) for name, drive in scene.drives.items() for row in duty(solution, name, drive)]
-    table_console().print(aligned([head, *rows_]), markup=False, highlight=False, soft_wrap=True)
+    duties = [(name, *row) for name, drive in scene.drives.items() for row in duty(solution, name, drive)]
+    table_console().print(aligned([head, *duties]), markup=False, highlight=False, soft_wrap=True)
 
 
-def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str, str, str, str]]:
+def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, ...]]:
     """Yield the rows of a drive: quantity, value, time, limit, margin in per cent of the limit.
 
     Parameters
@@ -138,18 +138,28 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, str
         Its drive.
     """
     speed, most = (max(column) for column in zip(*drive.corners, strict=True)) if drive.corners else (None, 1.0)
-    limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None}
-    for kind, limit in {**limits, "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}.items():
-        if (full := f"{name}.{kind}") not in solution:
-            continue
-        values, unit, text, k = solution[full], solution.unit(full), kind.replace("_", " "), -1
-        if kind == "torque_reserve":
-            k, text = int(values.argmin()), f"{text}, least"
-        elif kind in limits:
-            k, text, values = int(np.abs(values).argmax()), f"{text}, peak", np.abs(values)
-        left = values[k] / most if kind == "torque_reserve" else 1.0 - values[k] / float(limit or np.inf)
-        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * left:.0f} %")
-        yield text, f"{values[k]:.4g} {unit}", "" if k < 0 else f"{solution.t[k]:.4g} s", *bound
+    t = solution.t
+
+    def row(text: str, kind: str, value: float, time: str, limit: float | str | None, margin: float) -> tuple[str, ...]:
+        unit = solution.unit(f"{name}.{kind}")
+        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * margin:.0f} %")
+        return text, f"{value:.4g} {unit}", time, *bound
+
+    peaks = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None}
+    at_end = {"rms_torque": drive.rated_torque, "energy": None}
+    for kind, limit in peaks.items():
+        if f"{name}.{kind}" in solution:
+            sizes = np.abs(solution[f"{name}.{kind}"])
+            k = int(sizes.argmax())
+            text, margin = f"{kind.replace('_', ' ')}, peak", 1.0 - sizes[k] / float(limit or np.inf)
+            yield row(text, kind, sizes[k], f"{t[k]:.4g} s", limit, margin)
+    for kind, limit in at_end.items():
+        value = solution[f"{name}.{kind}"][-1]
+        yield row(kind.replace("_", " "), kind, value, "", limit, 1.0 - value / float(limit or np.inf))
+    if drive.corners:
+        reserve = solution[f"{name}.torque_reserve"]
+        k = int(reserve.argmin())
+        yield row("torque reserve, least", "torque_reserve", reserve[k], f"{t[k]:.4g} s", 0.0, reserve[k] / most)
 
 
 @dataclass(frozen=True)
