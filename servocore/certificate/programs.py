@@ -18,13 +18,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import JustInTime
 from servocore.numerics.memoization import made_once
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from servocore.numerics.machine_code import Build
 
 UNIT = 2.3e-16
@@ -83,6 +84,8 @@ class Products:
     @cached_property
     def sums(self) -> list[csr_array]:
         """For each coefficient of a, the matrix from its products with those of b to the results."""
+        from scipy.sparse import csr_array  # noqa: PLC0415 - all commands import this module
+
         (_, terms, targets), full = self.places.shape, prod(2 * d + 1 for d in self.degrees)
         shares, pairs = np.full(terms * targets, 1.0 / targets), np.repeat(np.arange(terms), targets)
         return [csr_array((shares, (places.ravel(), pairs)), (full, terms)) for places in self.places]
