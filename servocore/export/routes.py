@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -74,23 +75,21 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
     outputs, orders = made.outputs, made.orders
     programs, functions, sources = list[Program](), list[dict[str, ca.Function]](), dict[str, str]()
-    for model in options.models:
-        first = len(programs)
-        for k, formulation in enumerate(options.formulations.values(), first):
-            program = program_of(Problem.of(scene, model), formulation, options.method)
-            if program.nodes != (1.0,):
-                raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
-            programs.append(program)
-            functions.append(_functions(program, f"{made.identifier}_route_{k}", outputs, orders) if k else {})
-        # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
-        name = f"{made.identifier}_{model}"
-        of_model = [each for of_route in functions[first:] for each in of_route.values()]
-        sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, of_model)
+    for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
+        program = program_of(Problem.of(scene, model), formulation, options.method)
+        if program.nodes != (1.0,):
+            raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
+        programs.append(program)
+        functions.append(_functions(program, f"{made.identifier}_route_{k}", outputs, orders) if k else {})
+    # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
+    count = len(options.formulations)
+    for k, model in enumerate(options.models):
+        name, of_model = f"{made.identifier}_{model}", functions[k * count : (k + 1) * count]
+        sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, [f for each in of_model for f in each.values()])
     problem = Problem.of(scene, options.models[0])
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
     margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
-    table = _table(programs, functions, outputs) | {"formulations": len(options.formulations)}
-    table["headers"] = [name for name in sources if name.endswith(".h")]
+    table = _table(programs, functions, outputs) | {"formulations": count}
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),

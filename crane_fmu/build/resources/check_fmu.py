@@ -1,4 +1,4 @@
-"""Load and run a built FMU in a process of its own: ``python -I check_fmu.py FILE RUNS``.
+"""Load and run a built FMU in a process of its own: ``python -I check_fmu.py FILE RUNS``, in an empty folder.
 
 RUNS are start values for one short run each, as JSON. The process imports nothing of the project, so that missing parts
 of the FMU cause a failure.
@@ -7,9 +7,8 @@ of the FMU cause a failure.
 from __future__ import annotations
 
 import json
+import os
 import sys
-import tempfile
-from typing import Any
 
 from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
@@ -18,10 +17,11 @@ STEPS = 5
 FOREIGN = ("servocore", "crane_fmu", "pythonfmu", "scipy")
 
 
-def run(folder: str, description: Any, settings: dict[str, object]) -> None:
+def run(folder: str, settings: dict[str, object]) -> None:
     """Take a few steps of an unpacked FMU with nothing connected."""
     messages: list[str] = []
-    settable = (each for each in description.modelVariables if each.causality != "output")
+    described = read_model_description(folder, validate=False)
+    settable = (each for each in described.modelVariables if each.causality != "output")
     known = {each.name: each.declaredType for each in settable}
     numbers = {
         name: next(int(item.value) for item in known[name].items if item.name == value) if known[name] else value
@@ -32,7 +32,7 @@ def run(folder: str, description: Any, settings: dict[str, object]) -> None:
     try:
         result = simulate_fmu(
             folder,
-            model_description=description,
+            validate=False,
             stop_time=0.1 * STEPS,
             output_interval=0.1,
             start_values=numbers,
@@ -49,11 +49,9 @@ def main(file: str, runs: str) -> None:
     """Raise AssertionError with a sentence if anything is wrong."""
     problems = validate_fmu(file)
     assert not problems, "; ".join(problems)
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        extract(file, folder)
-        description = read_model_description(folder, validate=False)
-        for settings in json.loads(runs):
-            run(folder, description, settings)
+    folder = extract(file, os.path.abspath("unpacked"))
+    for settings in json.loads(runs):
+        run(folder, settings)
     foreign = [name for name in FOREIGN if name in sys.modules]
     assert not foreign, f"the FMU imports {', '.join(foreign)} from its host"
 
