@@ -14,7 +14,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import of_one_shape, parts_of, singular_values
+from servocore.numerics.components import filled, of_one_shape, parts_of, singular_values
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
@@ -70,9 +70,9 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     gamma[:, :, 0] = system.home
     gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, is constant
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
-        system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
+        system.guess, ca.vertcat(system.G, system.C)])  # fmt: skip
     changes = [np.abs(np.asarray(evaluate(function, home, p)[0]).ravel() - home) for function in gamma]
-    rows = np.asarray(evaluate(gamma[0], home, p)[1])
+    rows = filled(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
         changes.append(_followed(rows, np.concatenate([np.zeros(len(rows) - len(extent)), extent])))
     return np.asarray(np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0))

@@ -55,10 +55,15 @@ class Part:
         return matrices
 
 
+def places_of(pattern: ca.Sparsity) -> tuple[Places, Places]:
+    """Return the row and the column of every entry of a matrix, column by column."""
+    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    return rows, columns
+
+
 def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     """Return the independent parts of a matrix; an empty row or column is a part of its own."""
-    height, width = pattern.shape
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    (height, width), (rows, columns) = pattern.shape, places_of(pattern)
     # Rows and columns as nodes of one graph with edges both ways: its strong components are the parts.
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
     graph = ca.Sparsity.triplet(height + width, height + width, *(nodes.tolist() for nodes in both))
@@ -82,7 +87,7 @@ def _numbers(order: Sequence[int], ends: Sequence[int]) -> Places:
 
 def _parts(pattern: ca.Sparsity, of_row: Places, of_column: Places, count: int) -> tuple[Part, ...]:
     """Return the parts of a matrix from the number of the part of every row and column."""
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    rows, columns = places_of(pattern)
     inside = np.flatnonzero(of_row[rows] == of_column[columns])
     members, of_width, entries = (_members(each, count) for each in (of_row, of_column, of_row[rows[inside]]))
     return tuple(
@@ -107,7 +112,7 @@ def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
 def filled(matrix: ca.DM) -> Array:
     """Return a sparse matrix as a dense array; CasADi's own conversion copies every zero by itself."""
     array = np.zeros(matrix.shape)
-    array[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
+    array[places_of(matrix.sparsity())] = matrix.nonzeros()
     return array
 
 
@@ -115,7 +120,7 @@ def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
     pattern = ca.Sparsity.triplet(*matrix.shape, *(indices.tolist() for indices in np.nonzero(matrix)))
     parts = [part for part in parts_of(pattern) if len(part.entries)]
-    entries = matrix[tuple(np.array(pattern.get_triplet(), dtype=np.intp))][:, None]
+    entries = matrix[places_of(pattern)][:, None]
     of_parts = [_decomposed(same, entries).ravel() for same in of_one_shape(parts)]
     # Empty rows and columns are singular values of zero, which no part brings.
     values = np.sort(np.concatenate([*of_parts, np.zeros(min(matrix.shape))]))[::-1]
@@ -136,19 +141,19 @@ def equilibrated(matrix: Array) -> Array:
 
 def _equilibrated(places: Iterable[Places], entries: Array) -> Array:
     """Scale the entries of sparse matrices, shape (nnz, N), at these rows and columns, as `equilibrated` does."""
-    scaled, lines = np.array(entries, dtype=np.float64), []
+    sizes, lines = np.abs(entries, dtype=np.float64), []
     for of_entry in places:
         order = np.argsort(of_entry, kind="stable")
         first = np.diff(of_entry[order], prepend=-1) > 0
         line = np.empty(len(order), dtype=np.intp)
         line[order] = np.cumsum(first) - 1
         lines.append((order, np.flatnonzero(first), line))
-    for sweep in range(_SWEEPS if len(scaled) else 0):
+    for sweep in range(_SWEEPS if len(sizes) else 0):
         for order, starts, line in lines:
-            largest = np.maximum.reduceat(np.abs(scaled)[order], starts)
+            largest = np.maximum.reduceat(sizes[order], starts)
             factor = np.where(largest > 0.0, largest, 1.0)
-            scaled /= (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)[line]
-    return scaled
+            sizes /= (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)[line]
+    return np.copysign(sizes, entries)
 
 
 def condition_number(matrix: Array) -> float:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import IsomorphicParts, isomorphic_parts
+from servocore.numerics.components import IsomorphicParts, isomorphic_parts, places_of
 from servocore.numerics.elimination import (
     KnownValues,
     is_linear,
@@ -223,7 +223,7 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     constants: list[tuple[ca.SX, ca.SX]] = []
     while True:
         pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
-        rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
+        rows, columns = places_of(pattern)
         alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
         held = system.residual[rows[alone].tolist()]
         slopes = own_slopes(without_jumps(held), system.unknowns)
