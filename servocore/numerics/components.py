@@ -25,7 +25,7 @@ LARGE = 128
 
 _SWEEPS = 6  # of equilibration
 _WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
-_SUBSPACE = 10  # vectors of Lanczos' method
+_SUBSPACE = 6  # vectors of Lanczos' method, which starts from a vector that is nearly right
 _ACCURATE = 1e-4  # residual of the extreme singular values of large parts; their error is about its square
 
 
@@ -202,13 +202,14 @@ def _extreme_singular_values(part: Part, entries: Array) -> Array:
     from scipy.sparse.linalg import splu  # noqa: PLC0415
 
     size, found = len(part.rows), np.zeros((entries.shape[1], 2))
+    rows, starts = part.places[0], np.searchsorted(part.places[1], np.arange(size + 1))
     vectors = [np.ones(size)] * 2  # those of one instant are close to those of the next
-    for k, values in enumerate(entries[part.entries].T):
-        matrix = csc_array((values, part.places), (size, size))
+    for k, values in enumerate(np.ascontiguousarray(entries[part.entries].T)):
+        matrix = csc_array((values, rows, starts), (size, size))
         with suppress(RuntimeError):  # of a matrix that is exactly singular
-            solve, transposed = splu(matrix).solve, matrix.T.tocsc()
+            solve = splu(matrix).solve
             inverse, vectors[1] = _norm(solve, partial(solve, trans="T"), vectors[1])
-            largest, vectors[0] = _norm(matrix.dot, transposed.dot, vectors[0])
+            largest, vectors[0] = _norm(matrix.dot, matrix.T.dot, vectors[0])
             found[k] = largest, 1.0 / inverse
     return found
 
