@@ -282,13 +282,15 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     candidates = [part for same in shapes.values() if len(same) > 1 for part in same]
     if not candidates:
         return []
-    places = {entry.element_hash(): k for k, entry in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
+    depends = ca.jacobian_sparsity(ca.vertcat(residual, *beside), givens).T
+    starts, held, size = depends.colind(), depends.row(), unknowns.numel()
     groups: dict[str, IsomorphicParts] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
-        expressions = [residual[rows], *(vector[columns] for vector in beside[:-1]), beside[-1][rows]]
-        hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
-        known = sorted(places[key] for key in hashes if key in places)
+        own = rows, *[columns] * (len(beside) - 1), rows
+        expressions = [vector[some] for vector, some in zip((residual, *beside), own, strict=True)]
+        lines = [place * size + k for place, some in enumerate(own) for k in some]
+        known = sorted({given for line in lines for given in held[starts[line] : starts[line + 1]]})
         # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
         group = groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)

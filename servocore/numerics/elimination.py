@@ -42,6 +42,10 @@ class KnownValues:
         Squared scaled corrections of guesses that should be exact.
     linear_blocks : int
         Number of blocks solved without iterations.
+    residuals : list of casadi.MX
+        Largest scaled residuals of isomorphic parts, shape (1, parts) each.
+    checked_rows : set of int
+        Rows of these parts.
     """
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
@@ -49,6 +53,8 @@ class KnownValues:
     isomorphic_counts: list[ca.MX] = field(default_factory=list)
     corrections: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
+    residuals: list[ca.MX] = field(default_factory=list)
+    checked_rows: set[int] = field(default_factory=set)
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
 

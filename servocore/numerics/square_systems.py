@@ -86,8 +86,8 @@ def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
     Its results hold where the guess is exact; they are NaN where the iteration corrects it by more than the tolerance.
-    An expression avoids the interpreter's function calls, most of the cost of a small block. The caller eliminates
-    common subexpressions after it has substituted the guess.
+    An expression avoids the interpreter's function calls, most of the cost of a small block. Common subexpressions are
+    looked for in one of isomorphic parts, which takes seconds in a hundred of them.
 
     Returns
     -------
@@ -95,9 +95,17 @@ def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX
         None if a block is too large to be written out.
     """
     try:
-        return compile_solver(name, system, outputs, unrolled=True).expand()
+        function = compile_solver(name, system, outputs, unrolled=True).expand()
     except _TooLargeError:
         return None
+    alike = sum(len(part.rows) for group in system.alike for part in group.parts)
+    return function if alike == system.unknowns.numel() else _without_repetitions(function)
+
+
+def _without_repetitions(function: ca.Function) -> ca.Function:
+    """Return a function of expressions without common subexpressions."""
+    symbols = function.sx_in()
+    return ca.Function(function.name(), symbols, function.call(symbols), {"cse": True})
 
 
 def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -152,8 +160,12 @@ def compile_solver(
     known = _solved(system, givens, unrolled)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
-    worst = largest(system.residual / system.residual_scale)
+    rows = sorted(set(range(system.unknowns.numel())) - known.checked_rows)
+    worst = largest(system.residual[rows] / system.residual_scale[rows])
     *results, residual = known.final([*outputs, worst], common=not unrolled)
+    for others in known.residuals:
+        # A sum that is NaN shows in no maximum.
+        residual = ca.fmax(residual, ca.mmax(others)) + 0.0 * ca.sum2(others)
     if known.corrections:
         # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
         exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
@@ -201,12 +213,18 @@ def _solve_isomorphic(
     part = replace(part, givens=system.givens[group.givens[0]])
     part_givens = ca.MX.sym("givens", size)
     inner = _solved(part, part_givens, unrolled)
-    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
+    # Of an expression, the residual shares most operations with the solution, but those are looked for in parts only.
+    worst = [largest(part.residual / part.residual_scale)] if unrolled else []
+    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns, *worst))
     moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.corrections))
-    solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts(), moved]).map(count)
-    solved, counts, squared = solve(
+    solve = ca.Function("sc_alike", [part_givens], [inner.counts(), moved, *values])
+    if unrolled:
+        solve = _without_repetitions(solve.expand())
+        known.checked_rows.update(row for isomorphic in group.parts for row in isomorphic.rows.tolist())
+    counts, squared, solved, *residuals = solve.map(count)(
         ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count)
     )
+    known.residuals += residuals
     columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
     known.add_values(system.unknowns[columns], ca.vec(solved))
     known.isomorphic_counts.append(counts)

@@ -187,13 +187,13 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
         most = _MOST_EXPLICIT
         if length > 2 * most or compile_explicit(array) is None:
             return None
-    unrolled = compile_unrolled_solver("sc_array", *_equations(array))
+    gamma, p = array.system.gamma[:, : array.reference_order + 1], array.system.p
+    givens, (equations, unknowns) = ca.vertcat(ca.vec(gamma), p), _equations(array)
+    equations = replace(equations, givens=givens, guess=guess(gamma, p))
+    unrolled = compile_unrolled_solver("sc_array", equations, unknowns)
     if unrolled is None:
         return None
-    system = array.system
-    gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
-    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
+    function = ca.Function("sc_flat_inversion", [gamma, p], unrolled.call([givens]))
     return function if share * function.n_instructions() <= most else None
 
 
