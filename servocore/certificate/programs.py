@@ -1,8 +1,8 @@
 """Sums and products of Chebyshev models, thousands at once: in machine code where it is there, in NumPy elsewhere.
 
 A model is an array of coefficients with the radius below them, shape (terms + 1, count, boxes). T_i T_j =
-(T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients, in orders of their own: the
-bounds of their rounding errors hold for any.
+(T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients and bound their rounding
+errors alike.
 """
 
 from __future__ import annotations
@@ -94,13 +94,15 @@ class Products:
         return tape, tape.ctypes.data
 
     @cached_property
-    def rounding(self) -> float:
-        """Bound of the rounding errors of a product, as a share of |a|_1 |b|_1.
+    def rounding(self) -> Array:
+        """Weights (terms, 1, 1) of the coefficients of a in a bound of the rounding errors of a b, shares of |b|_1.
 
-        A coefficient is a sum of at most N = prod(2 d + 2) products of two coefficients, added up in any order: all
-        of them together are off by at most N + 2 units (Higham, *Accuracy and Stability*, section 3.1).
+        Products are added up from the last coefficient of a to the first, so that large partial sums come last. Each of
+        the results takes at most 3^variables products with a coefficient of a: one whose orders add up to its own, two
+        whose orders differ by it. An addition is off by a unit of the partial sum (Higham, *Accuracy and Stability*,
+        section 4.2), and all partial sums together are at most the sum of the |a_k| so far times |b|_1.
         """
-        return (prod(2 * d + 2 for d in self.degrees) + 2) * UNIT / 2.0
+        return (1.0 + 3.0 ** len(self.degrees) * np.arange(1.0, self.orders.shape[1] + 1.0))[:, None, None] * UNIT / 2.0
 
     def multiplied(self, a: Array, b: Array) -> Array:
         """Return products of models.
@@ -108,10 +110,11 @@ class Products:
         Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
         terms = len(a) - 1
-        full = sum(matrix @ (c * b[:-1]).reshape(terms, -1) for matrix, c in zip(self.sums, a[:-1], strict=True))
+        pairs = zip(self.sums[::-1], a[-2::-1], strict=True)
+        full = sum(matrix @ (c * b[:-1]).reshape(terms, -1) for matrix, c in pairs)
         full, size_a, size_b = full.reshape(-1, *a.shape[1:]), norm(a[:-1]), norm(b[:-1])
         crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
-        r = (norm(full[terms:]) + self.rounding * size_a * size_b + crossed) * UP
+        r = (norm(full[terms:]) + norm(self.rounding * a[:-1]) * size_b + crossed) * UP
         return np.concatenate([full[:terms], (r + _TINY * (r > 0))[None]])
 
 
@@ -179,7 +182,7 @@ class Program:
         if run is not None:
             (products, address), (_, own, count) = tables.tape, self.tape
             scratch = np.empty((count * len(models) + products[2]) * _LANES)
-            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:], tables.rounding)
+            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:])
             return
         count, most = models.shape[1], max(result for _, result, *_ in self.steps)
         work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
@@ -202,7 +205,7 @@ def machine_code() -> JustInTime[_Run]:
     def load(library: Path) -> _Run:
         run = ctypes.CDLL(str(library)).sc_programs
         run.restype = None
-        run.argtypes = [*[ctypes.c_void_p] * 4, *[ctypes.c_ssize_t] * 2, ctypes.c_double]
+        run.argtypes = [*[ctypes.c_void_p] * 4, *[ctypes.c_ssize_t] * 2]
         return run
 
     return JustInTime(make, load)
