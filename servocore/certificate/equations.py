@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
+from servocore.certificate.programs import UP
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -80,8 +81,10 @@ class Equations:
         Places of entries of the Jacobian within the diagonal blocks, row by row, and among its own entries.
     begins, unknowns : ndarray of int
         Of I - Y J: where its rows begin among its entries, and the columns of these.
+    added, factors : ndarray of bool, list of ndarray of int
+        Which of the entries are sums, and of the other ones, products, the places of their factors in Y and in J.
     test : Walk
-        From the entries of Y, of J and of r to those of I - Y J, and of Y r.
+        From the entries of Y, of J and of r to those of I - Y J that are sums, and of Y r.
     """
 
     def __init__(self, resolved: ResolvedSystem, raised: bool) -> None:
@@ -114,10 +117,16 @@ class Equations:
         inside = np.array(whole.get_nz(places.tolist()))
         self.inside, self.own = inside[inside >= 0], np.array(entry)[inside >= 0]
         Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(entry)), ("r", size)))
-        inverse, matrix = ca.SX(whole, Y).T, ca.SX(permuted, J[entry]).T
-        off = (ca.SX.eye(size) - ca.mtimes(inverse, matrix)).T
-        self.test = Walk(ca.vertcat(off.nz[:], ca.mtimes(inverse, r[rows])), ca.vertcat(Y, J, r))
-        self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
+        # Products are those of the transposed matrices: of entries, of ones, and with the numbers of the entries.
+        numbers = (1, 1), (1, ca.DM(range(whole.nnz()))), (ca.DM(entry), 1)
+        products = [ca.mtimes(ca.SX(permuted, j), ca.SX(whole, y)) for j, y in ((J[entry], Y), *numbers)]
+        off, pattern = ca.SX.eye(size) - products[0], products[0].sparsity()
+        self.begins, self.unknowns = np.array(pattern.colind()[:-1]), np.array(pattern.row())
+        terms, *factors = (np.array(ca.DM(each).nz[:], dtype=np.intp).ravel() for each in products[1:])
+        self.added = (terms > 1) | (np.array(pattern.get_col()) == self.unknowns)
+        self.factors = [each[~self.added] for each in factors]
+        added = off.nz[np.flatnonzero(self.added).tolist()]
+        self.test = Walk(ca.vertcat(added, ca.mtimes(ca.SX(whole, Y).T, r[rows])), ca.vertcat(Y, J, r))
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
@@ -202,7 +211,7 @@ def radii(
         Of path and parameters.
     D : ndarray, shape (unknowns, boxes)
         Where solutions are looked for.
-    sizes : ndarray, shape (unknowns,)
+    sizes : ndarray, shape (unknowns, 1)
         Magnitudes of the unknowns.
 
     Returns
@@ -222,13 +231,14 @@ def radii(
     jacobian = equations.jacobian(ring, np.concatenate([anywhere, given, steps], axis=1))
     Y = _inverses(equations, ring, jacobian[:, equations.own])
     off = equations.test(ring, np.concatenate([Y, jacobian, residual], axis=1))
-    found, entries = magnitude(off), len(equations.unknowns)
-    A, Z = found[:entries], np.maximum(found[entries:], _LEAST * sizes[equations.columns, None])
+    found, added, (left, right), n = magnitude(off), equations.added, equations.factors, len(equations.columns)
+    A, Z = np.empty((len(added), x.shape[2])), np.maximum(found[-n:], _LEAST * sizes[equations.columns])
+    A[added], A[~added] = found[:-n], magnitude(Y)[left] * magnitude(jacobian)[right] * UP
     rho, holds = _fixed(equations, A, Z)
     first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
     proved, order = holds.all(axis=0), np.argsort(equations.columns)
     switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, equations.columns[first])
-    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, entries:][:, order]
+    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, -n:][:, order]
 
 
 def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
