@@ -210,12 +210,12 @@ def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch
         monkeypatch.setattr(proof, "_MOST", 60)
         tried = Proof(problem, {}, 1e-8)
         monkeypatch.undo()
-        for each in tried.intervals:
-            if each.proved and not each.outside:
-                right = next(k for k in exact.intervals if k.begin <= each.begin < k.end)
-                x = exact.ring.rows(np.array([[2.0 * (each.begin - right.begin) / (right.end - right.begin) - 1.0]]))
-                apart = np.abs(x[0] @ right.x[:-1] - exact.ring.rows(np.array([[-1.0]]))[0] @ each.x[:-1])
-                assert (apart <= each.x[-1] + right.x[-1] + 1e-12 * exact.peaks).all(), size
+        for k in np.flatnonzero(tried.proved & tried.within):
+            right = int(np.searchsorted(exact.end, tried.begin[k], side="right"))
+            length = exact.end[right] - exact.begin[right]
+            x = exact.ring.rows(np.array([[2.0 * (tried.begin[k] - exact.begin[right]) / length - 1.0]]))
+            apart = np.abs(x[0] @ exact.x[:-1, :, right] - exact.ring.rows(np.array([[-1.0]]))[0] @ tried.x[:-1, :, k])
+            assert (apart <= tried.x[-1, :, k] + exact.x[-1, :, right] + 1e-12 * exact.peaks[:, 0]).all(), size
 
 
 # Solutions, parameters ------------------------------------------------------------------------------------------------

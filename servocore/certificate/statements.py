@@ -138,7 +138,7 @@ def known(equations: Equations, limit: Limit) -> bool:
 
 def boxes_of(proof: Proof) -> Model:
     """Return enclosures on the intervals of a proof within the path: boxes of time and parameters."""
-    return proof.enclosures[..., [not each.outside for each in proof.intervals]]
+    return proof.enclosures[..., proof.within]
 
 
 def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
@@ -255,7 +255,7 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     """
-    if proof.unproved:
+    if not proof.proved.all():
         return np.array([-np.inf, np.inf])
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
