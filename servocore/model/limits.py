@@ -171,21 +171,23 @@ class RunQuantity(Quantity):
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
-        value = Named(self.of)(system)
+        return self.integrand(Named(self.of)(system))
+
+    def integrand(self, value: Any) -> Any:
+        """Return what the run integrates, from values of the reported quantity."""
         return value**2 if self.rms else value
 
     def of_sum(self, total: Any, duration: Any) -> Any:
         """Return it from the integral over a duration in s."""
         return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
 
-    def course(self, t: Array, values: Array) -> Array:
-        """Return it at every instant (N,) since the first, by Simpson's rule from values of the reported quantity."""
+    def course(self, t: Array, integrands: Array) -> Array:
+        """Return it at every instant (N,) since the first, by Simpson's rule from integrands."""
         from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
 
-        integrands = values**2 if self.rms else values
         found = np.asarray(cumulative_simpson(integrands, x=t, initial=0.0), dtype=np.float64)
         found[1:] = self.of_sum(found[1:], t[1:] - t[0])
-        found[0] = abs(values[0]) if self.rms else 0.0
+        found[0] = np.sqrt(integrands[0]) if self.rms else 0.0
         return found
 
 
