@@ -320,6 +320,22 @@ def test_the_file_of_a_data_sheet_gives_the_drives_and_the_command_their_duty() 
     assert f"{100 * (1 - effective / 5):.0f} %" in result.stdout
 
 
+@pytest.mark.usefixtures("empty_folder")
+def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    write("drives.toml", SHEET)
+    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 0)
+    given = "overhead_crane", "--drives", "drives.toml"
+    result = line("excite", *given, "--estimate", "F.*", "--limit", "F=1000", "--limit", "M_w.energy=9kJ")
+    assert result.exit_code == 0, result.stderr
+    assert "F.motor_inertia" in result.stdout
+    crane = sc.scenes.overhead_crane().with_drives(**DRIVES)
+    log = sc.measured(crane, plant=crane.with_parameters(**{"F.motor_inertia": 5e-4}), seed=1)
+    found = sc.identify(crane, log, "F.motor_inertia")
+    assert found.values["F.motor_inertia"] == pytest.approx(5e-4, rel=0.02)
+    write("identified.toml", found.parameter_file())
+    assert line("drives", *given, "--parameters", "identified.toml").exit_code == 0
+
+
 REFUSALS = {
     ('"125 mm"', '"125 kg"'): "drives.toml: [F]: drum_radius is given in kg, but its unit is m",
     ('"4 kg cm^2"', '"4 N m"'): "drives.toml: [F]: motor_inertia is given in N m, but its unit is kg.m2",

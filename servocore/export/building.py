@@ -143,7 +143,7 @@ def inverse_model(
 
 
 def require_limits_kept(scene: Scene, model: str | None) -> None:
-    """Raise `LimitBroken` if the scene's own path breaks a limit of its motion, of instants or of the run as a whole."""
+    """Raise `LimitBroken` if the scene's own path breaks a limit of an instant or of the run as a whole."""
     if Problem.of(scene, model).motion_limits:
         solve(scene, model=model)
 

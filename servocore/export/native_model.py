@@ -223,8 +223,8 @@ class NativeModel:
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.host)).encode())
-        for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr((self.limits, self.run_limits)), *more):
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.host, self.limits, self.run_limits)).encode())
+        for text in (*self.source(), *self.more_sources.values(), repr(self.own), *more):
             digest.update(text.encode())
         code = digest.hexdigest()
         return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"

@@ -171,7 +171,8 @@ class RunQuantity(Quantity):
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
-        return self.integrand(Named(self.of)(system))
+        found: ca.SX = self.integrand(Named(self.of)(system))
+        return found
 
     def integrand(self, value: Any) -> Any:
         """Return what the run integrates, from values of the reported quantity."""
