@@ -136,11 +136,13 @@ class Drive:
         """Corners of the torque-speed curve, (rad/s, N.m)."""
         return tuple((float(speed), float(torque)) for speed, torque in self.torque_speed)
 
-    @property
-    def declared(self) -> list[Parameter]:
-        """Data that are given and enter the model, with their values as defaults."""
-        values = ((each, getattr(self, each.name)) for each in _DATA)
-        return [replace(each, default=value) for each, value in values if value != getattr(Drive, each.name)]
+    def declared(self, of: str) -> list[Parameter]:
+        """Return the data that are given and enter the model, as parameters of the input `of`."""
+        given = [each for each in _DATA if getattr(self, each.name) != getattr(Drive, each.name)]
+        return [
+            replace(e, name=f"{of}.{e.name}", default=getattr(self, e.name), description=f"{e.description}, of {of}")
+            for e in given
+        ]
 
 
 def _checked(of: Parameter, value: object) -> float:
@@ -163,11 +165,7 @@ class Driven:
             If an input has no place for a drive, or its radius is missing or given twice.
         """
         system, drives = self.factory(), dict(self.motors)
-        declared = [
-            replace(each, name=f"{name}.{each.name}", description=f"{each.description}, of {name}")
-            for name, drive in drives.items()
-            for each in drive.declared
-        ]
+        declared = [each for name, drive in drives.items() for each in drive.declared(name)]
         parameters = system.parameters.extended(*declared)
         q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
         mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
@@ -227,8 +225,8 @@ def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
 
 def _data(name: str, drive: Drive, parameters: Parameters) -> dict[str, ca.SX]:
     """Return the data of a drive: symbols of those that are parameters, neutral numbers of the others."""
-    given = {each.name: parameters[f"{name}.{each.name}"] for each in drive.declared}
-    p = {each.name: ca.SX(each.default) for each in _DATA} | given
+    p = {each.name: ca.SX(each.default) for each in _DATA}
+    p |= {each.name.removeprefix(f"{name}."): parameters[each.name] for each in drive.declared(name)}
     return p | {"transmission": p["ratio"] * p["rope_falls"] / p["drum_radius"]}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -60,8 +59,8 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     rows = limit_rows(problem, places[0])
     require_at_rest(rows, problem, places)
     jets = path.jet(t, rows.order)
-    kept_by_run = partial(_kept_by_run, scene, problem, model)
-    duration = shortest_kept(kept_by_run, partial(_kept, rows, problem.p, jets, path.duration))
+    kept = partial(_kept, rows, problem, t, jets)
+    duration = shortest_kept(kept, kept)
     for _ in range(_MOST_BUMPS):
         if not math.isfinite(duration):
             break
@@ -90,17 +89,9 @@ def shortest_duration_told(scene: Scene, model: str | None = None) -> Iterator[N
         raise LimitBroken(f"{error}; {advice}") from None
 
 
-def _kept(rows: Rows, p: Array, jets: Array, original: float, duration: float) -> bool:
-    stretched = jets * (original / duration) ** np.arange(jets.shape[1])[:, None]
-    values, _ = rows.at(stretched, p)
-    return bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())
-
-
-def _kept_by_run(scene: Scene, problem: Problem, model: str | None, duration: float) -> bool:
-    """Whether limits of energies and effective values over the whole run are kept at a duration."""
-    alone = replace(scene.with_reference(TimeScaled.to(scene.reference, duration)), limits=problem.run_limits)
-    with suppress(ServocoreError):
-        if problem.run_limits:
-            ExactInversion(alone, model)
-        return True
-    return False
+def _kept(rows: Rows, problem: Problem, t: Array, jets: Array, duration: float) -> bool:
+    slower = duration / problem.reference.duration
+    values, integrands, _ = rows.at(jets / slower ** np.arange(jets.shape[1])[:, None], problem.p)
+    sums = zip(problem.run_limits, np.asarray(np.trapezoid(integrands, slower * t)), strict=True)
+    of_run = all(e.bound <= e.over_run.of_sum(total, duration) <= e.upper for e, total in sums if e.over_run)
+    return of_run and bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())
