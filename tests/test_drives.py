@@ -138,7 +138,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
     problem = Problem.of(crane.with_reference(plan))
     t = np.linspace(plan.start_time, plan.end_time, 50_001)
     reserves = limited_values(prepared_motion(problem), t)
-    peaks = np.array([[max(torque for _, torque in drive.corners)] for drive in drives.values()])
+    peaks = np.array([[max(torque for _, torque in drive.torque_speed)] for drive in drives.values()])
     assert -1e-9 < (reserves / peaks).min() < 0.02  # one of them is used up
     with pytest.raises(sc.LimitBroken, match="torque_reserve goes beyond its lower limit of 0 N"):
         sc.solve(crane.with_reference(sc.rest_to_rest(line_.start, line_.end, report.duration)))

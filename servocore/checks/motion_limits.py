@@ -171,8 +171,9 @@ class Watched:
 
 
 def watched_limits(problem: Problem) -> Watched:
-    """Return the function of the quantities of the `motion_limits` of a flat problem."""
-    wanted = tuple((limit.expression, limit.rate) for limit in problem.motion_limits)
+    """Return the function of the quantities of the `motion_limits` of a flat problem, or of what a run adds up."""
+    given = ((limit, limit.over_run) for limit in problem.motion_limits)
+    wanted = tuple((Named(added.of) if added else limit.expression, limit.rate) for limit, added in given)
     return compile_watched(problem.resolved, wanted)
 
 

@@ -137,7 +137,7 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, ...
     drive : Drive
         Its drive.
     """
-    speed, most = (max(column) for column in zip(*drive.corners, strict=True)) if drive.corners else (None, 1.0)
+    speed, most = map(max, zip(*(drive.torque_speed or [(None, 1.0)]), strict=True))
     limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None,
               "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}  # fmt: skip
     for kind, limit in limits.items():

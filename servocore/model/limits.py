@@ -171,24 +171,21 @@ class RunQuantity(Quantity):
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
-        found: ca.SX = self.integrand(Named(self.of)(system))
-        return found
-
-    def integrand(self, value: Any) -> Any:
-        """Return what the run integrates, from values of the reported quantity."""
+        value = Named(self.of)(system)
         return value**2 if self.rms else value
 
     def of_sum(self, total: Any, duration: Any) -> Any:
         """Return it from the integral over a duration in s."""
         return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
 
-    def course(self, t: Array, integrands: Array) -> Array:
-        """Return it at every instant (N,) since the first, by Simpson's rule from integrands."""
+    def course(self, t: Array, values: Array) -> Array:
+        """Return it at every instant (N,) since the first, by Simpson's rule from values of the reported quantity."""
         from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
 
+        integrands = values**2 if self.rms else values
         found = np.asarray(cumulative_simpson(integrands, x=t, initial=0.0), dtype=np.float64)
         found[1:] = self.of_sum(found[1:], t[1:] - t[0])
-        found[0] = np.sqrt(integrands[0]) if self.rms else 0.0
+        found[0] = abs(values[0]) if self.rms else 0.0
         return found
 
 
@@ -198,8 +195,7 @@ def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
     for each in quantities:
         name, _, kind = each.name.rpartition(".")
         if (kind, each.unit) == ("power", "W"):
-            about = f"integral of {each.name} over the time"
-            found.append(RunQuantity(f"{name}.energy", "J", about, of=each.name))
+            found.append(RunQuantity(f"{name}.energy", "J", f"integral of {each.name} over the time", of=each.name))
         elif (kind, each.unit) == ("motor_torque", "N.m"):
             about = f"root of the mean square of {each.name} since the start"
             found.append(RunQuantity(f"{name}.rms_torque", "N.m", about, nonnegative=True, of=each.name, rms=True))

@@ -133,15 +133,15 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
 
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
     """
-    if not checked:
-        return with_run_quantities(route.run(problem, times, progress))
-    if not problem.flat and problem.motion_limits:
+    watched, limits = problem, problem.motion_limits
+    if checked and limits and not problem.flat:
         from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
 
         watched = with_watched(problem)
-        return with_limits_required(watched, with_run_quantities(route.run(watched, times, progress)))
-    solution, limits = with_run_quantities(route.run(problem, times, progress)), problem.motion_limits
-    if not problem.flat:
+    solution = with_run_quantities(route.run(watched, times, progress))
+    if watched is not problem:
+        return with_limits_required(watched, solution)
+    if not (checked and problem.flat):
         return solution
     motion: Motion | None = solution.motion
     if motion is None and len(solution.t) > 1:
