@@ -239,11 +239,8 @@ def _of_run(proof: Proof, claim: Claim, added: RunQuantity) -> Statement:
     """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
     limit = claim.limit
     low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
-    verdict: Verdict = "undecided"
-    if low > limit.upper or high < limit.bound:
-        verdict = "refuted"
-    elif limit.bound <= low and high <= limit.upper and known(proof.equations, limit):
-        verdict = "proved"
+    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
+    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
     between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
     text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
     return Statement(claim.what, verdict, text)

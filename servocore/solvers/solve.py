@@ -121,11 +121,6 @@ def solve(
     estimator = solution.estimator or partial(_error_estimate, problem, route)
     fit = partial(_fit_effect, problem, route)
     solution = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem, motion=None)
-    solution = with_run_quantities(solution)
-    if checked and problem.run_limits:
-        from servocore.checks.motion_limits import require_run_limits  # noqa: PLC0415 - few have limits
-
-        require_run_limits(problem, solution)
     if certify:
         from servocore.certificate.certify import require_certified  # noqa: PLC0415 - few ask
 
@@ -138,15 +133,15 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
 
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
     """
-    if not checked:
-        return route.run(problem, times, progress)
-    if not problem.flat and problem.motion_limits:
+    watched, limits = problem, problem.motion_limits
+    if checked and limits and not problem.flat:
         from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
 
         watched = with_watched(problem)
-        return with_limits_required(watched, route.run(watched, times, progress))
-    solution, limits = route.run(problem, times, progress), problem.motion_limits
-    if not problem.flat:
+    solution = with_run_quantities(route.run(watched, times, progress))
+    if watched is not problem:
+        return with_limits_required(watched, solution)
+    if not (checked and problem.flat):
         return solution
     motion: Motion | None = solution.motion
     if motion is None and len(solution.t) > 1:
