@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_lines import CommandLine
 from problems import as_scene
 
 import servocore as sc
 from benchmarks.identification import study
 from benchmarks.identification.cranes import KINDS, changed
 from benchmarks.identification.page import page
+from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.identification.followed import followed
-from servocore.identification.page import identified_page
 from servocore.identification.prediction import Prediction, information
 from servocore.identification.splines import PathSpline
 from servocore.model.system import reference_symbols
@@ -30,6 +31,8 @@ CRANE = sc.scenes.overhead_crane().with_effects("friction")
 REAL = CRANE.with_parameters(**TRUE)
 LIVELY = sc.through([[0.0, -4.0], [3.0, -2.5], [1.0, -5.0], [4.0, -3.0], [0.0, -4.0]], duration=12.0)
 JOB = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 8.0)
+ESTIMATED = ("--effects", "friction", "--estimate", ",".join(NAMES))
+run = CommandLine(app, "servocore")
 
 
 @cache
@@ -225,14 +228,30 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def test_files_and_page_hold_the_result(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_files_and_page_of_the_result() -> None:
     result = found()
-    (tmp_path / "crane.toml").write_text(result.parameter_file())
+    np.savetxt("log.csv", np.column_stack([*log().values()]), "%.17g", ",", header=",".join(log()), comments="")
+    Path("job.csv").write_text(sc.path_to_csv(JOB, ("x", "z")))
+    files = ("--job", "job.csv", "-o", "found.toml", "--page", "found.html")
+    assert run("identify", "overhead_crane", "log.csv", *files, *ESTIMATED).stdout == f"{result}\n"
+    assert Path("found.toml").read_text() == result.parameter_file().replace("the log", "log.csv")
     assert result.scene().parameter_values()["load_mass"] == pytest.approx(result.values["load_mass"])
+    assert Path("found.covariance.csv").read_text() == result.covariance_file()
     assert len(result.covariance_file().splitlines()) == 1 + len(NAMES)
-    html = identified_page(result)
+    html = Path("found.html").read_text()
     assert html.count("<svg") == 1
     assert "load_mass" in html
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_an_exciting_path_within_its_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_STARTS", "_TRIALS"):
+        monkeypatch.setattr(f"servocore.identification.excitation.{name}", 5)
+    limits = ("--limit", "F=200", "--limit", "swing=10deg")
+    assert "times less" in run("excite", "overhead_crane", *limits, "-o", "path.csv", *ESTIMATED).stdout
+    path = sc.from_csv("path.csv", columns=("x", "z"))
+    sc.solve(CRANE.with_reference(path).with_limits(F=200, swing="10 deg"))
 
 
 def test_derivatives_of_channels_are_those_of_their_values() -> None:

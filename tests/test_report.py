@@ -280,3 +280,8 @@ def test_the_error_table_shows_the_factor_between_two_steps(found: Study) -> Non
     assert "÷" not in "".join(first)
     assert re.search(r"÷(1\.9|2\.0)", second[2])
     assert "÷" not in "".join("".join(row) for row in contents.paper_table(found, factors=False).rows)
+
+
+def test_the_headline_numbers_are_those_of_the_summary(found: Study) -> None:
+    summary = " ".join(contents.summary(found))
+    assert [fact.value for fact in contents.facts(found) if fact.value not in summary] == []
