@@ -93,11 +93,9 @@ def inverse_model(
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
-    more = dict[str, ca.Function]()
+    more = dict(estimates.functions) if estimates else {}
     if feedback:
         more |= {**feedback.laws, "judge": feedback.judge}
-    if estimates:
-        more |= estimates.functions
     if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
         more["motors"] = motors(system, scene.drives, compiled.outputs)
     return InverseModel(
