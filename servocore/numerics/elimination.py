@@ -44,8 +44,6 @@ class KnownValues:
         Number of blocks solved without iterations.
     residuals : list of casadi.MX
         Largest scaled residuals of isomorphic parts, shape (1, parts) each.
-    checked_rows : set of int
-        Rows of these parts.
     """
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
@@ -54,7 +52,6 @@ class KnownValues:
     corrections: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
     residuals: list[ca.MX] = field(default_factory=list)
-    checked_rows: set[int] = field(default_factory=set)
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
 

@@ -9,6 +9,7 @@ unknowns, needs Newton's method on two blocks of three.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import IsomorphicParts, isomorphic_parts, places_of
+from servocore.numerics.components import Part, isomorphic_parts, places_of
 from servocore.numerics.elimination import (
     KnownValues,
     is_linear,
@@ -76,10 +77,18 @@ class SquareSystem:
                 raise InvalidModel(f"{self.unknowns.numel()} unknowns, but {name} has {rows} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
-    def alike(self) -> list[IsomorphicParts]:
-        """Groups of isomorphic independent parts."""
+    def alike(self) -> list[list[tuple[Part, list[int]]]]:
+        """Groups of isomorphic independent parts, each with the indices of its givens."""
         beside = self.guess, self.unknown_scale, self.residual_scale
         return isomorphic_parts(self.residual, self.unknowns, self.givens, beside)
+
+    @cached_property
+    def rest(self) -> tuple[list[int], list[int]]:
+        """Rows and columns that belong to no isomorphic part."""
+        left = [np.ones(self.unknowns.numel(), dtype=bool) for _ in range(2)]
+        for part, _ in (each for group in self.alike for each in group):
+            left[0][part.rows] = left[1][part.columns] = False
+        return np.flatnonzero(left[0]).tolist(), np.flatnonzero(left[1]).tolist()
 
 
 def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -94,12 +103,10 @@ def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX
     casadi.Function or None
         None if a block is too large to be written out.
     """
-    try:
+    with suppress(_TooLargeError):
         function = compile_solver(name, system, outputs, unrolled=True).expand()
-    except _TooLargeError:
-        return None
-    alike = sum(len(part.rows) for group in system.alike for part in group.parts)
-    return function if alike == system.unknowns.numel() else _without_repetitions(function)
+        return _without_repetitions(function) if system.rest[0] else function
+    return None
 
 
 def _without_repetitions(function: ca.Function) -> ca.Function:
@@ -117,13 +124,11 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
         None if some block is nonlinear, or too large to be written out.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    try:
+    with suppress(_TooLargeError):
         known = _solved(system, givens, unrolled=True)
-    except _TooLargeError:
-        return None
-    if known.iterations or known.isomorphic_counts:
-        return None
-    return ca.Function(name, [givens], known.final(outputs)).expand()
+        if not known.iterations and not known.isomorphic_counts:
+            return ca.Function(name, [givens], known.final(outputs)).expand()
+    return None
 
 
 def compile_solver(
@@ -160,7 +165,7 @@ def compile_solver(
     known = _solved(system, givens, unrolled)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
-    rows = sorted(set(range(system.unknowns.numel())) - known.checked_rows)
+    rows = system.rest[0] if unrolled else list(range(system.unknowns.numel()))
     worst = largest(system.residual[rows] / system.residual_scale[rows])
     *results, residual = known.final([*outputs, worst], common=not unrolled)
     for others in known.residuals:
@@ -178,15 +183,12 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
     """Solve a system block by block for values of its givens; isomorphic parts are compiled once."""
     known = KnownValues()
     known.add_values(system.givens, givens)
-    rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
     for group in system.alike:
         _solve_isomorphic(known, system, givens, group, unrolled)
-        rows -= {row for part in group.parts for row in part.rows.tolist()}
-        columns -= {column for part in group.parts for column in part.columns.tolist()}
-    if not columns:
+    if not system.rest[0]:
         return known
-    if len(columns) < system.unknowns.numel():
-        system = _part(system, sorted(rows), sorted(columns))
+    if system.alike:
+        system = _part(system, *system.rest)
     system, constants = _without_constants(system)
     for symbol, number in constants:
         known.add_explicit(symbol, number)
@@ -205,13 +207,13 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
 
 
 def _solve_isomorphic(
-    known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, unrolled: bool
+    known: KnownValues, system: SquareSystem, givens: ca.MX, group: list[tuple[Part, list[int]]], unrolled: bool
 ) -> None:
     """Solve isomorphic parts by one function, mapped."""
-    first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
+    (first, given), count = group[0], len(group)
     part = _part(system, first.rows.tolist(), first.columns.tolist())
-    part = replace(part, givens=system.givens[group.givens[0]])
-    part_givens = ca.MX.sym("givens", size)
+    part = replace(part, givens=system.givens[given])
+    part_givens = ca.MX.sym("givens", len(given))
     inner = _solved(part, part_givens, unrolled)
     # Of an expression, the residual shares most operations with the solution, but those are looked for in parts only.
     worst = [largest(part.residual / part.residual_scale)] if unrolled else []
@@ -220,12 +222,11 @@ def _solve_isomorphic(
     solve = ca.Function("sc_alike", [part_givens], [inner.counts(), moved, *values])
     if unrolled:
         solve = _without_repetitions(solve.expand())
-        known.checked_rows.update(row for isomorphic in group.parts for row in isomorphic.rows.tolist())
     counts, squared, solved, *residuals = solve.map(count)(
-        ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count)
+        ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
     )
     known.residuals += residuals
-    columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
+    columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
     known.add_values(system.unknowns[columns], ca.vec(solved))
     known.isomorphic_counts.append(counts)
     if inner.corrections:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import are_regular, equilibrated, filled, parts_of, places_of
+from servocore.numerics.components import condition_numbers, equilibrated, filled, parts_of, places_of
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
@@ -291,8 +291,8 @@ def is_regular(structure: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
     function = jacobian_function(structure)
     entries = _entries_at(function, probe_points(structure.equations, function, p))
-    finite = entries[np.isfinite(entries).all(axis=1)]
-    return bool(len(finite)) and bool(are_regular(parts_of(function.sparsity_out(0)), finite.T).any())
+    conditions = condition_numbers(parts_of(function.sparsity_out(0)), entries.T)
+    return bool((conditions * np.finfo(np.float64).eps * function.size1_out(0) < 1.0).any())
 
 
 def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:
