@@ -19,7 +19,7 @@ from benchmarks.identification.page import page
 from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.identification.followed import followed
-from servocore.identification.prediction import Prediction, information
+from servocore.identification.prediction import Prediction
 from servocore.identification.splines import PathSpline
 from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array
@@ -244,16 +244,6 @@ def test_the_command_writes_files_and_page_of_the_result() -> None:
     assert "load_mass" in html
 
 
-@pytest.mark.usefixtures("empty_folder")
-def test_the_command_writes_an_exciting_path_within_its_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_STARTS", "_TRIALS"):
-        monkeypatch.setattr(f"servocore.identification.excitation.{name}", 5)
-    limits = ("--limit", "F=200", "--limit", "swing=10deg")
-    assert "times less" in run("excite", "overhead_crane", *limits, "-o", "path.csv", *ESTIMATED).stdout
-    path = sc.from_csv("path.csv", columns=("x", "z"))
-    sc.solve(CRANE.with_reference(path).with_limits(F=200, swing="10 deg"))
-
-
 def test_derivatives_of_channels_are_those_of_their_values() -> None:
     for effects in (["friction"], ["friction", "air drag"]):  # by expression, and by Newton's method
         problem = Problem.of(sc.scenes.overhead_crane().with_effects(*effects))
@@ -278,22 +268,26 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
     assert np.allclose(right, J.T @ np.column_stack([residual.ravel(), other.reshape(-1, 2)]))
 
 
-def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 60)
-    crane = sc.scenes.overhead_crane()
-    limits: dict[str, Any] = {"F": 200, "swing": "10 deg", "x": (-2, 4), "z": (-7, -2)}
-    path, report = sc.excitation(crane, NAMES, limits, effects=["friction"])
-    assert report.gain > 1.0
-    assert report.limits.violation == 0.0
-    assert "times less" in str(report)
-    sc.solve(crane.with_reference(path).with_limits(**limits))
-    problem = Problem.of(CRANE)
-    prediction = Prediction(problem.resolved, (), (0, 1), 2)
-    found_ = information(prediction, path.jet(np.arange(0, 20, 0.1), 4), 0.1, problem.p, problem.p[:2], np.ones(2))
-    assert (np.linalg.eigvalsh(found_) > 0.0).all()
-    for given, duration, words in ((None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")):
-        with pytest.raises(sc.errors.InvalidSetting, match=words):
-            sc.excitation(crane, NAMES, given, duration=duration)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_an_exciting_path_that_keeps_its_limits_and_shows_more_than_the_default_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("_STARTS", "_TRIALS"):
+        monkeypatch.setattr(f"servocore.identification.excitation.{name}", 5)
+    limits = ("F=200", "swing=10deg", "x=-2..4", "z=-7..-2")
+    options = [each for limit in limits for each in ("--limit", limit)]
+    shown = run("excite", "overhead_crane", *options, "-o", "path.csv", *ESTIMATED).stdout
+    assert float(shown.splitlines()[-1].partition(" times less; ")[0]) > 1.0
+    path = sc.from_csv("path.csv", columns=("x", "z"))
+    sc.solve(CRANE.with_reference(path).with_limits(F=200, swing="10 deg", x=(-2, 4), z=(-7, -2)))
+
+
+@pytest.mark.parametrize(
+    ("limits", "duration", "words"), [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")]
+)
+def test_an_excitation_without_limits_or_time_is_refused(limits: Any, duration: float, words: str) -> None:
+    with pytest.raises(sc.errors.InvalidSetting, match=words):
+        sc.excitation(CRANE, NAMES, limits, duration=duration)
 
 
 @pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
