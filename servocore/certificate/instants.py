@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
 from servocore.certificate.equations import equations_of, given_models, radii
@@ -118,6 +117,8 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
 
     These are the reported coordinates and their rates, by a spline through them.
     """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
+
     what, t = "one regular solution of the algebraic equations at the computed states", solution.t
     equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
     array, guess, degree = equations.array, guessed_unknowns(problem, t), min(_SPLINE, len(t) - 1)

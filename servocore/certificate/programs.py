@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import JustInTime
@@ -26,6 +25,8 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import loader
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from servocore.numerics.machine_code import Build
 
 UNIT = 2.3e-16
@@ -84,6 +85,8 @@ class Products:
     @cached_property
     def sums(self) -> csr_array:
         """Matrix from the products of coefficients, those with the last of a first, to the results."""
+        from scipy.sparse import csr_array  # noqa: PLC0415 - all commands import this module
+
         terms, _, targets = self.places.shape
         shares, pairs = np.full(self.places.size, 1.0 / targets), np.repeat(np.arange(terms**2), targets)
         return csr_array(

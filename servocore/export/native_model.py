@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import casadi as ca
@@ -217,14 +218,15 @@ class NativeModel:
             added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
         )
 
+    @cached_property
     def source(self) -> tuple[str, str]:
-        """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
+        """Header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
         digest = hashlib.sha256(repr((self.variables, self.choices, self.host, self.limits, self.run_limits)).encode())
-        for text in (*self.source(), *self.more_sources.values(), repr(self.own), *more):
+        for text in (*self.source, *self.more_sources.values(), repr(self.own), *more):
             digest.update(text.encode())
         code = digest.hexdigest()
         return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"
