@@ -49,7 +49,7 @@ class Walk:
         self._steps: list[Step] = []
         self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-        outputs, place_of = [self._constants[0.0]] * expression.numel(), dict[int, int]()
+        outputs, place_of = np.full(expression.numel(), self._constants[0.0]), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
             if number == ca.OP_OUTPUT:
                 outputs[out[1]] = place_of[used[0]]
@@ -59,21 +59,21 @@ class Walk:
                 place_of[out[0]] = self._arguments[used[1]]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
-        self._outputs = np.array(outputs, dtype=np.intp)
-        self._parts = self._grouped()
+        self._parts, places = self._grouped(outputs.tolist())
+        taken = np.array([*self._arguments.items()], dtype=np.intp).reshape(-1, 2)
+        self._outputs, self._taken, self._given = places[outputs], taken[:, 0], places[taken[:, 1]]
+        self._values, self._fixed = np.array([*self._constants])[:, None], places[[*self._constants.values()]]
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms + 1, arguments, boxes)."""
         models: Array = np.empty((len(arguments), self._places, arguments.shape[2]))
-        models[:, self._number[list(self._arguments.values())]] = arguments[:, list(self._arguments)]
-        constants = ring.constant(np.array(list(self._constants))[:, None])
-        models[:, self._number[list(self._constants.values())]] = constants
+        models[:, self._given], models[:, self._fixed] = arguments[:, self._taken], ring.constant(self._values)
         for program, functions in self._parts:
             program(ring, models)
             for rule, taken, results in functions:
                 models[:, results] = rule(ring, *(models[:, each] for each in taken))
-        return bounded(models[:, self._number[self._outputs]])
+        return bounded(models[:, self._outputs])
 
     def _place(self, depth: int = 0) -> int:
         self._depth.append(depth)
@@ -101,17 +101,17 @@ class Walk:
             return self._step(_STEPS[number], a, b)
         return self._function(number, tuple(arguments))
 
-    def _grouped(self) -> list[tuple[Program, list[_Function]]]:
-        """Return programs and functions, each with places of arguments and results, and number the places for them.
+    def _grouped(self, outputs: list[int]) -> tuple[list[tuple[Program, list[_Function]]], Places]:
+        """Return programs and functions, each with places of arguments and results, and the numbers of the places.
 
         Those that only one program knows come last: models have no room for them.
         """
-        depth, wanted = self._depth, set(self._outputs.tolist())
+        depth, wanted = self._depth, set(outputs)
         wanted.update(place for some in self._functions.values() for taken in some for place in taken)
         for _, result, *taken in self._steps:
             wanted.update(place for place in taken if depth[place] < depth[result])
         inner = {result for _, result, *_ in self._steps} - wanted
-        number = self._number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
+        number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
         self._places, read = len(number) - len(inner), set(number[list(wanted)].tolist())
         steps, functions = ([list[Any]() for _ in range(max(depth) + 1)] for _ in range(2))
         for operation, *places in self._steps:
@@ -119,7 +119,7 @@ class Walk:
         for (level, rule), some in self._functions.items():
             taken, results = number[np.array(list(some)).T], number[np.array(list(some.values())).T.ravel()]
             functions[level - 1].append((rule, list(taken), results))
-        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)]
+        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)], number
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
