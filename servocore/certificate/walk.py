@@ -47,7 +47,7 @@ class Walk:
         self._arguments = defaultdict[int, int](self._place)
         self._constants = defaultdict[float, int](self._place)
         self._steps: list[Step] = []
-        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
+        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], int]] = {}
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
         outputs, place_of = np.full(expression.numel(), self._constants[0.0]), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
@@ -83,23 +83,22 @@ class Walk:
         self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
         return self._steps[-1][1]
 
-    def _function(self, number: int, arguments: tuple[int, ...]) -> int:
-        rule, component = _RULES[number]
+    def _function(self, number: int, *arguments: int) -> int:
         depth = 1 + max(self._depth[each] for each in arguments)
-        some = self._functions.setdefault((depth, rule), {})
+        some = self._functions.setdefault((depth, _RULES[number]), {})
         if arguments not in some:
-            some[arguments] = [self._place(depth) for _ in range(1 + (rule is _turned))]
-        return some[arguments][component]
+            some[arguments] = self._place(depth)
+        return some[arguments]
 
     def _operation(self, number: int, arguments: list[int]) -> int:
         a, b = arguments[0], arguments[-1]
         if number == ca.OP_DIV:
-            return self._step(TIMES, a, self._function(ca.OP_INV, (b,)))
+            return self._step(TIMES, a, self._function(ca.OP_INV, b))
         if number == ca.OP_NEG:
             return self._step(MINUS, self._constants[0.0], a)
         if number in _STEPS:
             return self._step(_STEPS[number], a, b)
-        return self._function(number, tuple(arguments))
+        return self._function(number, *arguments)
 
     def _grouped(self, outputs: list[int]) -> tuple[list[tuple[Program, list[_Function]]], Places]:
         """Return programs and functions, each with places of arguments and results, and the numbers of the places.
@@ -117,7 +116,7 @@ class Walk:
         for operation, *places in self._steps:
             steps[depth[places[0]]].append((operation, *number[places].tolist()))
         for (level, rule), some in self._functions.items():
-            taken, results = number[np.array(list(some)).T], number[np.array(list(some.values())).T.ravel()]
+            taken, results = number[np.array(list(some)).T], number[list(some.values())]
             functions[level - 1].append((rule, list(taken), results))
         return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)], number
 
@@ -169,10 +168,6 @@ _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _turned(ring: Arithmetic, a: Model) -> Model:
-    return np.concatenate(ring.sine_and_cosine(a), axis=1)
-
-
 def _stepped(step: Callable[[Array], Array]) -> Rule:
     """Return the rule of a function that rises by jumps: any value between the least and the largest."""
 
@@ -202,10 +197,10 @@ def _no_bound(_: Arithmetic, a: Model, *__: Model) -> Model:
     return found
 
 
-_RULES: dict[int, tuple[Rule, int]] = {
-    **dict.fromkeys(KINKS, (_no_bound, 0)), ca.OP_INV: (Arithmetic.inverse, 0), ca.OP_SQRT: (Arithmetic.root, 0),
-    ca.OP_SIN: (_turned, 0), ca.OP_COS: (_turned, 1), ca.OP_EXP: (Arithmetic.exponential, 0),
-    ca.OP_LOG: (Arithmetic.logarithm, 0), ca.OP_TANH: (Arithmetic.hyperbolic_tangent, 0),
-    ca.OP_ATAN2: (Arithmetic.angle, 0), ca.OP_SIGN: (_stepped(np.sign), 0), ca.OP_FLOOR: (_stepped(np.floor), 0),
-    ca.OP_IF_ELSE_ZERO: (_if, 0),
+_RULES: dict[int, Rule] = {
+    **dict.fromkeys(KINKS, _no_bound), ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
+    ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0], ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
+    ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
+    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: _stepped(np.sign), ca.OP_FLOOR: _stepped(np.floor),
+    ca.OP_IF_ELSE_ZERO: _if,
 }  # fmt: skip
