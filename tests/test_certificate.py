@@ -60,8 +60,7 @@ def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name:
     certificate = sc.certify(scene, model=model)
     assert certificate.verdict == "proved", certificate
     if scene.closed_form is not None and certificate.error_bounds:
-        most = 1e-7 if name == "heavy_rope" else 1e-9  # springs of 1e5 N a rope's length
-        assert require_truth_inside(scene, certificate) < most
+        assert require_truth_inside(scene, certificate) < 1e-9
 
 
 def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:

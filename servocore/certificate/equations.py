@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.programs import UP
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
@@ -41,7 +41,7 @@ _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
 _ITERATIONS = 60
 _KNOWN = 0.1  # radius: a step is one at the least, and known but for rounding elsewhere
-_INVERTED = 4  # degree in time of approximate inverses
+_COARSE = 3  # degree in time of the Jacobian and of approximate inverses of its blocks
 
 
 class Equations:
@@ -83,8 +83,8 @@ class Equations:
         Of I - Y J: where its rows begin among its entries, and the columns of these.
     added, factors : ndarray of bool, list of ndarray of int
         Which of the entries are sums, and of the other ones, products, the places of their factors in Y and in J.
-    test : Walk
-        From the entries of Y, of J and of r to those of I - Y J that are sums, and of Y r.
+    test, newton : Walk
+        From the entries of Y and of J to those of I - Y J that are sums, and from those of Y and of r to Y r.
     """
 
     def __init__(self, resolved: ResolvedSystem, raised: bool) -> None:
@@ -126,7 +126,8 @@ class Equations:
         self.added = (terms > 1) | (np.array(pattern.get_col()) == self.unknowns)
         self.factors = [each[~self.added] for each in factors]
         added = off.nz[np.flatnonzero(self.added).tolist()]
-        self.test = Walk(ca.vertcat(added, ca.mtimes(ca.SX(whole, Y).T, r[rows])), ca.vertcat(Y, J, r))
+        self.test = Walk(added, ca.vertcat(Y, J))
+        self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
@@ -225,29 +226,32 @@ def radii(
     shift : ndarray, shape (terms, unknowns, boxes)
         What a step of Newton's method, block by block, would take off x_hat.
     """
-    anywhere = model_of(x, np.where(equations.curved[:, None], D, 0.0))
-    steps = equations.steps(ring, np.concatenate([anywhere, given], axis=1))
+    anywhere = np.concatenate([model_of(x, np.where(equations.curved[:, None], D, 0.0)), given], axis=1)
+    steps = equations.steps(ring, anywhere)
     residual = equations.residual(ring, np.concatenate([model_of(x), given, steps], axis=1))
-    jacobian = equations.jacobian(ring, np.concatenate([anywhere, given, steps], axis=1))
-    Y = _inverses(equations, ring, jacobian[:, equations.own])
-    off = equations.test(ring, np.concatenate([Y, jacobian, residual], axis=1))
-    found, added, (left, right), n = magnitude(off), equations.added, equations.factors, len(equations.columns)
-    A, Z = np.empty((len(added), x.shape[2])), np.maximum(found[-n:], _LEAST * sizes[equations.columns])
-    A[added], A[~added] = found[:-n], magnitude(Y)[left] * magnitude(jacobian)[right] * UP
+    # A degree in time that is less serves for A, which only has to be small.
+    coarse = arithmetic((min(_COARSE, ring.degrees[0]), *ring.degrees[1:]))
+    terms, full = len(coarse.nodes), np.concatenate([anywhere, steps], axis=1)
+    J = equations.jacobian(coarse, model_of(full[:terms], norm(full[terms:]) * UP))
+    Y = _inverses(equations, coarse, coarse.values(J[:, equations.own]))
+    inverse = np.insert(Y, terms, np.zeros((len(x) - terms, 1, 1)), axis=0)
+    newton = equations.newton(ring, np.concatenate([inverse, residual], axis=1))
+    added, (left, right) = equations.added, equations.factors
+    A, Z = np.empty((len(added), x.shape[2])), np.maximum(magnitude(newton), _LEAST * sizes[equations.columns])
+    A[added] = magnitude(equations.test(coarse, np.concatenate([Y, J], axis=1)))
+    A[~added] = magnitude(Y)[left] * magnitude(J)[right] * UP
     rho, holds = _fixed(equations, A, Z)
     first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
     proved, order = holds.all(axis=0), np.argsort(equations.columns)
     switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, equations.columns[first])
-    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, -n:][:, order]
+    return np.where(proved, rho, np.inf)[order], switches, failed, newton[:-1, order]
 
 
-def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
-    """Return models without a radius of inverses of the blocks, interpolated at few nodes: any will do."""
-    coarse, (rows, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), J.shape
-    nodes, sizes = len(coarse.nodes), np.diff(blocks.ends)
+def _inverses(equations: Equations, ring: Arithmetic, entries: Array) -> Model:
+    """Return interpolants of inverses of the blocks from entries (nodes, N, boxes) of these: any will do."""
+    nodes, sizes, boxes = len(entries), np.diff(equations.ends), entries.shape[2]
     values = np.zeros((nodes, np.square(sizes).sum(), boxes))
-    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ J[:-1].reshape(rows - 1, -1)).reshape(nodes, -1, boxes)
-    found = np.empty_like(values)
+    values[:, equations.inside] = entries
     for size in np.unique(sizes).tolist():
         where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
@@ -256,10 +260,8 @@ def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
             inverses = 1.0 / matrices if size == 1 else np.linalg.inv(matrices)
         except np.linalg.LinAlgError:
             inverses = np.linalg.pinv(matrices)
-        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
-    Y = np.zeros((rows, *found.shape[1:]))
-    Y[:nodes] = coarse.tried(found)[:-1]
-    return Y
+        values[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
+    return ring.tried(values)
 
 
 def _fixed(equations: Equations, A: Array, Z: Array) -> tuple[Array, Array]:

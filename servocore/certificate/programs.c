@@ -38,30 +38,19 @@ static int used(const double *row)
     return any;
 }
 
-static whole count(whole terms, const double *a)
-{
-    while (terms > 1 && !used(a + (terms - 1) * LANES)) --terms;
-    return terms;
-}
-
 static void multiply(const whole *tape, const double *a, const double *b, double *restrict results,
                      double *restrict to)
 {
-    double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES], off[LANES];
-    const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 3;
-    const double *r, *s, *other = a;
-    whole rows = count(terms, a), columns = count(terms, b), more = rows;
-    double share = 1.0 / targets, added = 1.0;
-    if (rows > columns) rows = columns, columns = more, a = b, b = other;
-    r = a + terms * LANES, s = b + terms * LANES;
-    for (whole k = targets; k > 1; k /= 2) added *= 3.0;
+    double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES], off[LANES] = {0.0};
+    const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 4;
+    const double *r = a + terms * LANES, *s = b + terms * LANES;
+    double share = 1.0 / targets, added = tape[3];
     for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
-    EACH off[l] = 0.0;
-    for (whole i = rows - 1; i >= 0; --i) {
+    for (whole i = terms - 1; i >= 0; --i) {
         if (!used(a + i * LANES)) continue;
         EACH x[l] = share * a[i * LANES + l];
         EACH off[l] += (1.0 + added * (i + 1)) * UNIT / 2.0 * magnitude(a[i * LANES + l]);
-        for (whole j = 0; j < columns; ++j) {
+        for (whole j = 0; j < terms; ++j) {
             const double *right = b + j * LANES;
             const whole *place = table + (i * terms + j) * targets;
             if (targets > 2 && !used(right)) continue;
@@ -74,8 +63,8 @@ static void multiply(const whole *tape, const double *a, const double *b, double
     }
     for (whole k = 0; k < terms * LANES; ++k) to[k] = results[k];
     norm(full - terms, results + terms * LANES, beyond);
-    norm(rows, a, size_a);
-    norm(columns, b, size_b);
+    norm(terms, a, size_a);
+    norm(terms, b, size_b);
     EACH {
         double crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
         double radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
@@ -83,8 +72,8 @@ static void multiply(const whole *tape, const double *a, const double *b, double
     }
 }
 
-/* The first tape has the numbers of terms, of results of a pair of coefficients and of all results, and the places of
-   the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
+/* The first tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to
+   one with a coefficient of a, and the places of the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
    operation, the slot of the result and those of the arguments, and for inputs and outputs slots and places among the
    models, an array (rows, places, boxes). */
 void sc_run(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes)

@@ -95,8 +95,9 @@ class Products:
 
     @cached_property
     def tape(self) -> tuple[Places, int]:
-        """For machine code: numbers of terms, of results of a pair and of all results, and the places; its address."""
-        tape = np.array([*self.places.shape[1:], prod(2 * d + 1 for d in self.degrees), *self.places.ravel()])
+        """For machine code: numbers of terms, results of a pair, all results, additions; the places; its address."""
+        sizes = prod(2 * d + 1 for d in self.degrees), 3 ** len(self.degrees)
+        tape = np.array([*self.places.shape[1:], *sizes, *self.places.ravel()])
         return tape, tape.ctypes.data
 
     @cached_property

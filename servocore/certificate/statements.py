@@ -220,18 +220,16 @@ def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collect
     if verdict == "proved":
         text = "" if claim.told else "it stays from {} to {}".format(*map(limit.with_unit, extent))
         return Statement(claim.what, verdict, text)
-    names = proof.problem.system.parameters.names
-    given, time = at[-1 - len(names) : -1], float(at[-1])  # the last arguments
-    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)])
+    names, time = proof.problem.system.parameters.names, float(at[-1])  # the last argument, and before it parameters
+    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {at[k - len(names) - 1]:.6g}" for k in proof.boxed)])
+    bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
+    text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
+    text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
+    text += f", {limit.reason}" if limit.reason else ""
+    if claim.told:
+        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
     if not np.isfinite(value):
         text = f"the motion is not proved at {place}"
-    elif claim.told:
-        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
-    else:
-        bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
-        text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
-        text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
-        text += f", {limit.reason}" if limit.reason else ""
     return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
 
 
@@ -259,7 +257,7 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
         boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
-    means = alone * np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    means = alone / np.where(k % 2, np.inf, 1.0 - k**2)
     found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
     (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
     middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
