@@ -28,7 +28,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem, equations_of
@@ -38,7 +38,7 @@ from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
 _WHY = "it follows from the others where the model is at home, and was left out"
-_INSTANTS = 9  # at which masses are looked at
+_INSTANTS = 10  # at which masses are looked at
 
 
 def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
@@ -107,12 +107,10 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.mass_varies:
         return
-    few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
-    t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
-    masses = at_instants(_compiled_mass(problem.resolved), q, jets=jets, p=problem.p)[0].reshape(
-        len(q), len(q), -1, order="F"
-    )
-    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
+    every = -(-len(t) // _INSTANTS)
+    t, q = t[::every], q[:, ::every]
+    masses = along_path(problem, _compiled_mass(problem.resolved), t, q)[0]
+    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(masses.T.reshape(len(t), len(q), len(q))))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])

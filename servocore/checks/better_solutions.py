@@ -93,8 +93,8 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
     if len(steps) < 3:
         return np.arange(len(steps))
     # The first and the last step have neighbours on one side only, which are continued.
-    before = np.vstack([2.0 * steps[1] - steps[2], steps[:-1]])
-    after = np.vstack([steps[1:], 2.0 * steps[-2] - steps[-3]])
+    continued = np.vstack([2.0 * steps[1] - steps[2], steps, 2.0 * steps[-2] - steps[-3]])
+    before, after = continued[:-2], continued[2:]
     beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + NOTICED * np.ptp(q, axis=0)
     return np.flatnonzero((np.abs(steps - (before + after) / 2.0) > beside).any(axis=1))
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from servocore.checks.between_instants import require_less_than_half_a_turn
+from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.model.limits import run_quantities
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
@@ -20,9 +19,6 @@ from servocore.solution import Solution, Statistics
 from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
-
-_DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
-_NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
 
 
 def require_derivatives(problem: Problem, order: int, who_needs: str) -> None:
@@ -66,7 +62,14 @@ class Run:
 
 
 def solution_of(
-    problem: Problem, segments: list[Run], route: str = "", *, refuse_turns: bool = True, **statistics: Any
+    problem: Problem,
+    segments: list[Run],
+    route: str = "",
+    *,
+    refuse_turns: bool = True,
+    motion: Motion | None = None,
+    branch: str = "",
+    steps: int | None = None,
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -80,8 +83,12 @@ def solution_of(
         How it was solved, if the name of the last program does not say it.
     refuse_turns : bool
         Whether an angle that turns by half a turn within a step is refused, since its direction is ambiguous.
-    **statistics
-        Entries of `Statistics` that do not follow from the states.
+    motion : Motion, optional
+        The exact motion, for checks.
+    branch : str
+        How the run is known to be on one branch.
+    steps : int, optional
+        Taken in all, if the instants do not count them.
 
     Raises
     ------
@@ -89,24 +96,30 @@ def solution_of(
         If the states have left the branch of the equations that is wanted, or an angle turns so far between two
         instants that its direction is ambiguous.
     """
-    tables, violations = [], []
-    for segment in segments:
-        table, violation = _observed(problem, segment, refuse_turns)
-        tables.append(table if segment is segments[-1] else table[:-1])
-        violations.append(violation)
-    program = segments[-1].program
-    if len(segments) == 1:  # without copies, which take as long as a check where there are many instants
-        t, values, violation = segments[0].t, tables[0], violations[0]
-    else:
-        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), segments[-1].t])
-        values, violation = np.vstack(tables), np.hstack(violations)
+    observed = [_observed(problem, segment, refuse_turns) for segment in segments]
+    program, t, (values, violations) = segments[-1].program, segments[-1].t, observed[-1]
+    if len(segments) > 1:
+        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), t])
+        values = np.vstack([*(table[:-1] for table, _ in observed[:-1]), values])
+        violations = np.hstack([each for _, each in observed])
         for k, channel in enumerate(program.channels):
             if channel.wraps:
                 values[:, k] = np.unwrap(values[:, k])
-    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], violation)
-    return Solution(
-        t, program.channels, values, route or program.name, replace(summary, **statistics), problem.reference.fit_error
+    servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
+    summary = Statistics(
+        len(t) - 1 if steps is None else steps,
+        sum(segment.newton_iterations for segment in segments),
+        sum(segment.factorizations for segment in segments),
+        max(segment.worst_residual for segment in segments),
+        servo,
+        servo_rate,
+        constraint,
+        constraint_rate,
+        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
+        branch=branch,
     )
+    fit_error = problem.reference.fit_error
+    return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
 
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
@@ -135,34 +148,6 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
             f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
             " no finite number there, as v/|v| is none at rest"
         )
-
-
-def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
-    return Statistics(
-        steps=len(inputs) - 1,
-        newton_iterations=sum(segment.newton_iterations for segment in segments),
-        factorizations=sum(segment.factorizations for segment in segments),
-        worst_residual=max(segment.worst_residual for segment in segments),
-        servo_violation=float(violations[0].max()),
-        servo_rate_violation=float(violations[1].max()),
-        constraint_violation=float(violations[2].max()),
-        constraint_rate_violation=float(violations[3].max()),
-        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
-        input_noise=input_noise(inputs),
-    )
-
-
-def input_noise(inputs: Array) -> float | None:
-    """Estimate the noise of trajectories (N, m) relative to their peaks, from differences of order eight.
-
-    Of white noise they keep sqrt(16 over 8) times the deviation; of a smooth trajectory they leave h^8 times its eighth
-    derivative. The median of their magnitudes passes over kinks.
-    """
-    if len(inputs) < _FEWEST_FOR_NOISE:
-        return None
-    deviations = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
-    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
-    return float((deviations / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
 
 
 def with_run_quantities(solution: Solution) -> Solution:
