@@ -92,9 +92,9 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
         return np.arange(len(steps))
     # The first and the last step have neighbours on one side only, which are continued.
     continued = np.vstack([2.0 * steps[1] - steps[2], steps, 2.0 * steps[-2] - steps[-3]])
-    before, after = continued[:-2], continued[2:]
-    beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + NOTICED * np.ptp(q, axis=0)
-    return np.flatnonzero((np.abs(steps - (before + after) / 2.0) > beside).any(axis=1))
+    sizes = np.abs(continued)
+    beside = _BESIDE * np.maximum(sizes[:-2], sizes[2:]) + NOTICED * np.ptp(q, axis=0)
+    return np.flatnonzero((np.abs(steps - (continued[:-2] + continued[2:]) / 2.0) > beside).any(axis=1))
 
 
 def warn_of_wrong_inputs(

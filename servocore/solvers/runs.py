@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ from servocore.checks.between_instants import require_less_than_half_a_turn
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.model.limits import run_quantities
-from servocore.numerics.compiled_calls import Array, chained, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, chained, side_by_side
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
@@ -46,6 +46,8 @@ class Run:
         Largest of all steps.
     observed : tuple of ndarray
         Values (channels, N), violations (4, N) and whatever was evaluated with them; empty where they are not known.
+    jets : ndarray, shape (N, orders, m), or None
+        Of the path at the instants, where the steps read them.
     """
 
     program: Program
@@ -55,10 +57,12 @@ class Run:
     factorizations: int = 0
     worst_residual: float = 0.0
     observed: tuple[Array, ...] = ()
+    jets: Array | None = None
 
     def at(self, chosen: slice) -> Run:
         """Return the run at some of its instants."""
-        return replace(self, t=self.t[chosen], states=self.states[:, chosen])
+        jets = None if self.jets is None else self.jets[chosen]
+        return replace(self, t=self.t[chosen], states=self.states[:, chosen], jets=jets)
 
 
 def solution_of(
@@ -124,8 +128,11 @@ def solution_of(
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
-    program, t, states = segment.program, segment.t, segment.states
-    observed, violations, *_ = segment.observed or along_path(problem, program.observe, t, states)
+    program, t, known, jets = segment.program, segment.t, segment.observed, segment.jets
+    orders = program.observe.size2_in(1)
+    if not known and jets is not None and jets.shape[1] >= orders:
+        known = at_instants(program.observe, segment.states, jets=jets[:, :orders], p=problem.p)
+    observed, violations, *_ = known or along_path(problem, program.observe, t, segment.states)
     table = observed.T
     _require_numbers(problem, program, t, table)
     if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
@@ -202,36 +209,34 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
     IntegrationFailed
         If a step is not solved.
     """
-    step, length = step_of(t), chunk_length(len(t) - 1)
+    step, length, count = step_of(t), chunk_length(len(t) - 1), len(t) - 1
     state, first_residual = first_state(problem, program, step)
-    run, complete = _advanced(problem, program, t, step, state, length, progress)
-    if not complete:
-        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
+    parts = list[Run]()
+    for done in range(0, count, length):
+        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, state, length)
+        state = part.states[:, -1]
+        if not complete:
+            raise step_failure(problem, program, state, part.t[-1], step)
+        parts.append(part)
+        if progress is not None:
+            progress(min(done + length, count), count)
+    run = _joined(parts)
     return replace(run, worst_residual=max(run.worst_residual, first_residual))
 
 
-def _advanced(
-    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
-) -> tuple[Run, bool]:
-    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
-    parts, complete, count = [Run(program, t[:1], state[:, None])], True, len(t) - 1
-    for done in range(0, count, length):
-        now = parts[-1].states[:, -1]
-        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, now, length)
-        parts.append(part.at(slice(1, None)))
-        if not complete:
-            break
-        if progress is not None:
-            progress(min(done + length, count), count)
-    run = Run(
-        program,
-        np.concatenate([part.t for part in parts]),
-        np.hstack([part.states for part in parts]),
+def _joined(parts: Sequence[Run]) -> Run:
+    """Return parts that follow one another as one run; each begins at the last instant of the one before."""
+    inner = [part.at(slice(int(part is not parts[0]), None)) for part in parts]
+    jets = [part.jets for part in inner if part.jets is not None]
+    return Run(
+        parts[0].program,
+        np.concatenate([part.t for part in inner]),
+        np.hstack([part.states for part in inner]),
         sum(part.newton_iterations for part in parts),
         sum(part.factorizations for part in parts),
         max(part.worst_residual for part in parts),
+        jets=np.concatenate(jets) if jets else None,
     )
-    return run, complete
 
 
 def step_of(t: Array) -> float:
@@ -256,9 +261,10 @@ def advance_chunk(
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
     ends = t[np.minimum(np.arange(1, length + 1), used)]
     nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
+    jets = problem.reference.jet(np.append(t[0], nodes), program.order)
     states_after, counts, worst = chained(program.step, length)(
         state,
-        side_by_side(problem.reference.jet(nodes, program.order)),
+        side_by_side(jets[1:]),
         np.full((1, length), step),
         np.tile(problem.p[:, None], length),
     )
@@ -269,11 +275,20 @@ def advance_chunk(
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
-        return _advanced(problem, program, t, step, state, 1, None)
+        parts = list[Run]()
+        for k in range(used):
+            part, complete = advance_chunk(problem, program, t[k : k + 2], step, state, 1)
+            parts, state = [*parts, part], part.states[:, -1]
+            if not complete:
+                break
+        return _joined(parts), complete
     iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
     worst_residual = float(worst[:good].max(initial=0.0))
-    return Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual), good == used
+    run = Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual)
+    if program.nodes[-1] == 1.0:  # of the end of a step
+        run = replace(run, jets=jets[:: len(program.nodes)][: good + 1])
+    return run, good == used
 
 
 _STICKS = (
