@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
-from servocore.checks.branches import MANY, Rows
+from servocore.checks.branches import MANY, SLIGHT, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
@@ -125,7 +125,6 @@ def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
     return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
-_SLACK = 0.02  # of the median before: tensions below, lengths above as many times
 _LONGEST = 64.0  # times the duration
 
 
@@ -157,9 +156,9 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     usual = np.median(found[:, : bad[0]], axis=1)
     good, _ = bisected(lambda at: bool((values(np.array([at])) > 0.0).all()), t[bad[0] - 1], t[bad[0]])
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
-        if each.unit == "N" and share < _SLACK:
+        if each.unit == "N" and share < SLIGHT:
             return f"the rope goes slack at t = {good:.6g} s: {each.name} comes to 0 N, and a rope cannot push"
-        if each.unit == "m" and share * _SLACK > 1.0:
+        if each.unit == "m" and share * SLIGHT > 1.0:
             return (
                 f"the rope goes slack at t = {good:.6g} s: {each.name} grows beyond all bounds, for the load would fall"
                 " as fast as gravity pulls it"
@@ -188,7 +187,6 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
 
 
-_LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -200,7 +198,7 @@ def jumps(motion: Motion) -> Iterator[Finding]:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
     rows = _motion_rows(problem.array)
-    _, left, gaps = look(motion.beside, at, rows, _LEAST)
+    _, left, gaps = look(motion.beside, at, rows, SLIGHT)
     found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
     yield from steps_passed(problem, *switches)
@@ -315,7 +313,7 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
     q = rows[: len(rows) // 2]
     # At one time, so that what depends on time alone is no step.
     before, after = (along_path(problem, stepped[0], left.t, side.states[q])[0] for side in (left, right))
-    for row, k in np.argwhere(np.abs(after - before) > _LEAST * np.maximum(np.abs(after), np.abs(before))):
+    for row, k in np.argwhere(np.abs(after - before) > SLIGHT * np.maximum(np.abs(after), np.abs(before))):
         quantity, time = stepped[1][row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()
         what = f"at t = {time:.9g} s {quantity.name} jumps from {values}, which is an impulse"
