@@ -133,7 +133,18 @@ class Drive:
         object.__setattr__(self, "torque_speed", corners)
 
     def declared(self, of: str) -> list[Parameter]:
-        """Return the data that are given and enter the model, as parameters of the input `of`."""
+        """Return the data that are given and enter the model, as parameters.
+
+        Parameters
+        ----------
+        of : str
+            Name of the input, before the names of the parameters.
+
+        Returns
+        -------
+        list of Parameter
+            ``M_b.ratio`` and others, with their values as defaults.
+        """
         given = [each for each in _DATA if getattr(self, each.name) != getattr(Drive, each.name)]
         return [
             replace(e, name=f"{of}.{e.name}", default=getattr(self, e.name), description=f"{e.description}, of {of}")

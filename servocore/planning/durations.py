@@ -59,8 +59,7 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     rows = limit_rows(problem, places[0])
     require_at_rest(rows, problem, places)
     jets = path.jet(t, rows.order)
-    kept = partial(_kept, rows, problem, t, jets)
-    duration = shortest_kept(kept, kept)
+    duration = shortest_kept(partial(_kept, rows, problem, t, jets))
     for _ in range(_MOST_BUMPS):
         if not math.isfinite(duration):
             break

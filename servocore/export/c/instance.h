@@ -382,7 +382,7 @@ static inline Outcome require_limits(const Instance *instance, double time, cons
 
 /* Warn of broken limits of what the run adds up, at its end: earlier an energy may still come back, and only the host
    knows when the last step is done. */
-static Outcome ended(Instance *instance)
+static inline Outcome ended(Instance *instance)
 {
     const Moment *now = &instance->state.now;
     Outcome outcome = GOOD;
