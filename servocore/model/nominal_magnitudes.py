@@ -14,7 +14,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import filled, of_one_shape, parts_of, singular_values
+from servocore.numerics.components import filled, parts_of, singular_values
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
@@ -84,11 +84,10 @@ def _followed(rows: Array, extent: Array) -> Array:
     Independent parts are decomposed separately, with one threshold for negligible singular values.
     """
     places = (indices.tolist() for indices in np.nonzero(rows))
-    groups = of_one_shape([part for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)) if len(part.entries)])
     largest, followed = float(singular_values(rows).max(initial=0.0)), np.zeros(rows.shape[1])
-    for same in groups:
-        matrices = np.stack([rows[np.ix_(part.rows, part.columns)] for part in same])
-        negligible = _NEGLIGIBLE * largest / np.linalg.norm(matrices, 2, axis=(1, 2))
-        for part, matrix in zip(same, np.linalg.pinv(matrices, negligible), strict=True):
-            followed[part.columns] = np.abs(matrix * extent[part.rows]).max(axis=1)
+    for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)):
+        if len(part.entries):
+            matrix = rows[np.ix_(part.rows, part.columns)]
+            inverse = np.linalg.pinv(matrix, _NEGLIGIBLE * largest / np.linalg.norm(matrix, 2))
+            followed[part.columns] = np.abs(inverse * extent[part.rows]).max(axis=1)
     return followed

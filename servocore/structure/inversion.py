@@ -156,12 +156,12 @@ def _by_formula(block: Part) -> bool:
 def determinants(array: DerivativeArray) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> determinants of small blocks, and all entries if some are large."""
     (arguments, J), blocks = _system_jacobian(array), diagonal_blocks(array)
-    small, single = ca.SX.zeros(len(blocks)), {k: int(block.entries[0]) for k, block in enumerate(blocks)
-                                               if len(block.rows) == len(block.entries) == 1}  # fmt: skip
-    small[list(single)] = J.nz[list(single.values())]  # at once: to index a matrix takes as long as the determinant
+    small = ca.SX.zeros(len(blocks))
     for k, block in enumerate(blocks):
-        if k not in single and _by_formula(block) and len(block.rows) == len(block.columns):
-            small[k] = ca.det(J[block.rows.tolist(), block.columns.tolist()])
+        if _by_formula(block) and len(block.rows) == len(block.columns):
+            # To take a block of one entry out of a matrix takes as long as a determinant.
+            single = len(block.rows) == len(block.entries) == 1
+            small[k] = J.nz[int(block.entries[0])] if single else ca.det(J[block.rows.tolist(), block.columns.tolist()])
     others = [] if all(map(_by_formula, blocks)) else [ca.vertcat(J.nz[:])]
     return ca.Function("sc_blocks", arguments, [small, *others], {"cse": True})
 

@@ -272,8 +272,7 @@ def jacobian_function(structure: Signature) -> ca.Function:
 
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian at points, zero where an entry is round-off."""
-    pattern = function.sparsity_out(0)
-    return [filled(ca.DM(pattern, entries)) for entries in _entries_at(function, points)]
+    return [filled(ca.DM(function.sparsity_out(0), entries)) for entries in _entries_at(function, points)]
 
 
 def _entries_at(function: ca.Function, points: list[Point]) -> Array:
