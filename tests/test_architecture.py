@@ -119,6 +119,12 @@ def test_one_decorator_keeps_results() -> None:
     assert own == {"servocore", "servocore.numerics.memoization"}
 
 
+def test_data_classes_are_values_but_those_that_count_or_collect() -> None:
+    changing = re.compile(r"^@dataclass(?!.*frozen=True).*\nclass (\w+)", re.MULTILINE)
+    found = [name for path in SOURCES for name in changing.findall(path.read_text(encoding="utf-8"))]
+    assert found == ["Interval", "Stage", "KnownValues", "Use", "_Processes"]
+
+
 def test_names_with_an_underscore_stay_in_their_file() -> None:
     private = [
         f"{path.relative_to(ROOT)} imports {name} from {module}"

@@ -14,6 +14,7 @@ from problems import scene
 from thinned import thinned
 
 import servocore as sc
+from servocore.model.potentials import Stored
 from servocore.stepping.energy_momentum import conserving_equations
 
 STEPS = {
@@ -190,6 +191,12 @@ def test_a_potential_that_is_more_than_quadratic_must_be_given_in_summands() -> 
         simulated(
             replace(base.scene, models={"only": lambda: replace(base.system, potential=ca.SX(base.system.potential))})
         )
+
+
+@pytest.mark.parametrize("change", [9e-5, 1e-3, 1.0])
+def test_the_difference_quotient_of_a_stored_energy_has_twelve_digits_where_values_are_close_too(change: float) -> None:
+    found = float(ca.evalf(Stored(ca.exp, ca.SX.sym("x")).slope(ca.SX(-change / 2), ca.SX(change / 2))))
+    assert found == pytest.approx(np.sinh(change / 2) / (change / 2), rel=1e-12)
 
 
 def test_a_step_that_turns_too_far_is_refused_with_the_time() -> None:

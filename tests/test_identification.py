@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_lines import CommandLine
 from problems import as_scene
 
 import servocore as sc
 from benchmarks.identification import study
 from benchmarks.identification.cranes import KINDS, changed
 from benchmarks.identification.page import page
+from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.identification.followed import followed
-from servocore.identification.page import identified_page
-from servocore.identification.prediction import Prediction, information
+from servocore.identification.prediction import Prediction
 from servocore.identification.splines import PathSpline
 from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array
@@ -30,6 +31,8 @@ CRANE = sc.scenes.overhead_crane().with_effects("friction")
 REAL = CRANE.with_parameters(**TRUE)
 LIVELY = sc.through([[0.0, -4.0], [3.0, -2.5], [1.0, -5.0], [4.0, -3.0], [0.0, -4.0]], duration=12.0)
 JOB = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 8.0)
+ESTIMATED = ("--effects", "friction", "--estimate", ",".join(NAMES))
+run = CommandLine(app, "servocore")
 
 
 @cache
@@ -225,12 +228,18 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def test_files_and_page_hold_the_result(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_files_and_page_of_the_result() -> None:
     result = found()
-    (tmp_path / "crane.toml").write_text(result.parameter_file())
+    np.savetxt("log.csv", np.column_stack([*log().values()]), "%.17g", ",", header=",".join(log()), comments="")
+    Path("job.csv").write_text(sc.path_to_csv(JOB, ("x", "z")))
+    files = ("--job", "job.csv", "-o", "found.toml", "--page", "found.html")
+    assert run("identify", "overhead_crane", "log.csv", *files, *ESTIMATED).stdout == f"{result}\n"
+    assert Path("found.toml").read_text() == result.parameter_file().replace("the log", "log.csv")
     assert result.scene().parameter_values()["load_mass"] == pytest.approx(result.values["load_mass"])
+    assert Path("found.covariance.csv").read_text() == result.covariance_file()
     assert len(result.covariance_file().splitlines()) == 1 + len(NAMES)
-    html = identified_page(result)
+    html = Path("found.html").read_text()
     assert html.count("<svg") == 1
     assert "load_mass" in html
 
@@ -259,22 +268,26 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
     assert np.allclose(right, J.T @ np.column_stack([residual.ravel(), other.reshape(-1, 2)]))
 
 
-def test_an_exciting_path_keeps_its_limits_and_shows_more_than_the_default_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 60)
-    crane = sc.scenes.overhead_crane()
-    limits: dict[str, Any] = {"F": 200, "swing": "10 deg", "x": (-2, 4), "z": (-7, -2)}
-    path, report = sc.excitation(crane, NAMES, limits, effects=["friction"])
-    assert report.gain > 1.0
-    assert report.limits.violation == 0.0
-    assert "times less" in str(report)
-    sc.solve(crane.with_reference(path).with_limits(**limits))
-    problem = Problem.of(CRANE)
-    prediction = Prediction(problem.resolved, (), (0, 1), 2)
-    found_ = information(prediction, path.jet(np.arange(0, 20, 0.1), 4), 0.1, problem.p, problem.p[:2], np.ones(2))
-    assert (np.linalg.eigvalsh(found_) > 0.0).all()
-    for given, duration, words in ((None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")):
-        with pytest.raises(sc.errors.InvalidSetting, match=words):
-            sc.excitation(crane, NAMES, given, duration=duration)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_an_exciting_path_that_keeps_its_limits_and_shows_more_than_the_default_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("_STARTS", "_TRIALS"):
+        monkeypatch.setattr(f"servocore.identification.excitation.{name}", 5)
+    limits = ("F=200", "swing=10deg", "x=-2..4", "z=-7..-2")
+    options = [each for limit in limits for each in ("--limit", limit)]
+    shown = run("excite", "overhead_crane", *options, "-o", "path.csv", *ESTIMATED).stdout
+    assert float(shown.splitlines()[-1].partition(" times less; ")[0]) > 1.0
+    path = sc.from_csv("path.csv", columns=("x", "z"))
+    sc.solve(CRANE.with_reference(path).with_limits(F=200, swing="10 deg", x=(-2, 4), z=(-7, -2)))
+
+
+@pytest.mark.parametrize(
+    ("limits", "duration", "words"), [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")]
+)
+def test_an_excitation_without_limits_or_time_is_refused(limits: Any, duration: float, words: str) -> None:
+    with pytest.raises(sc.errors.InvalidSetting, match=words):
+        sc.excitation(CRANE, NAMES, limits, duration=duration)
 
 
 @pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
