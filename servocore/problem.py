@@ -298,8 +298,8 @@ class Problem:
 
     @property
     def motion_limits(self) -> tuple[Limit, ...]:
-        """The limits that do not follow from the path alone, of what instants have."""
-        return tuple(limit for limit in self.limits if not (limit.of_path or limit.over_run))
+        """The limits that do not follow from the path alone."""
+        return tuple(limit for limit in self.limits if not limit.of_path)
 
     @property
     def run_limits(self) -> tuple[Limit, ...]:

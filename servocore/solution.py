@@ -38,9 +38,6 @@ class Statistics:
         With error control: its estimate of the largest error of the inputs, relative to their peaks.
     choices_of_states : int
         How often the states of internal dynamics were chosen, the first time included.
-    input_noise : float or None
-        Round-off floor of the inputs, relative to their peaks: the part that alternates from instant to instant. An
-        upper bound, close for small steps; None for runs that are too short.
     branch : str
         Branch of the solution and its verification, with instants at which branches meet. Empty where it was not
         checked: with ``checks=False``, and from user-defined routes.
@@ -56,7 +53,6 @@ class Statistics:
     constraint_rate_violation: float
     error_estimate: float | None = None
     choices_of_states: int = 1
-    input_noise: float | None = None
     branch: str = ""
 
 

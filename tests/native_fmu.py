@@ -65,12 +65,14 @@ def elastic_arm() -> sc.Scene:
     return sc.scenes.from_file(ARM, elastic=dict.fromkeys(joints, sc.Elastic(1e4, 0.3)))
 
 
+LIMITS: dict[str, Any] = {"F": (-60.0, 1300.0), "w.rate": 2.0}
+SLOW = sc.rest_to_rest((0.0,), (5.0,), 8.0)
 OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "elastic_arm": elastic_arm,
     "crossing": crossing,
     "driven": driven_crane,
     "elastic_hoist": users_scene,
-    "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),
+    "limited": lambda: replace(users_scene().with_limits(**LIMITS), name="limited", reference=SLOW),
     "ship": lambda: timed.load_below_a_ship().scene,
     "waves": timed.mass_in_waves,
     "wind": lambda: timed.pendulum_in_the_wind().scene,

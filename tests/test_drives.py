@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from browser import Page, require_browser
 from command_lines import CommandLine, write
 from fmpy.ssp.simulation import simulate_ssp
 from present import of_kind
@@ -123,12 +125,11 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
     for each in bare.model().inputs:
         n = draw.uniform(10.0, 60.0)
         torque = draw.uniform(1.5, 3.0) * np.abs(slow[each.name]).max() / n
-        curve = zip(
-            np.cumsum(draw.uniform(0.3, 1.0, 3)) * n, torque * np.sort(draw.uniform(0.5, 1.2, 3))[::-1], strict=True
-        )
+        speeds, torques = np.cumsum(draw.uniform(0.3, 1.0, 3)) * n, torque * np.sort(draw.uniform(0.5, 1.2, 3))[::-1]
+        curve = [(0.0, torque), *zip(speeds, torques, strict=True)]
         drives[each.name] = sc.Drive(
             n, 1, 1.0 if each.unit == "N" else None, draw.uniform(0.0, 20.0) / n**2, draw.uniform(0.8, 1.0),
-            draw.uniform(0.0, 1.0) / n**2, 0.02 * torque, torque_speed=[(0.0, torque), *curve],
+            draw.uniform(0.0, 1.0) / n**2, 0.02 * torque, torque_speed=curve,
         )  # fmt: skip
     crane = bare.with_drives(**drives).with_limits(**{f"{name}.torque_reserve": (0.0, None) for name in drives})
     plan, report = sc.fastest(crane, (line_.start, line_.end), intervals=40)
@@ -136,7 +137,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
     problem = Problem.of(crane.with_reference(plan))
     t = np.linspace(plan.start_time, plan.end_time, 50_001)
     reserves = limited_values(prepared_motion(problem), t)
-    peaks = np.array([[max(torque for _, torque in drive.corners)] for drive in drives.values()])
+    peaks = np.array([[max(torque for _, torque in drive.torque_speed)] for drive in drives.values()])
     assert -1e-9 < (reserves / peaks).min() < 0.02  # one of them is used up
     with pytest.raises(sc.LimitBroken, match="torque_reserve goes beyond its lower limit of 0 N"):
         sc.solve(crane.with_reference(sc.rest_to_rest(line_.start, line_.end, report.duration)))
@@ -145,12 +146,16 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
 RUN_LIMITS: dict[str, Bounds] = {"F.rms_torque": "0.9 N m", "M_w.energy": "4 kJ"}
 
 
-def test_limits_of_energy_and_effective_torque_hold_for_the_run_as_a_whole() -> None:
-    crane, over = driven_crane(), r"F.rms_torque goes beyond its upper limit of 0.9 N m;.*over the whole run"
-    with pytest.raises(sc.LimitBroken, match=over):
-        sc.solve(crane.with_limits(**RUN_LIMITS))
+def test_limits_of_energy_and_effective_torque_hold_for_the_run_as_a_whole(tmp_path: Path) -> None:
+    crane, fmu = driven_crane(), tmp_path / "crane.fmu"
+    for use in (sc.solve, sc.ExactInversion, partial(sc.export_fmu, path=fmu), partial(sc.export_trajectory, path=fmu)):
+        with pytest.raises(sc.LimitBroken, match=r"F.rms_torque goes .* upper limit of 0.9 N m;.*over the whole run"):
+            use(crane.with_limits(**RUN_LIMITS))
+    assert not fmu.exists()
     with pytest.raises(sc.LimitBroken, match=r"M_w.energy goes beyond its lower limit"):
         sc.solve(crane.with_limits(**{"M_w.energy": ("5 kJ", None)}))
+    margin = sc.solve(crane.with_limits(**{"M_w.energy": "5 kJ"})).margins["M_w.energy"]
+    assert (margin.time, margin.bound) == (3.0, 5e3)
 
 
 def test_the_shortest_duration_keeps_limits_of_the_run_as_a_whole() -> None:
@@ -183,21 +188,19 @@ def test_a_certificate_encloses_energies_and_effective_torques(name: str) -> Non
     for bounds, verdict in ((1.01 * value, "proved"), (0.99 * value, "refuted"), ((1.01 * value, None), "refuted")):
         statements = {each.what: each for each in sc.certify(driven_crane(), {name: bounds}).statements}
         assert statements[f"limit of {name}"].verdict == verdict
-    in_box = sc.certify(driven_crane(), {name: 1.1 * value}, {"load_mass": (99.0, 101.0)})
-    assert in_box.verdict == "proved"
+    assert sc.certify(driven_crane(), {name: 1.1 * value}, {"load_mass": (99.0, 101.0)}).verdict == "proved"
 
 
 def test_a_certificate_proves_the_limits_of_the_motors() -> None:
     limits: dict[str, Bounds] = {"M_w.torque_reserve": (0.0, None), "M_w.motor_speed": "8000 rpm"}
     limits |= {"M_w.power": "5 kW", "M_w.current": 12.0, "M_w.motor_torque": "9 N m"}
-    certificate = sc.certify(driven_crane(), limits)
-    assert certificate.verdict == "proved"
-    assert {each.what for each in certificate.statements} > {f"limit of {name}" for name in limits}
+    found = {each.what: each.verdict for each in sc.certify(driven_crane(), limits).statements}
+    assert {found[f"limit of {name}"] for name in limits} == {"proved"}
     assert sc.certify(driven_crane(), {"M_w.current": 5.0}).verdict == "refuted"
 
 
 def test_tables_sweeps_and_pages_have_the_quantities_of_the_motors_with_units(tmp_path: Path) -> None:
-    limits: dict[str, Bounds] = {"M_w.current": 12.0, "M_w.energy": "5 kJ"}
+    limits: dict[str, Bounds] = {"M_w.current": 12.0, "M_w.energy": "5 kJ", "F.energy": 500.0}  # 800 J on the way
     scene = driven_crane().with_limits(**limits)
     solution = sc.solve(scene)
     assert {name: solution.unit(name) for name in OF_WINCH | OF_RUN} == OF_WINCH | OF_RUN
@@ -212,41 +215,47 @@ def test_tables_sweeps_and_pages_have_the_quantities_of_the_motors_with_units(tm
         assert float(swept[name][1, 0]) == pytest.approx(solution[name][-1], rel=1e-3)
     assert float(swept["margin_M_w.energy"][1, 0]) == pytest.approx(5e3 - float(swept["M_w.energy"][1, 0]))
     assert float(swept["margin_M_w.current"][1, 0]) == pytest.approx(12.0 - np.abs(solution["M_w.current"]).max())
-    page = sc.view(solution, tmp_path / "page.html").read_text()
+    page = (file := sc.view(solution, tmp_path / "page.html")).read_text()
+    assert '"low":-5000.0,"high":5000.0,"rate":false}' in page
     for name, unit in (OF_WINCH | OF_RUN).items():
         assert json.dumps({"name": name, "unit": unit}, separators=(",", ":"))[1:-1] in page
+    require_browser()
+    with Page(file, tmp_path / "profile") as opened:
+        assert opened.run('document.querySelector(".status").textContent') == "All limits are kept."
 
 
 @pytest.mark.parametrize("export", [sc.export_fmu, sc.export_plant])
 def test_both_kinds_of_fmus_have_them_as_outputs(tmp_path: Path, export: Callable[..., Path]) -> None:
-    units_of = OF_WINCH | OF_RUN
+    units_of, inverse = OF_WINCH | OF_RUN, export is sc.export_fmu
+    scene = driven_crane().with_limits(**{"M_w.energy": "5 kJ"})
     for fmi in (2, 3):
-        file = export(driven_crane(), tmp_path / f"{fmi}.fmu", fmi=fmi, targets="host")
+        file = export(scene, tmp_path / f"{fmi}.fmu", fmi=fmi, targets="host")
         known = {each.name: each for each in fmpy.read_model_description(file).modelVariables}
-        units = {name: known[name].unit or known[name].declaredType.unit for name in units_of}
-        assert units == units_of
+        assert units_of == {name: known[name].unit or known[name].declaredType.unit for name in units_of}
         assert {known[name].causality for name in units_of} == {"output"}
         assert known["M_w.motor_inertia"].causality == "parameter"
     found = sc.solve(driven_crane(), step=0.005)
-    given = [each for each in known.values() if each.causality == "input"]
-    jet = driven_crane().reference.jet(found.t, 4).reshape(len(found.t), -1).T
-    names = [f"load.{order}[{k}]" for order in ORDERS[:5] for k in (1, 2)] if export is sc.export_fmu else ["F", "M_w"]
-    columns = jet if export is sc.export_fmu else [found["F"], found["M_w"]]
-    assert len(given) == (5 if export is sc.export_fmu else 2)
+    jet = scene.reference.jet(found.t, 4).reshape(len(found.t), -1).T
+    names = [f"load.{order}[{k}]" for order in ORDERS[:5] for k in (1, 2)] if inverse else ["F", "M_w"]
+    columns = jet if inverse else [found["F"], found["M_w"]]
+    assert [each.causality for each in known.values()].count("input") == (5 if inverse else 2)
     table = np.rec.fromarrays([found.t, *columns], dtype=[(name, float) for name in ("time", *names)])
-    run = fmpy.simulate_fmu(str(tmp_path / "2.fmu"), stop_time=3.0, output_interval=0.005, input=table,
-                            start_values={"input_time": 2}, output=[*units_of])  # fmt: skip
+    said = list[str]()
+    simulated = partial(
+        fmpy.simulate_fmu, str(tmp_path / "2.fmu"), stop_time=3.0, output_interval=0.005, input=table,
+        output=[*units_of], logger=lambda *each: said.append(each[-1].decode()), debug_logging=True,
+    )  # fmt: skip
+    run = simulated(start_values={"input_time": 2})
+    assert said == []
+    simulated(start_values={"input_time": 2, "load_mass": 150.0})
+    assert said == ["at t = 3 s M_w.energy is 5772 J, it must stay below 5000 J"] * inverse
     for name in units_of:
-        within = 2e-3 if export is sc.export_plant else 1e-3  # tanh turns within a step or two
+        within = 1e-3 if inverse else 2e-3  # tanh turns within a step or two
         assert run[name][-1] == pytest.approx(found[name][-1], rel=within, abs=within * np.abs(found[name]).max()), name
 
 
-SHEET_OF_CRANE = (
-    """
-M_b = {ratio = 120, motor_inertia = "0.012 kg m^2", coulomb = "0.15 N m", viscous = 1e-3, efficiency = "90 %"}
-"""
-    + SHEET
-)
+M_B = 'M_b = {ratio = 120, motor_inertia = "0.012 kg m^2", coulomb = "0.15 N m", viscous = 1e-3, efficiency = "90 %"}'
+SHEET_OF_CRANE = M_B + SHEET
 
 
 @pytest.mark.usefixtures("empty_folder")
@@ -291,11 +300,25 @@ def test_the_file_of_a_data_sheet_gives_the_drives_and_the_command_their_duty() 
     result = line("drives", "overhead_crane", "--drives", "drives.toml")
     assert result.exit_code == 0, result.stderr
     solution = sc.solve(sc.scenes.overhead_crane().with_drives(**DRIVES))
-    t, torque = solution.t, solution["M_w.motor_torque"]
-    effective = np.sqrt(simpson(torque**2, x=t) / 3.0)
+    torque = solution["M_w.motor_torque"]
+    effective = np.sqrt(simpson(torque**2, x=solution.t) / 3.0)
     for shown in (f"{np.abs(torque).max():.4g} N.m", f"{effective:.4g} N.m", "1500 W", "837.8 rad/s"):
         assert shown in result.stdout
     assert f"{100 * (1 - effective / 5):.0f} %" in result.stdout
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servocore.identification.excitation._TRIALS", 0)
+    crane = sc.scenes.overhead_crane().with_drives(**DRIVES)
+    log = sc.measured(crane, plant=crane.with_parameters(**{"F.motor_inertia": 5e-4}), seed=1)
+    found = sc.identify(crane, log, "F.motor_inertia")
+    assert found.values["F.motor_inertia"] == pytest.approx(5e-4, rel=0.02)
+    _, report = sc.excitation(crane, "F.motor_inertia", {"F": 1000.0, "M_w.energy": "9 kJ"}, duration=8.0)
+    assert report.limits.violation == 0.0
+    write("drives.toml", SHEET)
+    write("identified.toml", found.parameter_file())
+    assert not line("drives", "overhead_crane", "--drives", "drives.toml", "--parameters", "identified.toml").exit_code
 
 
 REFUSALS = {

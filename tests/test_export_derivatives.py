@@ -99,7 +99,9 @@ def test_adjoint_products_are_those_of_directions(name: str, at: int, seed: int)
             assert np.abs(forward).max() > 0.0 or k == 0
             # What cancels in a sum was there.
             size = np.abs(weights * forward).sum() + np.abs(backward * direction).sum()
-            assert abs(weights @ forward - backward @ direction) <= 1e-12 * size
+            # Three times the direction has three times the derivatives: they differ by the round-off of the solution.
+            round_off = np.abs(weights * (host.derivatives(list(along), 3.0 * direction) / 3.0 - forward)).sum()
+            assert abs(weights @ forward - backward @ direction) <= 1e-12 * size + round_off
 
 
 def test_an_output_without_a_derivative_keeps_it_from_no_other() -> None:

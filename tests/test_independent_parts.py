@@ -105,7 +105,7 @@ def equations(numbers: tuple[float, ...]) -> SquareSystem:
 
 
 def groups(system: SquareSystem) -> list[int]:
-    return sorted(len(each.parts) for each in system.alike)
+    return sorted(map(len, system.alike))
 
 
 def test_a_solve_of_many_cranes_takes_determinants_of_one_of_them_at_most() -> None:

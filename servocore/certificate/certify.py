@@ -203,13 +203,13 @@ def certify(
         jumps = jumps_of(proof)
         claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
         statements = motion_statements(proof)
-        if not proof.unproved:
+        if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, claims = statements + of_instants, spikes + claims
         statements += statements_of(proof, claims, jumps) + _step_statement(problem.system)
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
-    inner = [(each.begin, each.end) for each in (proof.intervals if proof else []) if not each.outside]
-    return Certificate(problem.name, timed, bounds, np.reshape(inner, (-1, 2)), jumps, proof)
+    intervals = np.stack([proof.begin, proof.end], axis=1)[proof.within] if proof else np.zeros((0, 2))
+    return Certificate(problem.name, timed, bounds, intervals, jumps, proof)
 
 
 def require_certified(

@@ -17,7 +17,6 @@ from functools import cached_property
 from math import prod
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.programs import TIMES, UNIT, UP, Products, Program, norm, summed
@@ -73,26 +72,24 @@ class Arithmetic(Products):
             found = (found[:, :, None] * chebyshev.chebvander(points[:, k], d)[:, None, :]).reshape(len(points), -1)
         return found
 
-    def _along(self, k: int, matrix: npt.ArrayLike) -> Array:
-        """Return a matrix of the coefficients in variable k as one of all coefficients."""
-        before, behind = (prod(d + 1 for d in some) for some in (self.degrees[:k], self.degrees[k + 1 :]))
-        return np.kron(np.kron(np.eye(before), np.asarray(matrix, dtype=np.float64)), np.eye(behind))
-
     @cached_property
     def derivatives(self) -> list[Array]:
         """Matrices of the derivative by each variable that a polynomial depends on; entries are whole numbers."""
-        slopes = [np.vstack([chebyshev.chebder(np.eye(d + 1)), np.zeros((1, d + 1))]) for d in self.degrees]
-        return [self._along(k, slopes[k]) for k, d in enumerate(self.degrees) if d]
+        each, found = np.eye(self.orders.shape[1]).reshape(*(d + 1 for d in self.degrees), -1), list[Array]()
+        for k in np.flatnonzero(self.degrees).tolist():
+            slopes = chebyshev.chebder(each, axis=k)
+            slopes = np.concatenate([slopes, np.zeros_like(slopes.take([0], k))], axis=k)
+            found.append(np.asarray(slopes.reshape(each.shape[-1], -1), dtype=np.float64))
+        return found
 
     @cached_property
     def halves(self) -> list[list[Array]]:
         """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
-        both = list[list[Array]]()
-        for k, d in enumerate(self.degrees):
-            points = chebyshev.chebpts1(d + 1)
-            inverse, parts = np.linalg.inv(chebyshev.chebvander(points, d)), (points / 2.0 - 0.5, points / 2.0 + 0.5)
-            both.append([self._along(k, inverse @ chebyshev.chebvander(part, d)) for part in parts])
-        return both
+        found = list[list[Array]]()
+        for own in np.eye(len(self.degrees), dtype=bool):
+            points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
+            found.append([self.interpolation @ self.rows(half) for half in points])
+        return found
 
     def halved(self, a: Model, k: int) -> list[Model]:
         """Return models on both halves of their boxes by variable k: rounding is some units of all coefficients."""
@@ -170,7 +167,7 @@ class Arithmetic(Products):
         if (found[-1] <= _NARROW).all():
             return found
         low, high = self.span(a)
-        least, most = function(np.maximum(low, lowest)), function(np.where(high >= lowest, high, np.nan))
+        least, most = function(np.maximum(low, lowest)), function(high)
         around = self.constant((least + most) / 2.0)
         around[-1] = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))
         return np.where(np.isfinite(around[-1]) & ~(found[-1] <= around[-1]), around, bounded(found))

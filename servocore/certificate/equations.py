@@ -5,12 +5,12 @@ structure with all offsets one higher. The test goes block by block and shows th
 approximation, at every instant of an interval.
 
 E(x, t, p) = 0 with the Jacobian J = dE/dx in block triangular form. About an approximation x_hat, a polynomial, and
-within x_hat + D, the test takes for each block b an approximate inverse Y and, with r the residual of x_hat,
+within x_hat + D, the test takes approximate inverses Y of the diagonal blocks and, with r the residual of x_hat,
 
-    Z = |Y r_b| + |Y| sum over earlier blocks e of |J_be| rho_e,    A >= |I - Y J_bb|,    A rho_b + Z <= rho_b <= D_b.
+    A >= |I - Y J|,    Z >= |Y r|,    A rho + Z <= rho <= D.
 
-x_b -> x_b - Y E_b(x) then maps x_hat_b + rho_b into itself and contracts: rho > 0 and A rho < rho make the spectral
-radius of A less than one (Collatz & Wielandt). So there is exactly one solution in x_hat + D, it lies in x_hat + rho,
+x -> x - Y E(x) then maps x_hat + rho into itself and contracts: rho > 0 and A rho < rho make the spectral radius of A
+less than one (Collatz & Wielandt). So there is exactly one solution in x_hat + D, it lies in x_hat + rho,
 and J is regular there (Krawczyk, Computing 4 (1969) 187; Rump, Acta Numerica 19 (2010) 287, section 13). Unknowns that
 J does not depend on need no D: the solution is unique whatever they are.
 """
@@ -24,8 +24,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
-from servocore.certificate.programs import Places
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of, norm
+from servocore.certificate.programs import UP
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -41,7 +41,7 @@ _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
 _ITERATIONS = 60
 _KNOWN = 0.1  # radius: a step is one at the least, and known but for rounding elsewhere
-_INVERTED = 4  # degree in time of approximate inverses
+_COARSE = 3  # degree in time of the Jacobian and of approximate inverses of its blocks
 
 
 class Equations:
@@ -77,12 +77,14 @@ class Equations:
         Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
     ends : ndarray of int
         Where blocks begin, and where the last one ends.
-    whole, beside : tuple of ndarray of int
-        The entries of the blocks, and of what lies beside them: rows with entries, where these begin, and columns.
-    inside, own, others : ndarray of int
-        Places, among those of the blocks, of the ones that the Jacobian has; theirs in the Jacobian; of those beside.
-    test : Walk
-        From the entries of Y, of J and of r to those of I - Y J, and of Y r.
+    inside, own : ndarray of int
+        Places of entries of the Jacobian within the diagonal blocks, row by row, and among its own entries.
+    begins, unknowns : ndarray of int
+        Of I - Y J: where its rows begin among its entries, and the columns of these.
+    added, factors : ndarray of bool, list of ndarray of int
+        Which of the entries are sums, and of the other ones, products, the places of their factors in Y and in J.
+    test, newton : Walk
+        From the entries of Y and of J to those of I - Y J that are sums, and from those of Y and of r to Y r.
     """
 
     def __init__(self, resolved: ResolvedSystem, raised: bool) -> None:
@@ -110,18 +112,22 @@ class Equations:
         _, rows, columns, bounds, *_ = pattern.T.btf()
         self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
         permuted, entry = pattern.sub(columns, rows)
-        places = np.array([permuted.get_col(), permuted.row(), entry])
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
-        inside = np.array(whole.get_nz((size * places[0] + places[1]).tolist()))
-        inner, outer = places[:, inside >= 0], places[:, inside < 0]
-        self.whole = (*np.unique(whole.get_col(), return_index=True), np.array(whole.row()))
-        self.beside, self.others = (*np.unique(outer[0], return_index=True), outer[1]), outer[2]
-        self.inside, self.own = inside[inside >= 0], inner[2]
-        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(self.own)), ("r", size)))
-        given = ca.Sparsity.triplet(size, size, inner[1].tolist(), inner[0].tolist())
-        inverse, matrix = ca.SX(whole, Y).T, ca.SX(given, J).T
-        off = ca.project((ca.SX.eye(size) - ca.mtimes(inverse, matrix)).T, whole)
-        self.test = Walk(ca.vertcat(off.nz[:], ca.mtimes(inverse, r[rows])), ca.vertcat(Y, J, r))
+        places = size * np.array(permuted.get_col()) + np.array(permuted.row())
+        inside = np.array(whole.get_nz(places.tolist()))
+        self.inside, self.own = inside[inside >= 0], np.array(entry)[inside >= 0]
+        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(entry)), ("r", size)))
+        # Products are those of the transposed matrices: of entries, of ones, and with the numbers of the entries.
+        numbers = (1, 1), (1, ca.DM(range(whole.nnz()))), (ca.DM(entry), 1)
+        products = [ca.mtimes(ca.SX(permuted, j), ca.SX(whole, y)) for j, y in ((J[entry], Y), *numbers)]
+        off, pattern = ca.SX.eye(size) - products[0], products[0].sparsity()
+        self.begins, self.unknowns = np.array(pattern.colind()[:-1]), np.array(pattern.row())
+        terms, *factors = (np.array(ca.DM(each).nz[:], dtype=np.intp).ravel() for each in products[1:])
+        self.added = (terms > 1) | (np.array(pattern.get_col()) == self.unknowns)
+        self.factors = [each[~self.added] for each in factors]
+        added = off.nz[np.flatnonzero(self.added).tolist()]
+        self.test = Walk(added, ca.vertcat(Y, J))
+        self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
@@ -206,7 +212,7 @@ def radii(
         Of path and parameters.
     D : ndarray, shape (unknowns, boxes)
         Where solutions are looked for.
-    sizes : ndarray, shape (unknowns,)
+    sizes : ndarray, shape (unknowns, 1)
         Magnitudes of the unknowns.
 
     Returns
@@ -220,28 +226,32 @@ def radii(
     shift : ndarray, shape (terms, unknowns, boxes)
         What a step of Newton's method, block by block, would take off x_hat.
     """
-    anywhere = model_of(x, np.where(equations.curved[:, None], D, 0.0))
-    steps = equations.steps(ring, np.concatenate([anywhere, given], axis=1))
+    anywhere = np.concatenate([model_of(x, np.where(equations.curved[:, None], D, 0.0)), given], axis=1)
+    steps = equations.steps(ring, anywhere)
     residual = equations.residual(ring, np.concatenate([model_of(x), given, steps], axis=1))
-    jacobian = equations.jacobian(ring, np.concatenate([anywhere, given, steps], axis=1))
-    Y = _inverses(equations, ring, jacobian[:, equations.own])
-    off = equations.test(ring, np.concatenate([Y, jacobian[:, equations.own], residual], axis=1))
-    found, entries = magnitude(off), Y.shape[1]
-    A, Z = found[:entries], np.maximum(found[entries:], _LEAST * sizes[equations.columns, None])
-    rho, holds = _fixed(equations, A, Z, magnitude(Y), magnitude(jacobian[:, equations.others]))
+    # A degree in time that is less serves for A, which only has to be small.
+    coarse = arithmetic((min(_COARSE, ring.degrees[0]), *ring.degrees[1:]))
+    terms, full = len(coarse.nodes), np.concatenate([anywhere, steps], axis=1)
+    J = equations.jacobian(coarse, model_of(full[:terms], norm(full[terms:]) * UP))
+    Y = _inverses(equations, coarse, coarse.values(J[:, equations.own]))
+    inverse = np.insert(Y, terms, np.zeros((len(x) - terms, 1, 1)), axis=0)
+    newton = equations.newton(ring, np.concatenate([inverse, residual], axis=1))
+    added, (left, right) = equations.added, equations.factors
+    A, Z = np.empty((len(added), x.shape[2])), np.maximum(magnitude(newton), _LEAST * sizes[equations.columns])
+    A[added] = magnitude(equations.test(coarse, np.concatenate([Y, J], axis=1)))
+    A[~added] = magnitude(Y)[left] * magnitude(J)[right] * UP
+    rho, holds = _fixed(equations, A, Z)
     first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
     proved, order = holds.all(axis=0), np.argsort(equations.columns)
     switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, equations.columns[first])
-    return np.where(proved, rho, np.inf)[order], switches, failed, off[:-1, entries:][:, order]
+    return np.where(proved, rho, np.inf)[order], switches, failed, newton[:-1, order]
 
 
-def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
-    """Return models without a radius of inverses of the blocks, interpolated at few nodes: any will do."""
-    coarse, (rows, _, boxes) = arithmetic((min(_INVERTED, ring.degrees[0]), *ring.degrees[1:])), J.shape
-    nodes = len(coarse.nodes)
-    values = np.zeros((nodes, len(blocks.whole[2]), boxes))
-    values[:, blocks.inside] = (ring.rows(coarse.nodes) @ J[:-1].reshape(rows - 1, -1)).reshape(nodes, -1, boxes)
-    found, sizes = np.empty_like(values), np.diff(blocks.ends)
+def _inverses(equations: Equations, ring: Arithmetic, entries: Array) -> Model:
+    """Return interpolants of inverses of the blocks from entries (nodes, N, boxes) of these: any will do."""
+    nodes, sizes, boxes = len(entries), np.diff(equations.ends), entries.shape[2]
+    values = np.zeros((nodes, np.square(sizes).sum(), boxes))
+    values[:, equations.inside] = entries
     for size in np.unique(sizes).tolist():
         where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
@@ -250,29 +260,18 @@ def _inverses(blocks: Equations, ring: Arithmetic, J: Model) -> Model:
             inverses = 1.0 / matrices if size == 1 else np.linalg.inv(matrices)
         except np.linalg.LinAlgError:
             inverses = np.linalg.pinv(matrices)
-        found[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
-    Y = np.zeros((rows, *found.shape[1:]))
-    Y[:nodes] = coarse.tried(found)[:-1]
-    return Y
+        values[:, where] = np.moveaxis(inverses, 2, -1).reshape(nodes, -1, boxes)
+    return ring.tried(values)
 
 
-def _fixed(blocks: Equations, A: Array, Z: Array, Y: Array, J: Array) -> tuple[Array, Array]:
-    """Return rho (unknowns, boxes) with A rho + |Y| |J| rho + Z <= rho, by iteration, and where that holds."""
+def _fixed(equations: Equations, A: Array, Z: Array) -> tuple[Array, Array]:
+    """Return rho (unknowns, boxes) with A rho + Z <= rho, by iteration, and where that holds."""
     rho, holds = Z, np.zeros(Z.shape, dtype=bool)
     for _ in range(_ITERATIONS):
-        earlier = _multiplied(blocks.beside, J, rho)
-        image = _multiplied(blocks.whole, A, rho) + _multiplied(blocks.whole, Y, earlier) + Z
+        image = np.add.reduceat(A * rho[equations.unknowns], equations.begins, axis=0) + Z
         holds = np.asarray((image * _ROUNDED <= rho) & np.isfinite(image))
         settled = holds.all(axis=0) | ~np.isfinite(image).all(axis=0)
         if settled.all():
             break
         rho = np.where(settled, rho, image * _ROOM)
     return rho, holds
-
-
-def _multiplied(pattern: tuple[Places, Places, Places], entries: Array, x: Array) -> Array:
-    """Return the product of sparse matrices with entries (N, boxes), row by row, and vectors (columns, boxes)."""
-    (rows, first, columns), product = pattern, np.zeros_like(x)
-    if len(entries):
-        product[rows] = np.add.reduceat(entries * x[columns], first, axis=0)
-    return product

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
 from servocore.certificate.equations import equations_of, given_models, radii
@@ -60,8 +59,7 @@ def compared(
     """
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
-    ends = [each.end for each in proof.intervals[:-1]]
-    calm = ~np.array([proof.jumps_within(each) for each in proof.intervals])[np.searchsorted(ends, t, side="right")]
+    calm = ~proof.jumping[np.searchsorted(proof.end[:-1], t, side="right")]
     t = t[calm]
     unknowns = unknowns_at(proof, t, places)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
@@ -69,7 +67,7 @@ def compared(
     least, most = apart - radius, apart + radius
     peaks = np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
-    between = np.max([each.x[-1, places] for each in proof.intervals if not proof.jumps_within(each)], axis=0)
+    between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
@@ -89,9 +87,8 @@ def compared(
 
 def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
     """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    begins, ends = np.array([(each.begin, each.end) for each in proof.intervals]).T
-    numbers = np.searchsorted(ends[:-1], t, side="right")
-    a, b = begins[numbers], ends[numbers]
+    numbers = np.searchsorted(proof.end[:-1], t, side="right")
+    a, b = proof.begin[numbers], proof.end[numbers]
     position = (2.0 * t - a - b) / (b - a)
     found = proof.enclosures[:, places][..., numbers]
     basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
@@ -120,6 +117,8 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
 
     These are the reported coordinates and their rates, by a spline through them.
     """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
+
     what, t = "one regular solution of the algebraic equations at the computed states", solution.t
     equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
     array, guess, degree = equations.array, guessed_unknowns(problem, t), min(_SPLINE, len(t) - 1)
@@ -131,13 +130,13 @@ def at_states(problem: Problem, solution: Solution) -> Statement:
     x, states = found[array.places(array.determined)], found[array.places(array.states)]
     given = given_models(problem, array, ring, np.array([t, t]), {})
     given = np.concatenate([given, ring.constant(states)], axis=1)
-    sizes = np.maximum(np.nanmax(np.abs(x), axis=1), 1e-12)
-    D = np.tile(_BESIDE * sizes[:, None], len(t))
+    sizes = np.maximum(np.nanmax(np.abs(x), axis=1, keepdims=True), 1e-12)
+    D = np.tile(_BESIDE * sizes, len(t))
     rho, *_ = radii(equations, ring, np.nan_to_num(x)[None], given, D, sizes)
     lost = np.flatnonzero(~((rho <= D)[equations.curved].all(axis=0) & np.isfinite(x + rho).all(axis=0)))
     if len(lost):
         return Statement(what, "undecided", f"not proved at t = {t[lost[0]]:.6g} s", float(t[lost[0]]))
     places = equations.inputs
     reported = np.stack([solution[each.name] for each in problem.system.inputs])
-    off = ((np.abs(reported - x[places]) + rho[places]) / sizes[places, None]).max()
+    off = ((np.abs(reported - x[places]) + rho[places]) / sizes[places]).max()
     return Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")

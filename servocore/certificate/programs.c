@@ -38,17 +38,18 @@ static int used(const double *row)
     return any;
 }
 
-static void multiply(const whole *tape, double rounding, const double *a, const double *b, double *restrict results,
+static void multiply(const whole *tape, const double *a, const double *b, double *restrict results,
                      double *restrict to)
 {
-    double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES];
-    const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 3;
+    double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES], off[LANES] = {0.0};
+    const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 4;
     const double *r = a + terms * LANES, *s = b + terms * LANES;
-    double share = 1.0 / targets;
+    double share = 1.0 / targets, added = tape[3];
     for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
-    for (whole i = 0; i < terms; ++i) {
+    for (whole i = terms - 1; i >= 0; --i) {
         if (!used(a + i * LANES)) continue;
         EACH x[l] = share * a[i * LANES + l];
+        EACH off[l] += (1.0 + added * (i + 1)) * UNIT / 2.0 * magnitude(a[i * LANES + l]);
         for (whole j = 0; j < terms; ++j) {
             const double *right = b + j * LANES;
             const whole *place = table + (i * terms + j) * targets;
@@ -66,17 +67,16 @@ static void multiply(const whole *tape, double rounding, const double *a, const 
     norm(terms, b, size_b);
     EACH {
         double crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
-        double radius = (beyond[l] + rounding * size_a[l] * size_b[l] + crossed) * UP;
+        double radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
         to[terms * LANES + l] = radius + (radius > 0.0 ? TINY : 0.0);
     }
 }
 
-/* The first tape has the numbers of terms, of results of a pair of coefficients and of all results, and the places of
-   the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
+/* The first tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to
+   one with a coefficient of a, and the places of the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
    operation, the slot of the result and those of the arguments, and for inputs and outputs slots and places among the
    models, an array (rows, places, boxes). */
-void sc_programs(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes,
-                 double rounding)
+void sc_run(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes)
 {
     const whole *steps = tape + 3, *inputs = steps + 4 * tape[0], *outputs = inputs + 2 * tape[1];
     whole terms = products[0], rows = terms + 1, size = rows * LANES;
@@ -95,7 +95,7 @@ void sc_programs(const whole *products, const whole *tape, double *models, doubl
             if (step[0] < 2)
                 add(terms, step[0] ? -1.0 : 1.0, a, b, to);
             else
-                multiply(products, rounding, a, b, results, to);
+                multiply(products, a, b, results, to);
         }
         for (whole n = 0; n < tape[2]; ++n)
             for (whole k = 0; k < rows; ++k) {

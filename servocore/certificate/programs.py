@@ -1,8 +1,8 @@
 """Sums and products of Chebyshev models, thousands at once: in machine code where it is there, in NumPy elsewhere.
 
 A model is an array of coefficients with the radius below them, shape (terms + 1, count, boxes). T_i T_j =
-(T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients, in orders of their own: the
-bounds of their rounding errors hold for any.
+(T_(i+j) + T_|i-j|)/2 in each variable. Both ways add up the same products of coefficients and bound their rounding
+errors alike.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import JustInTime
 from servocore.numerics.memoization import made_once
+from servocore.numerics.vectorized import loader
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from servocore.numerics.machine_code import Build
 
 UNIT = 2.3e-16
@@ -81,26 +83,33 @@ class Products:
         return np.asarray(np.argsort(np.argsort(beyond, kind="stable"))[places])
 
     @cached_property
-    def sums(self) -> list[csr_array]:
-        """For each coefficient of a, the matrix from its products with those of b to the results."""
-        (_, terms, targets), full = self.places.shape, prod(2 * d + 1 for d in self.degrees)
-        shares, pairs = np.full(terms * targets, 1.0 / targets), np.repeat(np.arange(terms), targets)
-        return [csr_array((shares, (places.ravel(), pairs)), (full, terms)) for places in self.places]
+    def sums(self) -> csr_array:
+        """Matrix from the products of coefficients, those with the last of a first, to the results."""
+        from scipy.sparse import csr_array  # noqa: PLC0415 - all commands import this module
+
+        terms, _, targets = self.places.shape
+        shares, pairs = np.full(self.places.size, 1.0 / targets), np.repeat(np.arange(terms**2), targets)
+        return csr_array(
+            (shares, (self.places[::-1].ravel(), pairs)), (prod(2 * d + 1 for d in self.degrees), terms**2)
+        )
 
     @cached_property
     def tape(self) -> tuple[Places, int]:
-        """For machine code: numbers of terms, of results of a pair and of all results, and the places; its address."""
-        tape = np.array([*self.places.shape[1:], prod(2 * d + 1 for d in self.degrees), *self.places.ravel()])
+        """For machine code: numbers of terms, results of a pair, all results, additions; the places; its address."""
+        sizes = prod(2 * d + 1 for d in self.degrees), 3 ** len(self.degrees)
+        tape = np.array([*self.places.shape[1:], *sizes, *self.places.ravel()])
         return tape, tape.ctypes.data
 
     @cached_property
-    def rounding(self) -> float:
-        """Bound of the rounding errors of a product, as a share of |a|_1 |b|_1.
+    def rounding(self) -> Array:
+        """Weights (terms,) of the coefficients of a in a bound of the rounding errors of a b, shares of |b|_1.
 
-        A coefficient is a sum of at most N = prod(2 d + 2) products of two coefficients, added up in any order: all
-        of them together are off by at most N + 2 units (Higham, *Accuracy and Stability*, section 3.1).
+        Products are added up from the last coefficient of a to the first, so that large partial sums come last. Each of
+        the results takes at most 3^variables products with a coefficient of a: one whose orders add up to its own, two
+        whose orders differ by it. An addition is off by a unit of the partial sum (Higham, *Accuracy and Stability*,
+        section 4.2), and all partial sums together are at most the sum of the |a_k| so far times |b|_1.
         """
-        return (prod(2 * d + 2 for d in self.degrees) + 2) * UNIT / 2.0
+        return (1.0 + 3.0 ** len(self.degrees) * np.arange(1.0, self.orders.shape[1] + 1.0)) * UNIT / 2.0
 
     def multiplied(self, a: Array, b: Array) -> Array:
         """Return products of models.
@@ -108,10 +117,10 @@ class Products:
         Terms beyond the degrees go into the radius, and so does (p + e)(q + f) - p q with |e|, |f| the radii.
         """
         terms = len(a) - 1
-        full = sum(matrix @ (c * b[:-1]).reshape(terms, -1) for matrix, c in zip(self.sums, a[:-1], strict=True))
+        full = self.sums @ (a[-2::-1, None] * b[:-1]).reshape(terms**2, -1)
         full, size_a, size_b = full.reshape(-1, *a.shape[1:]), norm(a[:-1]), norm(b[:-1])
         crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
-        r = (norm(full[terms:]) + self.rounding * size_a * size_b + crossed) * UP
+        r = (norm(full[terms:]) + np.tensordot(self.rounding, np.abs(a[:-1]), 1) * size_b + crossed) * UP
         return np.concatenate([full[:terms], (r + _TINY * (r > 0))[None]])
 
 
@@ -142,16 +151,6 @@ class Program:
     wanted: Collection[int]
 
     @cached_property
-    def levels(self) -> list[tuple[int, Places]]:
-        """Operations of one kind with known arguments together, each with places (3, N)."""
-        level: dict[int, int] = {}
-        grouped: dict[tuple[int, int], list[list[int]]] = {}
-        for operation, *places in self.steps:
-            level[places[0]] = 1 + max(level.get(each, 0) for each in places[1:])
-            grouped.setdefault((level[places[0]], operation), []).append(places)
-        return [(operation, np.array(members, dtype=np.intp).T) for (_, operation), members in sorted(grouped.items())]
-
-    @cached_property
     def tape(self) -> tuple[Places, int, int]:
         """For machine code: steps, inputs and outputs with slots, used again; its address; the number of slots."""
         made = {result for _, result, *_ in self.steps}
@@ -179,13 +178,13 @@ class Program:
         if run is not None:
             (products, address), (_, own, count) = tables.tape, self.tape
             scratch = np.empty((count * len(models) + products[2]) * _LANES)
-            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:], tables.rounding)
+            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:])
             return
         count, most = models.shape[1], max(result for _, result, *_ in self.steps)
         work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
         work[:, :count] = models
         rules = [summed, lambda a, b: summed(a, b, -1.0), tables.multiplied]  # of PLUS, MINUS and TIMES
-        for operation, (result, a, b) in self.levels:
+        for operation, result, a, b in self.steps:
             work[:, result] = rules[operation](work[:, a], work[:, b])
         models[:] = work[:, :count]
 
@@ -199,10 +198,4 @@ def machine_code() -> JustInTime[_Run]:
 
         return Build(_SOURCE.read_text(encoding="utf-8"), "products of Chebyshev polynomials", vectors=True)
 
-    def load(library: Path) -> _Run:
-        run = ctypes.CDLL(str(library)).sc_programs
-        run.restype = None
-        run.argtypes = [*[ctypes.c_void_p] * 4, *[ctypes.c_ssize_t] * 2, ctypes.c_double]
-        return run
-
-    return JustInTime(make, load)
+    return JustInTime(make, loader(None, *[ctypes.c_void_p] * 4, *[ctypes.c_ssize_t] * 2))

@@ -138,7 +138,7 @@ def known(equations: Equations, limit: Limit) -> bool:
 
 def boxes_of(proof: Proof) -> Model:
     """Return enclosures on the intervals of a proof within the path: boxes of time and parameters."""
-    return proof.enclosures[..., [not each.outside for each in proof.intervals]]
+    return proof.enclosures[..., proof.within]
 
 
 def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
@@ -220,18 +220,16 @@ def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collect
     if verdict == "proved":
         text = "" if claim.told else "it stays from {} to {}".format(*map(limit.with_unit, extent))
         return Statement(claim.what, verdict, text)
-    names = proof.problem.system.parameters.names
-    given, time = at[-1 - len(names) : -1], float(at[-1])  # the last arguments
-    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {given[k]:.6g}" for k in proof.boxed)])
+    names, time = proof.problem.system.parameters.names, float(at[-1])  # the last argument, and before it parameters
+    place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {at[k - len(names) - 1]:.6g}" for k in proof.boxed)])
+    bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
+    text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
+    text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
+    text += f", {limit.reason}" if limit.reason else ""
+    if claim.told:
+        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
     if not np.isfinite(value):
         text = f"the motion is not proved at {place}"
-    elif claim.told:
-        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
-    else:
-        bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
-        text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
-        text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
-        text += f", {limit.reason}" if limit.reason else ""
     return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
 
 
@@ -239,11 +237,8 @@ def _of_run(proof: Proof, claim: Claim, added: RunQuantity) -> Statement:
     """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
     limit = claim.limit
     low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
-    verdict: Verdict = "undecided"
-    if low > limit.upper or high < limit.bound:
-        verdict = "refuted"
-    elif limit.bound <= low and high <= limit.upper and known(proof.equations, limit):
-        verdict = "proved"
+    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
+    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
     between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
     text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
     return Statement(claim.what, verdict, text)
@@ -255,14 +250,14 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     """
-    if proof.unproved:
+    if not proof.proved.all():
         return np.array([-np.inf, np.inf])
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
         boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
-    means = alone * np.where(k % 2 == 0, 1.0 / np.where(k % 2 == 0, 1.0 - k**2, 1.0), 0.0)
+    means = alone / np.where(k % 2, np.inf, 1.0 - k**2)
     found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
     (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
     middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)

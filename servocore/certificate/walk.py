@@ -47,9 +47,9 @@ class Walk:
         self._arguments = defaultdict[int, int](self._place)
         self._constants = defaultdict[float, int](self._place)
         self._steps: list[Step] = []
-        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], list[int]]] = {}
+        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], int]] = {}
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-        outputs, place_of = [self._constants[0.0]] * expression.numel(), dict[int, int]()
+        outputs, place_of = np.full(expression.numel(), self._constants[0.0]), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
             if number == ca.OP_OUTPUT:
                 outputs[out[1]] = place_of[used[0]]
@@ -59,21 +59,21 @@ class Walk:
                 place_of[out[0]] = self._arguments[used[1]]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
-        self._outputs = np.array(outputs, dtype=np.intp)
-        self._parts = self._grouped()
+        self._parts, places = self._grouped(outputs.tolist())
+        taken = np.array([*self._arguments.items()], dtype=np.intp).reshape(-1, 2)
+        self._outputs, self._taken, self._given = places[outputs], taken[:, 0], places[taken[:, 1]]
+        self._values, self._fixed = np.array([*self._constants])[:, None], places[[*self._constants.values()]]
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms + 1, arguments, boxes)."""
         models: Array = np.empty((len(arguments), self._places, arguments.shape[2]))
-        models[:, self._number[list(self._arguments.values())]] = arguments[:, list(self._arguments)]
-        constants = ring.constant(np.array(list(self._constants))[:, None])
-        models[:, self._number[list(self._constants.values())]] = constants
+        models[:, self._given], models[:, self._fixed] = arguments[:, self._taken], ring.constant(self._values)
         for program, functions in self._parts:
             program(ring, models)
             for rule, taken, results in functions:
                 models[:, results] = rule(ring, *(models[:, each] for each in taken))
-        return bounded(models[:, self._number[self._outputs]])
+        return bounded(models[:, self._outputs])
 
     def _place(self, depth: int = 0) -> int:
         self._depth.append(depth)
@@ -83,43 +83,42 @@ class Walk:
         self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
         return self._steps[-1][1]
 
-    def _function(self, number: int, arguments: tuple[int, ...]) -> int:
-        rule, component = _RULES[number]
+    def _function(self, number: int, *arguments: int) -> int:
         depth = 1 + max(self._depth[each] for each in arguments)
-        some = self._functions.setdefault((depth, rule), {})
+        some = self._functions.setdefault((depth, _RULES[number]), {})
         if arguments not in some:
-            some[arguments] = [self._place(depth) for _ in range(1 + (rule is _turned))]
-        return some[arguments][component]
+            some[arguments] = self._place(depth)
+        return some[arguments]
 
     def _operation(self, number: int, arguments: list[int]) -> int:
         a, b = arguments[0], arguments[-1]
         if number == ca.OP_DIV:
-            return self._step(TIMES, a, self._function(ca.OP_INV, (b,)))
+            return self._step(TIMES, a, self._function(ca.OP_INV, b))
         if number == ca.OP_NEG:
             return self._step(MINUS, self._constants[0.0], a)
         if number in _STEPS:
             return self._step(_STEPS[number], a, b)
-        return self._function(number, tuple(arguments))
+        return self._function(number, *arguments)
 
-    def _grouped(self) -> list[tuple[Program, list[_Function]]]:
-        """Return programs and functions, each with places of arguments and results, and number the places for them.
+    def _grouped(self, outputs: list[int]) -> tuple[list[tuple[Program, list[_Function]]], Places]:
+        """Return programs and functions, each with places of arguments and results, and the numbers of the places.
 
         Those that only one program knows come last: models have no room for them.
         """
-        depth, wanted = self._depth, set(self._outputs.tolist())
+        depth, wanted = self._depth, set(outputs)
         wanted.update(place for some in self._functions.values() for taken in some for place in taken)
         for _, result, *taken in self._steps:
             wanted.update(place for place in taken if depth[place] < depth[result])
         inner = {result for _, result, *_ in self._steps} - wanted
-        number = self._number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
+        number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
         self._places, read = len(number) - len(inner), set(number[list(wanted)].tolist())
         steps, functions = ([list[Any]() for _ in range(max(depth) + 1)] for _ in range(2))
         for operation, *places in self._steps:
             steps[depth[places[0]]].append((operation, *number[places].tolist()))
         for (level, rule), some in self._functions.items():
-            taken, results = number[np.array(list(some)).T], number[np.array(list(some.values())).T.ravel()]
+            taken, results = number[np.array(list(some)).T], number[list(some.values())]
             functions[level - 1].append((rule, list(taken), results))
-        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)]
+        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)], number
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
@@ -169,10 +168,6 @@ _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _turned(ring: Arithmetic, a: Model) -> Model:
-    return np.concatenate(ring.sine_and_cosine(a), axis=1)
-
-
 def _stepped(step: Callable[[Array], Array]) -> Rule:
     """Return the rule of a function that rises by jumps: any value between the least and the largest."""
 
@@ -202,10 +197,10 @@ def _no_bound(_: Arithmetic, a: Model, *__: Model) -> Model:
     return found
 
 
-_RULES: dict[int, tuple[Rule, int]] = {
-    **dict.fromkeys(KINKS, (_no_bound, 0)), ca.OP_INV: (Arithmetic.inverse, 0), ca.OP_SQRT: (Arithmetic.root, 0),
-    ca.OP_SIN: (_turned, 0), ca.OP_COS: (_turned, 1), ca.OP_EXP: (Arithmetic.exponential, 0),
-    ca.OP_LOG: (Arithmetic.logarithm, 0), ca.OP_TANH: (Arithmetic.hyperbolic_tangent, 0),
-    ca.OP_ATAN2: (Arithmetic.angle, 0), ca.OP_SIGN: (_stepped(np.sign), 0), ca.OP_FLOOR: (_stepped(np.floor), 0),
-    ca.OP_IF_ELSE_ZERO: (_if, 0),
+_RULES: dict[int, Rule] = {
+    **dict.fromkeys(KINKS, _no_bound), ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
+    ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0], ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
+    ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
+    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: _stepped(np.sign), ca.OP_FLOOR: _stepped(np.floor),
+    ca.OP_IF_ELSE_ZERO: _if,
 }  # fmt: skip

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
-from servocore.checks.branches import MANY, Rows
+from servocore.checks.branches import MANY, SLIGHT, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
@@ -28,7 +28,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem, equations_of
@@ -38,7 +38,7 @@ from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
 _WHY = "it follows from the others where the model is at home, and was left out"
-_INSTANTS = 9  # at which masses are looked at
+_INSTANTS = 10  # at which masses are looked at
 
 
 def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
@@ -107,12 +107,10 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.mass_varies:
         return
-    few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
-    t, q, jets = t[few], q[:, few], np.zeros((len(few), 1, 1))
-    masses = at_instants(_compiled_mass(problem.resolved), q, jets=jets, p=problem.p)[0].reshape(
-        len(q), len(q), -1, order="F"
-    )
-    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(np.moveaxis(masses, 2, 0)))
+    every = -(-len(t) // _INSTANTS)
+    t, q = t[::every], q[:, ::every]
+    masses = along_path(problem, _compiled_mass(problem.resolved), t, q)[0]
+    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(masses.T.reshape(len(t), len(q), len(q))))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])
@@ -127,7 +125,6 @@ def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
     return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
-_SLACK = 0.02  # of the median before: tensions below, lengths above as many times
 _LONGEST = 64.0  # times the duration
 
 
@@ -159,9 +156,9 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     usual = np.median(found[:, : bad[0]], axis=1)
     good, _ = bisected(lambda at: bool((values(np.array([at])) > 0.0).all()), t[bad[0] - 1], t[bad[0]])
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
-        if each.unit == "N" and share < _SLACK:
+        if each.unit == "N" and share < SLIGHT:
             return f"the rope goes slack at t = {good:.6g} s: {each.name} comes to 0 N, and a rope cannot push"
-        if each.unit == "m" and share * _SLACK > 1.0:
+        if each.unit == "m" and share * SLIGHT > 1.0:
             return (
                 f"the rope goes slack at t = {good:.6g} s: {each.name} grows beyond all bounds, for the load would fall"
                 " as fast as gravity pulls it"
@@ -190,8 +187,6 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
 
 
-_LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
-_ASIDE = 1e-8  # of the duration: instants beside a jump
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -203,7 +198,7 @@ def jumps(motion: Motion) -> Iterator[Finding]:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
     rows = _motion_rows(problem.array)
-    _, left, gaps = look(motion.beside, at, rows, _LEAST)
+    _, left, gaps = look(motion.beside, at, rows, SLIGHT)
     found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
     yield from steps_passed(problem, *switches)
@@ -224,7 +219,7 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
-        asides = -_ASIDE, 0.0 if gap else _ASIDE  # a kink itself is neither before nor after
+        asides = -ROUND_OFF, 0.0 if gap else ROUND_OFF  # a kink itself is neither before nor after
         for side, aside in zip((left, right), asides, strict=True):
             t = np.clip(side.t + aside * path.duration, path.start_time, path.end_time)
             values.append(motion.beside(side.t, side.states, t)[rows.values[row], 0])
@@ -318,7 +313,7 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
     q = rows[: len(rows) // 2]
     # At one time, so that what depends on time alone is no step.
     before, after = (along_path(problem, stepped[0], left.t, side.states[q])[0] for side in (left, right))
-    for row, k in np.argwhere(np.abs(after - before) > _LEAST * np.maximum(np.abs(after), np.abs(before))):
+    for row, k in np.argwhere(np.abs(after - before) > SLIGHT * np.maximum(np.abs(after), np.abs(before))):
         quantity, time = stepped[1][row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()
         what = f"at t = {time:.9g} s {quantity.name} jumps from {values}, which is an impulse"

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places, Rows
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, SLIGHT, Branch, Passage, Places, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -26,9 +26,7 @@ from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
-_MOST = 64  # intervals that are halved at once
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
-_NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
 
 
 Beside = Callable[[Array, Array, Array], Array]
@@ -80,7 +78,7 @@ def look(
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
         worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
-        kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
+        kept = np.argsort(-worst, kind="stable")[: min(MANY, int((worst > 1.0).sum()))]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break
@@ -162,7 +160,7 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)
-    t = np.array([each.time + side * (each.after - each.before) for each in inside for side in (-_NEAR, _NEAR)])
+    t = np.array([each.time + side * (each.after - each.before) for each in inside for side in (-SLIGHT, SLIGHT)])
     near = np.searchsorted(motion.t, [each.before for each in inside]).repeat(2)
     beside = Moments(t, motion.beside(motion.t[near], motion.states[:, near], t))
     return between.and_then(beside), np.arange(len(between.t) + len(t)) >= len(between.t)

@@ -41,17 +41,16 @@ CONTINUOUS = (
 FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
-_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
-_JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
-_MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
+SLIGHT = 1e-3
+"""Of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none."""
+
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
+_MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
 
 DISAGREEMENT = 0.05
 """Of a movement, or of the range of a derivative: neighbours whose rates explain it but for less belong together."""
-
-_LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
 
 Places = npt.NDArray[np.intp]
 MANY = 1000
@@ -72,20 +71,17 @@ class Passage:
         The instants, and the time itself, in s.
     equations : tuple of str
         Equations of the diagonal block whose determinant changes its sign.
-    at_once : bool
-        Whether all constraints taken together lose rank there, not only those of the block for its variables.
     """
 
     before: float
     after: float
     time: float
     equations: tuple[str, ...]
-    at_once: bool = True
 
     @cached_property
     def of_constraints(self) -> bool:
         """Whether holonomic constraints lose rank, by themselves or together with the servo constraints."""
-        holonomic = self.at_once and any(name.startswith("holonomic") for name in self.equations)
+        holonomic = any(name.startswith("holonomic") for name in self.equations)
         return holonomic and all(name.startswith(("holonomic", "servo")) for name in self.equations)
 
     def __str__(self) -> str:
@@ -182,11 +178,11 @@ class Branch:
     def of(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
         rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
-        known = states[rows.values]
-        known = known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
+        known = states[rows.values, :: -(-states.shape[1] // MANY)]
+        ranges = np.fmax.reduce(known, axis=1) - np.fmin.reduce(known, axis=1)  # of those that are found
+        return cls(problem, rows, np.fmax(ranges, SLIGHT * still))
 
-    def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
+    def apart(self, first: Array, last: Array, h: Array, slight: float = SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
         rows = self.rows
         lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
@@ -242,7 +238,7 @@ class Branch:
         found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
         good = bool(np.isfinite(found).all() and np.isfinite(residual).all())
         # With more room where branches meet, short steps would turn into the other one.
-        slight = _SLIGHT if own is None else ROUND_OFF
+        slight = SLIGHT if own is None else ROUND_OFF
         good = good and not self.apart(state[:, None], found[:, None], h, slight)[0]
         if good and own is not None:
             good = bool((self.determinants(t, found[:, None]) * np.sign(own) > LOST * np.abs(own)).all())
@@ -277,7 +273,7 @@ def on_one_branch(
                 return states, CLOSED_FORM, (), far
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
-        if (off[:, 0] <= _SLIGHT * branch.scale).all():
+        if (off[:, 0] <= SLIGHT * branch.scale).all():
             continue
         kept = kept if replaced else kept.copy()
         kept[:, k + 1], replaced = reached, True
@@ -288,6 +284,8 @@ def on_one_branch(
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
+    if np.isfinite(states.sum()):  # of many instants in less time than each of them
+        return states
     solved, name = np.flatnonzero(np.isfinite(states).all(axis=0)), branch.problem.system.name
     if not len(solved):
         raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
@@ -304,10 +302,7 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     every = -(-(len(t) - 1) // MANY)
     looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
     some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
-    _, velocities = _velocity_rows(branch.problem.array)
-    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps)
-    jolts = velocities.missed(some[:, :-1], some[:, 1:], steps)
-    far |= (jolts > _JOLT * velocities.ranges(some)[:, None]).any(axis=0)
+    far = branch.apart(some[:, :-1], some[:, 1:], steps)
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
@@ -322,14 +317,9 @@ def _passage(
 ) -> Passage:
     ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
-    moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
-    least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
-    at_once = least[1] < _LESS * max(least[0], least[2])
-    passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
+    passages = [Passage(begin, end, time, equations) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
-    return next(
-        (each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ()), at_once)
-    )
+    return next((each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ())))
 
 
 @made_once
@@ -341,14 +331,6 @@ def constraint_rows(resolved: ResolvedSystem) -> Call:
     return Call(ca.Function("sc_S_rows", [system.q, system.gamma[:, 0], system.p], results))
 
 
-def _least_singular_value(problem: Problem, t: float, q: Array) -> float:
-    """Return the least singular value of the Jacobian of all constraints, with rows of unit length."""
-    residual, S = constraint_rows(problem.resolved)(q, problem.reference.jet(t, 0)[0], problem.p)
-    rows = S.reshape(len(residual), -1) * np.array(problem.system.coordinates.nominal)
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return float(np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
-
-
 def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
     """Return intervals over which a determinant changes its sign, and ends of a motion at which it is that of none.
 
@@ -357,10 +339,13 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
+    problem, passages, lowest, highest = branch.problem, list[Passage](), known.min(axis=1), known.max(axis=1)
+    least, most = (each(np.abs([lowest, highest]), axis=0) for each in (np.min, np.max))
+    blocks = np.flatnonzero(~((lowest * highest > 0.0) & (least > _ON_IT * most)))  # few are looked at more closely
+    known, sizes = known[blocks], np.abs(known[blocks])
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
+        found = (Passage(time, time, time, each) for each in _equations_of(problem, blocks[lost]))
         passages += [each for each in found if each.of_constraints][:1]
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():

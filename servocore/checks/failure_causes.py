@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.along_motion import jumps, slack_rope
-from servocore.checks.branches import constraint_rows
+from servocore.checks.branches import SLIGHT, constraint_rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, bisected
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
@@ -31,7 +31,7 @@ SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
 
 _INSTANTS = 41  # of the path that are examined
-_STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
+_STARTS = 8  # of the search for the nearest configuration, each some nominal magnitudes from another
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 
@@ -176,7 +176,7 @@ def _around(problem: Problem, x: Array) -> list[Array]:
     home = problem.system.home_configuration(problem.p)[0] / np.array(problem.system.coordinates.nominal)
     generator = np.random.default_rng(8)
     size = np.maximum(1.0, np.abs(x))
-    spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
+    spread = [generator.standard_normal(len(x)) for _ in range(_STARTS)]
     return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
 
 
@@ -188,7 +188,7 @@ def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> f
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
     place, outputs = problem.reference.jet(time, 0)[0], problem.system.outputs
-    worst = [k for k in range(len(miss)) if abs(miss[k]) > 1e-3 * np.abs(miss).max()]
+    worst = [k for k in range(len(miss)) if abs(miss[k]) > SLIGHT * np.abs(miss).max()]
     listed = " and ".join(
         f"{outputs[k].name} = {place[k]:.6g} {outputs[k].unit} by {abs(miss[k]):.3g} {outputs[k].unit}" for k in worst
     )

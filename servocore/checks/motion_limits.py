@@ -1,7 +1,7 @@
 """Limits of a motion: coordinates, velocities, multipliers, inputs, and the rates of all these.
 
 They are compared at the instants of a run: where a problem is flat with its exact inversion, elsewhere with the values
-that are reported. `certify` proves them in between.
+that are reported. `certify` proves them in between. What a run adds up, as an energy, counts at its end.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from servocore.checks.findings import ROUND_OFF, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
-from servocore.model.limits import Expression, Limit, Named, reported_quantities
+from servocore.model.limits import Expression, Limit, Named, RunQuantity, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -54,8 +54,10 @@ def first_broken(
     """Return when a limit is broken first at instants, and the sentence on it; None if it is kept.
 
     With `evaluate`, the quantity as a function of times, the time is the first between the instants, and the value the
-    worst between those beside the worst instant.
+    worst between those beside the worst instant. What a run adds up counts at its end.
     """
+    if limit.over_run:
+        t, values, evaluate = t[-1:], values[-1:], None
     bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
     size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     margins = margin_within(limit, values, size)
@@ -80,7 +82,7 @@ def first_broken(
     which, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
     return first, (
         f"{name}: at t = {first:.6g} s{why} {limit.quantity} goes beyond its {which} limit of {limit.with_unit(bound)};"
-        f" it reaches {limit.with_unit(value)} at t = {when:.6g} s"
+        f" it reaches {limit.with_unit(value)} at t = {when:.6g} s{', over the whole run' if limit.over_run else ''}"
     )
 
 
@@ -90,12 +92,16 @@ def first_broken(
 def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """Return the quantities of the `motion_limits` of a flat problem, (limits, N), at instants (N,); angles continuous.
 
-    The instants are those of the motion when not given.
+    The instants are those of the motion when not given. What a run adds up is that of the whole motion everywhere.
     """
-    if not motion.problem.motion_limits:
+    limits = motion.problem.motion_limits
+    if not limits:
         return np.zeros((0, len(motion.t if t is None else t)))
-    watched, at = watched_limits(motion.problem), (motion.t, motion.states) if t is None else (t, motion.at(t))
-    values = watched.values(motion.problem, *at)
+    watched, of_motion = watched_limits(motion.problem), (motion.t, motion.states)
+    values = watched.values(motion.problem, *(of_motion if t is None else (t, motion.at(t))))
+    for k, added in enumerate(limit.over_run for limit in limits):
+        if added:
+            values[k] = added.course(motion.t, watched.values(motion.problem, *of_motion)[k])[-1]
     angles = np.array(watched.wraps, dtype=bool)
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
@@ -127,9 +133,10 @@ def _require_kept(name: str, limits: Sequence[Limit], values: Sequence[tuple[Any
 
 
 def margins_of(limits: Sequence[Limit], values: Sequence[Array], t: Array) -> dict[str, Margin]:
-    """Return the margins of limits by name, of quantities known at instants `t`."""
+    """Return the margins of limits by name, of quantities known at instants `t`; of what a run adds up, at its end."""
     margins = {}
-    for limit, each in zip(limits, values, strict=True):
+    for limit, every in zip(limits, values, strict=True):
+        each = np.where(t == t[-1], every, np.nan) if limit.over_run else every
         left = np.minimum(each - limit.bound, limit.upper - each)
         least = int(np.nanargmin(left))
         bound = limit.bound if each[least] - limit.bound < limit.upper - each[least] else limit.upper
@@ -164,8 +171,9 @@ class Watched:
 
 
 def watched_limits(problem: Problem) -> Watched:
-    """Return the function of the quantities of the `motion_limits` of a flat problem."""
-    wanted = tuple((limit.expression, limit.rate) for limit in problem.motion_limits)
+    """Return the function of the quantities of the `motion_limits` of a flat problem, or of what a run adds up."""
+    given = ((limit, limit.over_run) for limit in problem.motion_limits)
+    wanted = tuple((Named(added.of) if added else limit.expression, limit.rate) for limit, added in given)
     return compile_watched(problem.resolved, wanted)
 
 
@@ -303,8 +311,8 @@ def with_limits_required(problem: Problem, solution: Solution) -> Solution:
     if not hidden:
         return solution
     limits, t, values = problem.motion_limits, solution.t, list[tuple[Array, ...]]()
-    for k in hidden:
-        column = solution.values[:, k]
+    for limit, k in zip(limits, hidden, strict=True):
+        column = solution[limit.quantity] if limit.over_run else solution.values[:, k]
         differenced = solution.channels[k].name.endswith("differenced")
         values.append((t[1:], np.diff(column) / np.diff(t)) if differenced else (t, column))
     _require_kept(problem.name, limits, values)
@@ -321,27 +329,8 @@ def require_reported(problem: Problem, solution: Solution) -> None:
     The exact motion keeps it by then; a step that errs may not.
     """
     for limit in problem.motion_limits:
-        name = limit.expression.name if isinstance(limit.expression, Named) else ""
+        name = limit.expression.name if isinstance(limit.expression, Named | RunQuantity) else ""
         if not limit.rate and name in solution:
             broken = first_broken(solution.route, limit, solution.t, solution[name])
             if broken is not None:
                 raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
-
-
-# Runs as a whole -----------------------------------------------------------------------------------------------------
-
-
-def run_values(motion: Motion, t: Array) -> Array:
-    """Return the values of `run_limits` of a flat problem, (limits,), from instants (N,) evenly from start to end."""
-    added = [limit.over_run for limit in motion.problem.run_limits if limit.over_run]
-    watched = compile_watched(motion.problem.resolved, tuple((Named(each.of), False) for each in added))
-    rows = watched.values(motion.problem, t, motion.at(t))
-    return np.array([each.course(t, row)[-1] for each, row in zip(added, rows, strict=True)])
-
-
-def require_run_limits(problem: Problem, solution: Solution) -> None:
-    """Raise `LimitBroken` if what a run adds up is beyond a limit at its end."""
-    for limit in problem.run_limits:
-        broken = first_broken(problem.name, limit, solution.t[-1:], solution[limit.quantity][-1:])
-        if broken is not None:
-            raise LimitBroken(f"{broken[1]}, over the whole run")

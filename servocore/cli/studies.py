@@ -137,29 +137,22 @@ def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, ...
     drive : Drive
         Its drive.
     """
-    speed, most = (max(column) for column in zip(*drive.corners, strict=True)) if drive.corners else (None, 1.0)
-    t = solution.t
-
-    def row(text: str, kind: str, value: float, time: str, limit: float | str | None, margin: float) -> tuple[str, ...]:
-        unit = solution.unit(f"{name}.{kind}")
-        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * margin:.0f} %")
-        return text, f"{value:.4g} {unit}", time, *bound
-
-    peaks = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None}
-    at_end = {"rms_torque": drive.rated_torque, "energy": None}
-    for kind, limit in peaks.items():
-        if f"{name}.{kind}" in solution:
-            sizes = np.abs(solution[f"{name}.{kind}"])
-            k = int(sizes.argmax())
-            text, margin = f"{kind.replace('_', ' ')}, peak", 1.0 - sizes[k] / float(limit or np.inf)
-            yield row(text, kind, sizes[k], f"{t[k]:.4g} s", limit, margin)
-    for kind, limit in at_end.items():
-        value = solution[f"{name}.{kind}"][-1]
-        yield row(kind.replace("_", " "), kind, value, "", limit, 1.0 - value / float(limit or np.inf))
-    if drive.corners:
-        reserve = solution[f"{name}.torque_reserve"]
-        k = int(reserve.argmin())
-        yield row("torque reserve, least", "torque_reserve", reserve[k], f"{t[k]:.4g} s", 0.0, reserve[k] / most)
+    speed, most = map(max, zip(*(drive.torque_speed or [(None, 1.0)]), strict=True))
+    limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None,
+              "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}  # fmt: skip
+    for kind, limit in limits.items():
+        if f"{name}.{kind}" not in solution:
+            continue
+        values, unit = solution[f"{name}.{kind}"], solution.unit(f"{name}.{kind}")
+        which, k, full = "", len(values) - 1, limit
+        if kind == "torque_reserve":
+            which, k, full = ", least", int(values.argmin()), -most
+        elif kind not in ("rms_torque", "energy"):
+            values = np.abs(values)
+            which, k = ", peak", int(values.argmax())
+        time = f"{solution.t[k]:.4g} s" if which else ""
+        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * (limit - values[k]) / full:.0f} %")
+        yield f"{kind.replace('_', ' ')}{which}", f"{values[k]:.4g} {unit}", time, *bound
 
 
 @dataclass(frozen=True)

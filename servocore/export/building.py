@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -20,7 +19,7 @@ from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
 from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.inverse_functions import METHOD, Mathematics, mathematics
+from servocore.export.inverse_functions import METHOD, Mathematics, bounds_of, mathematics
 from servocore.export.native_model import NativeModel
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.variables import INPUT_TIME, Variable
@@ -28,6 +27,7 @@ from servocore.model.drives import motors
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
+from servocore.solvers.solve import solve
 
 TERMINALS = {
     "path": ("input", "the path to follow with its derivatives"),
@@ -83,19 +83,18 @@ def inverse_model(
         If the inputs depend on the future of the path, as with unstable internal dynamics; or a limit cannot be
         checked from step to step.
     InvalidReference
-        If the scene's own path breaks its limits.
+        If the scene's own path breaks its limits, of instants or of the run as a whole.
     """
     problem = _analysed(scene, model)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
+    require_limits_kept(scene, model)
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
-    more = dict[str, ca.Function]()
+    more = dict(estimates.functions) if estimates else {}
     if feedback:
         more |= {**feedback.laws, "judge": feedback.judge}
-    if estimates:
-        more |= estimates.functions
     if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
         more["motors"] = motors(system, scene.drives, compiled.outputs)
     return InverseModel(
@@ -125,6 +124,7 @@ def inverse_model(
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,
         limits=compiled.limits,
+        run_limits=tuple(bound for limit in problem.run_limits for bound in bounds_of(limit)),
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
         terminals=TERMINALS,
@@ -137,6 +137,12 @@ def inverse_model(
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,
     )
+
+
+def require_limits_kept(scene: Scene, model: str | None) -> None:
+    """Raise `LimitBroken` if the scene's own path breaks a limit of an instant or of the run as a whole."""
+    if Problem.of(scene, model).motion_limits:
+        solve(scene, model=model)
 
 
 def _analysed(scene: Scene, model: str | None) -> Problem:

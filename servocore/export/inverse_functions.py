@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
@@ -89,7 +89,7 @@ def mathematics(problem: Problem, identifier: str) -> Mathematics:
     InvalidModel
         If a limit cannot be checked from step to step.
     """
-    watched = with_watched(problem)
+    watched = with_watched(replace(problem, limits=tuple(each for each in problem.limits if not each.over_run)))
     known = _Known(watched, wanted(watched), bounds(watched))
     return (_instantaneous if problem.flat and not problem.follow_branch else _stepped)(known, identifier)
 
@@ -143,9 +143,9 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     InvalidModel
         If one is of an angle that counts turns, or of the rate of a force: neither follows from a single instant.
     """
-    path = [Bound(e.quantity, e.unit, e.reason, e.bound) for e in problem.limits if e.of_path]
+    path = [bound for limit in problem.limits if limit.of_path for bound in bounds_of(limit)]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
-    bounds_of_limits = []
+    bounds_of_limits = list[Bound]()
     for row, (limit, name) in enumerate(zip(problem.motion_limits, hidden, strict=True)):
         if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
             kind = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
@@ -153,13 +153,17 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
                 f"{problem.name} cannot be exported with its limit of {limit.quantity}: an FMU checks limits at single"
                 f" instants, and this is {kind}"
             )
-        sides = [(limit.bound, 1.0), (limit.upper, -1.0)]
-        bounds_of_limits += [
-            Bound(limit.quantity, limit.unit, limit.reason, bound, side, row, limit.rate)
-            for bound, side in sides
-            if math.isfinite(bound)
-        ]
+        bounds_of_limits += bounds_of(limit, row)
     return (*path, *bounds_of_limits)
+
+
+def bounds_of(limit: Limit, row: int = -1) -> list[Bound]:
+    """Return the bounds that a limit has."""
+    return [
+        Bound(limit.quantity, limit.unit, limit.reason, bound, side, row, limit.rate)
+        for bound, side in ((limit.bound, 1.0), (limit.upper, -1.0))
+        if math.isfinite(bound)
+    ]
 
 
 def _instantaneous(known: _Known, identifier: str) -> Mathematics:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import casadi as ca
@@ -32,7 +33,7 @@ class Bound:
     side : float
         1 if the quantity must stay above it, -1 if below.
     row : int
-        Number of the limit of the motion that it belongs to; -1 for limits of the path.
+        Number of the limit of the motion that it belongs to; -1 for limits of the path. Of a run: of the output.
     rate : bool
         Whether it is the rate of a quantity, which is NaN where that has no direction.
     """
@@ -111,6 +112,8 @@ class NativeModel:
         the mean square.
     limits : tuple of Bound
         Bounds of its validity.
+    run_limits : tuple of Bound
+        Bounds of outputs that are added up, at the end of a run.
     depends : ndarray of bool, shape (outputs, numbers of the inputs)
         Which outputs depend on which numbers of the inputs.
     timed : bool
@@ -150,6 +153,7 @@ class NativeModel:
     duration: float
     differentiable: bool
     terminals: Mapping[str, tuple[str, str]]
+    run_limits: tuple[Bound, ...] = ()
     added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()
     more_sources: Mapping[str, str] = field(default_factory=dict)
@@ -204,23 +208,25 @@ class NativeModel:
     def with_run_quantities(self) -> Self:
         """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
         found, names = run_quantities(self.outputs), [each.name for each in self.outputs]
-        of = [names.index(each.of) for each in found]
+        of, known = [names.index(each.of) for each in found], [*names, *(each.name for each in found)]
         return replace(
             self,
             outputs=(*self.outputs, *found),
             variables=placed([*self.variables, *output_variables(found)]),
             depends=np.vstack([self.depends, self.depends[of]]),
+            run_limits=tuple(replace(each, row=known.index(each.quantity)) for each in self.run_limits),
             added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
         )
 
+    @cached_property
     def source(self) -> tuple[str, str]:
-        """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
+        """Header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.host)).encode())
-        for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr(self.limits), *more):
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.host, self.limits, self.run_limits)).encode())
+        for text in (*self.source, *self.more_sources.values(), repr(self.own), *more):
             digest.update(text.encode())
         code = digest.hexdigest()
         return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"

@@ -13,6 +13,7 @@ from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
 from servocore.export.directional_derivatives import tangent
 from servocore.export.identifiers import identifier_of, require_different
+from servocore.export.inverse_functions import bounds_of
 from servocore.export.native_model import Bound, NativeModel
 from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
@@ -192,8 +193,7 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     orders = min(orders, system.gamma.shape[1])
     highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.limits if limit.of_path}
     kept = tuple(limit for limit, order in highest.items() if 0 <= order < orders)
-    bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound) for e in kept)
-    return bounds, compile_margins(system, kept, orders - 1)
+    return tuple(bound for limit in kept for bound in bounds_of(limit)), compile_margins(system, kept, orders - 1)
 
 
 def _functions(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -74,20 +73,24 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     if made.method or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
     outputs, orders = made.outputs, made.orders
-    programs, functions, sources = [], [], dict[str, str]()
-    for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
-        name = f"{made.identifier}_route_{k}"
-        program = program_of(Problem.of(scene, model), formulation, options.method)
-        if program.nodes != (1.0,):
-            raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
-        programs.append(program)
-        functions.append(_functions(program, name, outputs, orders) if k else {})
-        if k:  # routes are large: each has files of its own
-            sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, functions[k].values())
+    programs, functions, sources = list[Program](), list[dict[str, ca.Function]](), dict[str, str]()
+    for model in options.models:
+        first = len(programs)
+        for k, formulation in enumerate(options.formulations.values(), first):
+            program = program_of(Problem.of(scene, model), formulation, options.method)
+            if program.nodes != (1.0,):
+                raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
+            programs.append(program)
+            functions.append(_functions(program, f"{made.identifier}_route_{k}", outputs, orders) if k else {})
+        # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
+        name = f"{made.identifier}_{model}"
+        of_model = [each for of_route in functions[first:] for each in of_route.values()]
+        sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, of_model)
     problem = Problem.of(scene, options.models[0])
     of_path = tuple(limit for limit in problem.limits if limit.of_path)
     margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
     table = _table(programs, functions, outputs) | {"formulations": len(options.formulations)}
+    table["headers"] = [name for name in sources if name.endswith(".h")]
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),

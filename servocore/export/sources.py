@@ -31,7 +31,7 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 
 def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return all C sources of an FMU by file name: mathematics, tables, kernel, and FMI's own headers."""
-    header, source = model.source()
+    header, source = model.source
     values = tables(model, token_of(model, fmi))
     own = {
         f"{model.identifier}_mathematics.h": header,

@@ -12,6 +12,7 @@ import numpy as np
 from servocore.checks.before_run import require_feasible
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
+from servocore.export.building import require_limits_kept
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import NativeModel
 from servocore.export.variables import Choice
@@ -94,6 +95,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     if options.path is not None:
         scene.with_reference(options.path)  # which refuses units that are implausible for the scene
     require_feasible(replace(problem, reference=baked or scene.reference))
+    require_limits_kept(scene if baked is None else replace(scene, reference=baked), model)
     identifier = options.identifier or identifier_of(f"{scene.name}_trajectory")
     profile = options.profile or (law if baked is None else FROM_FILE)
     ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]

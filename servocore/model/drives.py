@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 
@@ -110,7 +111,7 @@ class Drive:
     viscous: Given = 0.0
     coulomb: Given = 0.0
     torque_constant: Given | None = None
-    torque_speed: Sequence[tuple[Given, Given]] = ()
+    torque_speed: Sequence[tuple[Any, Any]] = ()
     rated_torque: Given | None = None
     rated_power: Given | None = None
 
@@ -119,11 +120,11 @@ class Drive:
             value = getattr(self, each.name)
             if value is not None or getattr(Drive, each.name) is not None:
                 object.__setattr__(self, each.name, _checked(each, value))
-        rows = getattr(self.torque_speed, "tolist", lambda: self.torque_speed)()
-        pairs = isinstance(rows, Sequence) and all(isinstance(row, Sequence) and len(row) == 2 for row in rows)
-        if isinstance(rows, str) or not pairs:
-            raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {described(rows)}")
-        corners = tuple(tuple(map(_checked, _CORNER, row)) for row in rows)
+        try:
+            corners = tuple(tuple(map(_checked, _CORNER, (speed, torque))) for speed, torque in self.torque_speed)
+        except (TypeError, ValueError):
+            given = described(self.torque_speed)
+            raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {given}") from None
         rising = all(a[0] < b[0] for a, b in pairwise(corners))
         if corners and not (len(corners) > 1 and corners[0][0] == 0.0 and rising):
             raise InvalidModel(
@@ -131,16 +132,24 @@ class Drive:
             )
         object.__setattr__(self, "torque_speed", corners)
 
-    @property
-    def corners(self) -> tuple[tuple[float, float], ...]:
-        """Corners of the torque-speed curve, (rad/s, N.m)."""
-        return tuple((float(speed), float(torque)) for speed, torque in self.torque_speed)
+    def declared(self, of: str) -> list[Parameter]:
+        """Return the data that are given and enter the model, as parameters.
 
-    @property
-    def declared(self) -> list[Parameter]:
-        """Data that are given and enter the model, with their values as defaults."""
-        values = ((each, getattr(self, each.name)) for each in _DATA)
-        return [replace(each, default=value) for each, value in values if value != getattr(Drive, each.name)]
+        Parameters
+        ----------
+        of : str
+            Name of the input, before the names of the parameters.
+
+        Returns
+        -------
+        list of Parameter
+            ``M_b.ratio`` and others, with their values as defaults.
+        """
+        given = [each for each in _DATA if getattr(self, each.name) != getattr(Drive, each.name)]
+        return [
+            replace(e, name=f"{of}.{e.name}", default=getattr(self, e.name), description=f"{e.description}, of {of}")
+            for e in given
+        ]
 
 
 def _checked(of: Parameter, value: object) -> float:
@@ -163,11 +172,7 @@ class Driven:
             If an input has no place for a drive, or its radius is missing or given twice.
         """
         system, drives = self.factory(), dict(self.motors)
-        declared = [
-            replace(each, name=f"{name}.{each.name}", description=f"{each.description}, of {name}")
-            for name, drive in drives.items()
-            for each in drive.declared
-        ]
+        declared = [each for name, drive in drives.items() for each in drive.declared(name)]
         parameters = system.parameters.extended(*declared)
         q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
         mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
@@ -207,10 +212,10 @@ def with_drives(factory: Callable[[], MechanicalSystem], drives: Mapping[str, Dr
 
 def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
     """Return the number of an input; raises `InvalidModel` if there is none, or unit and radius disagree."""
-    names = [quantity.name for quantity in system.inputs]
-    if name not in names:
-        raise InvalidModel(f"{system.name} has no input {name} that a drive could act on; it has {', '.join(names)}")
-    unit = system.inputs[names.index(name)].unit
+    places = {quantity.name: (k, quantity.unit) for k, quantity in enumerate(system.inputs)}
+    if name not in places:
+        raise InvalidModel(f"{system.name} has no input {name} that a drive could act on; it has {', '.join(places)}")
+    place, unit = places[name]
     if unit not in ("N", "N.m"):
         raise InvalidModel(
             f"the input {name} of {system.name} is in {unit}: a drive makes a torque in N.m or a force in N"
@@ -222,23 +227,23 @@ def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
             else f"{name} is a torque: its drive has no drum_radius; the radius of a winch's drum is a parameter of the"
             " scene, such as winch_radius"
         )
-    return names.index(name)
+    return place
 
 
 def _data(name: str, drive: Drive, parameters: Parameters) -> dict[str, ca.SX]:
     """Return the data of a drive: symbols of those that are parameters, neutral numbers of the others."""
-    given = {each.name: parameters[f"{name}.{each.name}"] for each in drive.declared}
-    p = {each.name: ca.SX(each.default) for each in _DATA} | given
+    p = {each.name: ca.SX(each.default) for each in _DATA}
+    p |= {each.name.removeprefix(f"{name}."): parameters[each.name] for each in drive.declared(name)}
     return p | {"transmission": p["ratio"] * p["rope_falls"] / p["drum_radius"]}
 
 
 def _observed(name: str, drive: Drive, p: Mapping[str, ca.SX], u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
     """Return torque, speed, power and reserve of the motor under an input, by its speed."""
     torque, efficiency = u / p["transmission"], p["efficiency"]
-    if drive.efficiency != 1.0:  # tau / eta where the motor drives, tau eta where the load does
-        driving = ca.tanh(speed / p["transmission"] / CREEP)
-        more, less = 1 / efficiency + efficiency, 1 / efficiency - efficiency
-        torque = more / 2 * torque + less / 2 * _size(torque, _SLIGHT) * driving
+    # tau / eta where the motor drives, tau eta where the load does.
+    driving = ca.tanh(speed / p["transmission"] / CREEP)
+    more, less = 1 / efficiency + efficiency, 1 / efficiency - efficiency
+    torque = more / 2 * torque + less / 2 * _size(torque, _SLIGHT) * driving
     known = {
         Quantity(f"{name}.motor_torque", "N.m", f"torque of the motor of {name}"): torque,
         Quantity(f"{name}.motor_speed", "rad/s", f"speed of the motor of {name}"): speed,
@@ -246,9 +251,9 @@ def _observed(name: str, drive: Drive, p: Mapping[str, ca.SX], u: ca.SX, speed: 
     }
     if drive.torque_constant is not None:
         known[Quantity(f"{name}.current", "A", f"current of the motor of {name}")] = torque / p["torque_constant"]
-    if drive.corners:
+    if drive.torque_speed:
         about = f"torque that the motor of {name} could add at its speed"
-        used = _size(torque, _SMOOTH * max(most for _, most in drive.corners))
+        used = _size(torque, _SMOOTH * max(most for _, most in drive.torque_speed))
         known[Quantity(f"{name}.torque_reserve", "N.m", about)] = largest_torque(drive, speed) - used
     return known
 
@@ -277,9 +282,9 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     An even, piecewise linear function of the speed is a sum of |speed - corner|, one for every change of slope. With
     sqrt(x^2 + e^2) or sqrt(x^2 + e^2) - e for |x|, whichever lowers the sum, it is smooth and nowhere above the curve.
     """
-    speed_most, torque_last = drive.corners[-1]
+    speed_most, torque_last = drive.torque_speed[-1]
     beyond = [((1.0 + _BEYOND) * speed_most, 0.0)] if torque_last else []
-    corners, e = [*drive.corners, *beyond], _SMOOTH * speed_most
+    corners, e = [*drive.torque_speed, *beyond], _SMOOTH * speed_most
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):

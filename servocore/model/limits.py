@@ -195,8 +195,7 @@ def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
     for each in quantities:
         name, _, kind = each.name.rpartition(".")
         if (kind, each.unit) == ("power", "W"):
-            about = f"integral of {each.name} over the time"
-            found.append(RunQuantity(f"{name}.energy", "J", about, of=each.name))
+            found.append(RunQuantity(f"{name}.energy", "J", f"integral of {each.name} over the time", of=each.name))
         elif (kind, each.unit) == ("motor_torque", "N.m"):
             about = f"root of the mean square of {each.name} since the start"
             found.append(RunQuantity(f"{name}.rms_torque", "N.m", about, nonnegative=True, of=each.name, rms=True))

@@ -260,11 +260,11 @@ def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kin
     if len(dead):
         why = "drives no coordinate" if kind == "input" else "depends on no coordinate"
         raise InvalidModel(f"{whose}: structurally singular, the {kind} {names[dead[0]]} {why}")
-    dependent = [_dependent(matrix) for matrix in finite]
-    if all(dependent):
-        listed = ", ".join(names[k] for k in dependent[-1])
-        why = "drive the same" if kind == "input" else "follow the same coordinates"
-        raise InvalidModel(f"{whose}: structurally singular, the {kind}s {listed} {why}: each is implied by the others")
+    if any(not (dependent := _dependent(matrix)) for matrix in finite):
+        return
+    listed = ", ".join(names[k] for k in dependent)
+    why = "drive the same" if kind == "input" else "follow the same coordinates"
+    raise InvalidModel(f"{whose}: structurally singular, the {kind}s {listed} {why}: each is implied by the others")
 
 
 def _dependent(rows: Array) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.components import of_one_shape, parts_of, singular_values
+from servocore.numerics.components import filled, parts_of, singular_values
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
@@ -70,9 +70,9 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     gamma[:, :, 0] = system.home
     gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, is constant
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
-        system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
+        system.guess, ca.vertcat(system.G, system.C)])  # fmt: skip
     changes = [np.abs(np.asarray(evaluate(function, home, p)[0]).ravel() - home) for function in gamma]
-    rows = np.asarray(evaluate(gamma[0], home, p)[1])
+    rows = filled(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
         changes.append(_followed(rows, np.concatenate([np.zeros(len(rows) - len(extent)), extent])))
     return np.asarray(np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0))
@@ -84,11 +84,10 @@ def _followed(rows: Array, extent: Array) -> Array:
     Independent parts are decomposed separately, with one threshold for negligible singular values.
     """
     places = (indices.tolist() for indices in np.nonzero(rows))
-    groups = of_one_shape([part for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)) if len(part.entries)])
     largest, followed = float(singular_values(rows).max(initial=0.0)), np.zeros(rows.shape[1])
-    for same in groups:
-        matrices = np.stack([rows[np.ix_(part.rows, part.columns)] for part in same])
-        negligible = _NEGLIGIBLE * largest / np.linalg.norm(matrices, 2, axis=(1, 2))
-        for part, matrix in zip(same, np.linalg.pinv(matrices, negligible), strict=True):
-            followed[part.columns] = np.abs(matrix * extent[part.rows]).max(axis=1)
+    for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)):
+        if len(part.entries):
+            matrix = rows[np.ix_(part.rows, part.columns)]
+            inverse = np.linalg.pinv(matrix, _NEGLIGIBLE * largest / np.linalg.norm(matrix, 2))
+            followed[part.columns] = np.abs(inverse * extent[part.rows]).max(axis=1)
     return followed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
     Parameters
     ----------
     path : str or Path
-        A TOML file, such as ``load_mass = 80.0``; names, units and bounds are the scene's.
+        A TOML file, such as ``load_mass = 80.0`` or ``M_b.ratio = 120``; names, units and bounds are the scene's.
     scene : Scene
         The scene.
     more : sequence of Parameter
@@ -40,7 +40,7 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
     path = Path(path)
     declared = {parameter.name: parameter for parameter in (*scene.model().parameters.declared, *more)}
     values: dict[str, float] = {}
-    for key, value in read_table(path).items():
+    for key, value in _by_name(read_table(path), declared):
         if key not in declared and key in scene.effects.parameters:
             warnings.warn(
                 f"{path}: {key} is not used: it belongs to an effect that this model leaves out",
@@ -92,12 +92,16 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     inner = table.get("limits")
     if isinstance(inner, Mapping) and len(table) == 1:
         table = dict(inner)
-    limits: dict[str, Bounds] = {}
+    return {name: _bounds(path, name, value) for name, value in _by_name(table)}
+
+
+def _by_name(table: Mapping[str, object], known: Container[str] = ()) -> Iterator[tuple[str, object]]:
+    """Yield names and values: in TOML s.rate is a table s, unless that is known itself."""
     for name, value in table.items():
-        # In TOML s.rate is a table s.
-        given = {f"{name}.{k}": bound for k, bound in value.items()} if isinstance(value, Mapping) else {name: value}
-        limits |= {each: _bounds(path, each, bound) for each, bound in given.items()}
-    return limits
+        if isinstance(value, Mapping) and name not in known:
+            yield from ((f"{name}.{k}", each) for k, each in value.items())
+        else:
+            yield name, value
 
 
 def _bounds(path: Path, name: str, value: object) -> Bounds:

@@ -15,6 +15,8 @@ from servocore.numerics.memoization import made_once
 
 Array = npt.NDArray[np.float64]
 
+_LONG = 1000  # results of a function that is called instant by instant: mapped, its values would pass through memory
+
 
 def lock_arrays(record: object, *names: str) -> None:
     """Replace the arrays of a frozen record by read-only views; the arrays themselves stay writable."""
@@ -104,6 +106,10 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
     tuple of ndarray, shape (rows, columns * N)
         The results of the instants side by side.
     """
+    if function.numel_out(0) > _LONG:
+        instants = zip(*(column.T for column in columns), jets, strict=True)
+        each = [call_of(function)(*states, jet.T, p) for *states, jet in instants]
+        return tuple(np.column_stack(results) for results in zip(*each, strict=True))
     along = (True,) * (function.n_in() - 1) + (False,)
     results = mapped(function, len(jets), along)(*columns, side_by_side(jets), p)
     sizes = [(function.size1_out(k), function.size2_out(k) * len(jets)) for k in range(function.n_out())]

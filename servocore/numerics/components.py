@@ -7,7 +7,7 @@ are computed, from sparse factors. Rows and columns are scaled first: rank and c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +25,7 @@ LARGE = 128
 
 _SWEEPS = 6  # of equilibration
 _WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
-_SUBSPACE = 10  # vectors of Lanczos' method
+_SUBSPACE = 6  # vectors of Lanczos' method, which starts from a vector that is nearly right
 _ACCURATE = 1e-4  # residual of the extreme singular values of large parts; their error is about its square
 
 
@@ -55,10 +55,15 @@ class Part:
         return matrices
 
 
+def places_of(pattern: ca.Sparsity) -> tuple[Places, Places]:
+    """Return the row and the column of every entry of a matrix, column by column."""
+    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    return rows, columns
+
+
 def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     """Return the independent parts of a matrix; an empty row or column is a part of its own."""
-    height, width = pattern.shape
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    (height, width), (rows, columns) = pattern.shape, places_of(pattern)
     # Rows and columns as nodes of one graph with edges both ways: its strong components are the parts.
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
     graph = ca.Sparsity.triplet(height + width, height + width, *(nodes.tolist() for nodes in both))
@@ -82,7 +87,7 @@ def _numbers(order: Sequence[int], ends: Sequence[int]) -> Places:
 
 def _parts(pattern: ca.Sparsity, of_row: Places, of_column: Places, count: int) -> tuple[Part, ...]:
     """Return the parts of a matrix from the number of the part of every row and column."""
-    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
+    rows, columns = places_of(pattern)
     inside = np.flatnonzero(of_row[rows] == of_column[columns])
     members, of_width, entries = (_members(each, count) for each in (of_row, of_column, of_row[rows[inside]]))
     return tuple(
@@ -107,7 +112,7 @@ def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
 def filled(matrix: ca.DM) -> Array:
     """Return a sparse matrix as a dense array; CasADi's own conversion copies every zero by itself."""
     array = np.zeros(matrix.shape)
-    array[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
+    array[places_of(matrix.sparsity())] = matrix.nonzeros()
     return array
 
 
@@ -115,7 +120,7 @@ def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
     pattern = ca.Sparsity.triplet(*matrix.shape, *(indices.tolist() for indices in np.nonzero(matrix)))
     parts = [part for part in parts_of(pattern) if len(part.entries)]
-    entries = matrix[tuple(np.array(pattern.get_triplet(), dtype=np.intp))][:, None]
+    entries = matrix[places_of(pattern)][:, None]
     of_parts = [_decomposed(same, entries).ravel() for same in of_one_shape(parts)]
     # Empty rows and columns are singular values of zero, which no part brings.
     values = np.sort(np.concatenate([*of_parts, np.zeros(min(matrix.shape))]))[::-1]
@@ -136,19 +141,17 @@ def equilibrated(matrix: Array) -> Array:
 
 def _equilibrated(places: Iterable[Places], entries: Array) -> Array:
     """Scale the entries of sparse matrices, shape (nnz, N), at these rows and columns, as `equilibrated` does."""
-    scaled, lines = np.array(entries, dtype=np.float64), []
+    sizes, lines = np.abs(entries, dtype=np.float64), []
     for of_entry in places:
-        order = np.argsort(of_entry, kind="stable")
-        first = np.diff(of_entry[order], prepend=-1) > 0
-        line = np.empty(len(order), dtype=np.intp)
-        line[order] = np.cumsum(first) - 1
-        lines.append((order, np.flatnonzero(first), line))
-    for sweep in range(_SWEEPS if len(scaled) else 0):
+        line = np.unique(of_entry, return_inverse=True)[1]
+        order = np.argsort(line, kind="stable")
+        lines.append((order, np.flatnonzero(np.diff(line[order], prepend=-1)), line))
+    for sweep in range(_SWEEPS if len(sizes) else 0):
         for order, starts, line in lines:
-            largest = np.maximum.reduceat(np.abs(scaled)[order], starts)
+            largest = np.maximum.reduceat(sizes[order], starts)
             factor = np.where(largest > 0.0, largest, 1.0)
-            scaled /= (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)[line]
-    return scaled
+            sizes /= (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)[line]
+    return np.copysign(sizes, entries)
 
 
 def condition_number(matrix: Array) -> float:
@@ -157,29 +160,16 @@ def condition_number(matrix: Array) -> float:
 
 
 def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
-    """Return the condition numbers of a sparse square matrix at N instants, from its entries (nnz, N)."""
+    """Return the condition numbers of a sparse matrix at N instants, from its entries (nnz, N).
+
+    They are infinite unless all entries are finite and all parts square and regular.
+    """
     finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
     largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
-    for _, highest, lowest in _extremes(parts, entries if finite.all() else np.where(finite, entries, 0.0)):
-        largest, least = np.maximum(largest, highest.max(axis=0)), np.minimum(least, lowest.min(axis=0))
-    regular = finite & (least > 0.0)
-    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
-
-
-def are_regular(parts: Sequence[Part], entries: Array) -> npt.NDArray[np.bool_]:
-    """Whether the parts of a sparse matrix with N sets of entries (nnz, N) are square and of full rank each."""
-    regular = np.ones(entries.shape[1], dtype=bool)
-    for size, highest, lowest in _extremes(parts, entries):
-        regular &= (lowest > highest * (np.finfo(np.float64).eps * size)).all(axis=0)
-    return regular
-
-
-def _extremes(parts: Sequence[Part], entries: Array) -> Iterator[tuple[int, Array, Array]]:
-    """Yield the size of parts, and their largest and least singular values (parts, N) once they are scaled."""
     places = np.zeros((2, len(entries)), dtype=np.intp)
     for part in parts:
         places[:, part.entries] = part.rows[part.places[0]], part.columns[part.places[1]]
-    entries = _equilibrated(places, entries)
+    entries = _equilibrated(places, entries if finite.all() else np.where(finite, entries, 0.0))
     for same in of_one_shape(parts):  # stacked: calls for hundreds of parts take longer than decompositions
         size = len(same[0].rows)
         if size != len(same[0].columns):
@@ -188,7 +178,10 @@ def _extremes(parts: Sequence[Part], entries: Array) -> Iterator[tuple[int, Arra
             values = np.array([_extreme_singular_values(part, entries) for part in same])
         else:
             values = _decomposed(same, entries)
-        yield size, values[:, :, 0], values[:, :, -1]
+        largest = np.maximum(largest, values[:, :, 0].max(axis=0))
+        least = np.minimum(least, values[:, :, -1].min(axis=0))
+    regular = finite & (least > 0.0)
+    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
 
 
 def _extreme_singular_values(part: Part, entries: Array) -> Array:
@@ -197,13 +190,14 @@ def _extreme_singular_values(part: Part, entries: Array) -> Array:
     from scipy.sparse.linalg import splu  # noqa: PLC0415
 
     size, found = len(part.rows), np.zeros((entries.shape[1], 2))
+    rows, starts = part.places[0], np.searchsorted(part.places[1], np.arange(size + 1))
     vectors = [np.ones(size)] * 2  # those of one instant are close to those of the next
-    for k, values in enumerate(entries[part.entries].T):
-        matrix = csc_array((values, part.places), (size, size))
+    for k, values in enumerate(np.ascontiguousarray(entries[part.entries].T)):
+        matrix = csc_array((values, rows, starts), (size, size))
         with suppress(RuntimeError):  # of a matrix that is exactly singular
-            solve, transposed = splu(matrix).solve, matrix.T.tocsc()
+            solve = splu(matrix).solve
             inverse, vectors[1] = _norm(solve, partial(solve, trans="T"), vectors[1])
-            largest, vectors[0] = _norm(matrix.dot, transposed.dot, vectors[0])
+            largest, vectors[0] = _norm(matrix.dot, matrix.T.dot, vectors[0])
             found[k] = largest, 1.0 / inverse
     return found
 
@@ -240,24 +234,12 @@ def gram_solver(matrix: Array, damping: float = 0.0) -> Product | None:
 _SMALL = 3  # unknowns: parts up to this size are solved by a formula, cheaper than a function call
 
 
-@dataclass(frozen=True, eq=False)
-class IsomorphicParts:
-    """Isomorphic parts, which share one compiled solver.
-
-    Attributes
-    ----------
-    parts : list of Part
-        Rows and columns of each.
-    givens : list of list of int
-        Indices of the system's givens on which each part depends, in the order of the solver's arguments.
-    """
-
-    parts: list[Part]
-    givens: list[list[int]]
-
-
-def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.SX]) -> list[IsomorphicParts]:
+def isomorphic_parts(
+    residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.SX]
+) -> list[list[tuple[Part, list[int]]]]:
     """Return the groups of two and more independent parts of residual(unknowns, givens) = 0 that are alike.
+
+    With each part stand the indices of the givens on which it depends, in the order of its expressions.
 
     Parameters
     ----------
@@ -268,26 +250,23 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     """
     if unknowns.numel() <= 2 * _SMALL:
         return []
-    parts = parts_of(ca.jacobian_sparsity(residual, unknowns))
-    shapes: dict[tuple[int, int], list[Part]] = {}
-    for part in parts:
-        if len(part.rows) == len(part.columns) > _SMALL:
-            shapes.setdefault((len(part.rows), len(part.entries)), []).append(part)
-    candidates = [part for same in shapes.values() if len(same) > 1 for part in same]
+    shapes = of_one_shape(parts_of(ca.jacobian_sparsity(residual, unknowns)))
+    square = [same for same in shapes if len(same[0].rows) == len(same[0].columns) > _SMALL]
+    candidates = [part for same in square if len(same) > 1 for part in same]
     if not candidates:
         return []
-    places = {entry.element_hash(): k for k, entry in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
-    groups: dict[str, IsomorphicParts] = {}
+    depends = ca.jacobian_sparsity(ca.vertcat(residual, *beside), givens).T
+    starts, held, size = depends.colind(), depends.row(), unknowns.numel()
+    groups: dict[str, list[tuple[Part, list[int]]]] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
-        expressions = [residual[rows], *(vector[columns] for vector in beside[:-1]), beside[-1][rows]]
-        hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
-        known = sorted(places[key] for key in hashes if key in places)
+        own = rows, *[columns] * (len(beside) - 1), rows
+        expressions = [vector[some] for vector, some in zip((residual, *beside), own, strict=True)]
+        lines = [place * size + k for place, some in enumerate(own) for k in some]
+        known = sorted({given for line in lines for given in held[starts[line] : starts[line + 1]]})
         # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
-        group = groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
-        group.parts.append(part)
-        group.givens.append(known)
-    return [group for group in groups.values() if len(group.parts) > 1]
+        groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), []).append((part, known))
+    return [group for group in groups.values() if len(group) > 1]
 
 
 def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:

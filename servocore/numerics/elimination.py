@@ -20,7 +20,7 @@ _LARGEST = 6  # rows to develop determinants of: each one more doubles the minor
 _DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many products, when most entries are there
 _FILL = 0  # a substitution must not leave more entries than it removes
 
-_Columns = frozenset[int]
+_Columns = int  # their bits
 
 
 @dataclass(eq=False)
@@ -42,6 +42,8 @@ class KnownValues:
         Squared scaled corrections of guesses that should be exact.
     linear_blocks : int
         Number of blocks solved without iterations.
+    residuals : list of casadi.MX
+        Largest scaled residuals of isomorphic parts, shape (1, parts) each.
     """
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
@@ -49,6 +51,7 @@ class KnownValues:
     isomorphic_counts: list[ca.MX] = field(default_factory=list)
     corrections: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
+    residuals: list[ca.MX] = field(default_factory=list)
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
 
@@ -235,31 +238,32 @@ def _by_determinants(size: int, entries: tuple[tuple[int, int], ...]) -> ca.Func
     the chain of operations is short where a factorization has a division and a root in every row.
     """
     pattern = ca.Sparsity.triplet(size, size, *([entry[k] for entry in entries] for k in range(2)))
-    matrix, right, minors = ca.SX.sym("A", pattern), ca.SX.sym("b", size), {_Columns(): ca.SX(1)}
-    rows = [{size: right[i]} for i in range(size)]  # the right side is one column more
+    matrix, right = ca.SX.sym("A", pattern), ca.SX.sym("b", size)
+    rows = [1 << size] * size  # the right side is one column more
     for i, j in entries:
-        rows[i][j] = matrix[i, j]
-    products, order = _cheapest_order([frozenset(row) for row in rows])
+        rows[i] |= 1 << j
+    products, order = _cheapest_order(rows)
     if products > _DEAREST * size**3:
         return None
+    all_columns, columns, minors = ca.densify(ca.horzcat(matrix, right)), [0], ca.SX(1)
     for i in order:
-        minors = _with_row(minors, rows[i])
-    every = _Columns(range(size))
+        columns, minors = _with_row(columns, minors, rows[i], all_columns[i, :].T)
+    every, found = (1 << size) - 1, dict(zip(columns, ca.vertsplit(minors), strict=True))
     # In the place of column j stands the right side: moved there from the end past all columns between.
     signs = [(-1) ** (size - 1 - j) for j in range(size)]
-    numerators = ca.vertcat(*[sign * minors.get(every - {j} | {size}, ca.SX(0)) for j, sign in enumerate(signs)])
-    return ca.Function("sc_determinants", [matrix, right], [numerators / minors[every]])
+    numerators = ca.vertcat(*[sign * found.get(every ^ 1 << j | 1 << size, ca.SX(0)) for j, sign in enumerate(signs)])
+    return ca.Function("sc_determinants", [matrix, right], [numerators / found[every]])
 
 
-def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Columns, ca.SX]:
-    """Return the minors with a row more, above those that they have, developed by that row."""
-    larger: dict[_Columns, ca.SX] = {}
-    for columns, minor in minors.items():
-        for j in sorted(row.keys() - columns):
-            term = row[j] * minor
-            odd = sum(k < j for k in columns) % 2
-            larger[columns | {j}] = larger.get(columns | {j}, ca.SX(0)) + (-term if odd else term)
-    return larger
+def _with_row(columns: list[_Columns], minors: ca.SX, held: _Columns, row: ca.SX) -> tuple[list[_Columns], ca.SX]:
+    """Return the minors of these columns with a row more, above those that they have, developed by that row."""
+    terms = [(k, j) for k, of_minor in enumerate(columns) for j in range(row.numel()) if held & ~of_minor & 1 << j]
+    wider = [columns[k] | 1 << j for k, j in terms]
+    places = {each: place for place, each in enumerate(dict.fromkeys(wider))}
+    signs = [(-1) ** (columns[k] & (1 << j) - 1).bit_count() for k, j in terms]
+    pattern = ca.Sparsity.triplet(len(places), len(terms), [places[each] for each in wider], list(range(len(terms))))
+    products = ca.vec(row[[j for _, j in terms]]) * ca.vec(minors[[k for k, _ in terms]])
+    return list(places), ca.mtimes(ca.SX(ca.DM(pattern, signs)), products)
 
 
 def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
@@ -268,13 +272,14 @@ def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
     The set of minors depends on the rows, not on their order. By dynamic programming, the best order of some rows
     extends the best order of all but the last of them.
     """
-    best: dict[_Columns, tuple[int, list[int], set[_Columns]]] = {_Columns(): (0, [], {_Columns()})}
+    best: dict[int, tuple[int, list[int], set[_Columns]]] = {0: (0, [], {0})}  # by the bits of the rows taken
     for size in range(len(rows)):
-        for taken in [rows_taken for rows_taken in best if len(rows_taken) == size]:
+        for taken in [some for some in best if some.bit_count() == size]:
             products, order, minors = best[taken]
-            for i in set(range(len(rows))) - taken:
-                total = products + sum(len(rows[i] - columns) for columns in minors)
-                if taken | {i} not in best or total < best[taken | {i}][0]:
-                    grown = {columns | {j} for columns in minors for j in rows[i] - columns}
-                    best[taken | {i}] = total, [*order, i], grown
-    return best[_Columns(range(len(rows)))][:2]
+            for i in (i for i in range(len(rows)) if not taken & 1 << i):
+                total = products + sum((rows[i] & ~columns).bit_count() for columns in minors)
+                if taken | 1 << i not in best or total < best[taken | 1 << i][0]:
+                    bits = [1 << j for j in range(len(rows) + 1) if rows[i] & 1 << j]
+                    grown = {columns | bit for columns in minors for bit in bits if not columns & bit}
+                    best[taken | 1 << i] = total, [*order, i], grown
+    return best[(1 << len(rows)) - 1][:2]

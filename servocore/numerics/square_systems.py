@@ -9,6 +9,7 @@ unknowns, needs Newton's method on two blocks of three.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import IsomorphicParts, isomorphic_parts
+from servocore.numerics.components import Part, isomorphic_parts, places_of
 from servocore.numerics.elimination import (
     KnownValues,
     is_linear,
@@ -76,28 +77,42 @@ class SquareSystem:
                 raise InvalidModel(f"{self.unknowns.numel()} unknowns, but {name} has {rows} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
-    def alike(self) -> list[IsomorphicParts]:
-        """Groups of isomorphic independent parts."""
+    def alike(self) -> list[list[tuple[Part, list[int]]]]:
+        """Groups of isomorphic independent parts, each with the indices of its givens."""
         beside = self.guess, self.unknown_scale, self.residual_scale
         return isomorphic_parts(self.residual, self.unknowns, self.givens, beside)
+
+    @cached_property
+    def rest(self) -> tuple[list[int], list[int]]:
+        """Rows and columns that belong to no isomorphic part."""
+        left = [np.ones(self.unknowns.numel(), dtype=bool) for _ in range(2)]
+        for part, _ in (each for group in self.alike for each in group):
+            left[0][part.rows] = left[1][part.columns] = False
+        return np.flatnonzero(left[0]).tolist(), np.flatnonzero(left[1]).tolist()
 
 
 def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
     Its results hold where the guess is exact; they are NaN where the iteration corrects it by more than the tolerance.
-    An expression avoids the interpreter's function calls, most of the cost of a small block. The caller eliminates
-    common subexpressions after it has substituted the guess.
+    An expression avoids the interpreter's function calls, most of the cost of a small block. Common subexpressions are
+    looked for in one of isomorphic parts, which takes seconds in a hundred of them.
 
     Returns
     -------
     casadi.Function or None
         None if a block is too large to be written out.
     """
-    try:
-        return compile_solver(name, system, outputs, unrolled=True).expand()
-    except _TooLargeError:
-        return None
+    with suppress(_TooLargeError):
+        function = compile_solver(name, system, outputs, unrolled=True).expand()
+        return _without_repetitions(function) if system.rest[0] else function
+    return None
+
+
+def _without_repetitions(function: ca.Function) -> ca.Function:
+    """Return a function of expressions without common subexpressions."""
+    symbols = function.sx_in()
+    return ca.Function(function.name(), symbols, function.call(symbols), {"cse": True})
 
 
 def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -109,13 +124,11 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
         None if some block is nonlinear, or too large to be written out.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    try:
+    with suppress(_TooLargeError):
         known = _solved(system, givens, unrolled=True)
-    except _TooLargeError:
-        return None
-    if known.iterations or known.isomorphic_counts:
-        return None
-    return ca.Function(name, [givens], known.final(outputs)).expand()
+        if not known.iterations and not known.isomorphic_counts:
+            return ca.Function(name, [givens], known.final(outputs)).expand()
+    return None
 
 
 def compile_solver(
@@ -152,8 +165,12 @@ def compile_solver(
     known = _solved(system, givens, unrolled)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
-    worst = largest(system.residual / system.residual_scale)
+    rows = system.rest[0] if unrolled else list(range(system.unknowns.numel()))
+    worst = largest(system.residual[rows] / system.residual_scale[rows])
     *results, residual = known.final([*outputs, worst], common=not unrolled)
+    for others in known.residuals:
+        # A sum that is NaN shows in no maximum.
+        residual = ca.fmax(residual, ca.mmax(others)) + 0.0 * ca.sum2(others)
     if known.corrections:
         # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
         exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
@@ -166,15 +183,12 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
     """Solve a system block by block for values of its givens; isomorphic parts are compiled once."""
     known = KnownValues()
     known.add_values(system.givens, givens)
-    rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
     for group in system.alike:
         _solve_isomorphic(known, system, givens, group, unrolled)
-        rows -= {row for part in group.parts for row in part.rows.tolist()}
-        columns -= {column for part in group.parts for column in part.columns.tolist()}
-    if not columns:
+    if not system.rest[0]:
         return known
-    if len(columns) < system.unknowns.numel():
-        system = _part(system, sorted(rows), sorted(columns))
+    if system.alike:
+        system = _part(system, *system.rest)
     system, constants = _without_constants(system)
     for symbol, number in constants:
         known.add_explicit(symbol, number)
@@ -193,21 +207,26 @@ def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
 
 
 def _solve_isomorphic(
-    known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, unrolled: bool
+    known: KnownValues, system: SquareSystem, givens: ca.MX, group: list[tuple[Part, list[int]]], unrolled: bool
 ) -> None:
     """Solve isomorphic parts by one function, mapped."""
-    first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
+    (first, given), count = group[0], len(group)
     part = _part(system, first.rows.tolist(), first.columns.tolist())
-    part = replace(part, givens=system.givens[group.givens[0]])
-    part_givens = ca.MX.sym("givens", size)
+    part = replace(part, givens=system.givens[given])
+    part_givens = ca.MX.sym("givens", len(given))
     inner = _solved(part, part_givens, unrolled)
-    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
+    # Of an expression, the residual shares most operations with the solution, but those are looked for in parts only.
+    worst = [largest(part.residual / part.residual_scale)] if unrolled else []
+    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns, *worst))
     moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.corrections))
-    solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts(), moved]).map(count)
-    solved, counts, squared = solve(
-        ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count)
+    solve = ca.Function("sc_alike", [part_givens], [inner.counts(), moved, *values])
+    if unrolled:
+        solve = _without_repetitions(solve.expand())
+    counts, squared, solved, *residuals = solve.map(count)(
+        ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
     )
-    columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
+    known.residuals += residuals
+    columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
     known.add_values(system.unknowns[columns], ca.vec(solved))
     known.isomorphic_counts.append(counts)
     if inner.corrections:
@@ -223,7 +242,7 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     constants: list[tuple[ca.SX, ca.SX]] = []
     while True:
         pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
-        rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
+        rows, columns = places_of(pattern)
         alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
         held = system.residual[rows[alone].tolist()]
         slopes = own_slopes(without_jumps(held), system.unknowns)

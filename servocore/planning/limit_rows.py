@@ -80,12 +80,12 @@ class Rows:
     lower: Array
     moving: tuple[bool, ...]
 
-    def at(self, jets: Array, p: Array) -> tuple[Array, Array]:
-        """Return the rows, and the same as quantities, at instants: (rows, N) of jets (N, order + 1, m)."""
-        rows, _, _, quantities = at_instants(self.inner.solved, jets=jets, p=p)
-        return rows, quantities
+    def at(self, jets: Array, p: Array) -> list[Array]:
+        """Return rows, integrands, and rows as quantities, at instants: (rows, N) of jets (N, order + 1, m)."""
+        rows, _, *others = at_instants(self.inner.solved, jets=jets, p=p)
+        return [rows, *others]
 
-    def at_rest(self, places: Array, p: Array) -> tuple[Array, Array]:
+    def at_rest(self, places: Array, p: Array) -> list[Array]:
         """Return the same where nothing moves, at places (N, m)."""
         still = np.zeros((len(places), self.order + 1, places.shape[1]))
         still[:, 0] = places
@@ -125,7 +125,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
     room : float
         Least margin, as a part of half the range.
     """
-    scaled, values = rows.at_rest(places, problem.p)
+    scaled, _, values = rows.at_rest(places, problem.p)
     for limit, value, row, low in zip(rows.limits, values, scaled, rows.lower, strict=True):
         bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
         if not len(bad):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from servocore.certificate.certify import certify
 from servocore.checks.before_run import require_feasible
-from servocore.checks.motion_limits import limited_values, run_values
+from servocore.checks.motion_limits import limited_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
@@ -218,11 +218,7 @@ def _sampled(problem: Problem, instants: int) -> tuple[float, str, list[Active]]
     """Return the largest excess over a limit at instants, that limit, and the active constraints."""
     limits, path = problem.motion_limits, problem.reference
     t = np.linspace(path.start_time, path.end_time, instants)
-    motion = prepared_motion(problem)
-    values = limited_values(motion, t)
-    if problem.run_limits:
-        limits += problem.run_limits
-        values = np.vstack([values, np.repeat(run_values(motion, t)[:, None], len(t), axis=1)])
+    values = limited_values(prepared_motion(problem), t)
     worst, name, active = -np.inf, "", list[Active]()
     for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):

@@ -292,9 +292,7 @@ def _found(swept: SweepSettings, solution: Solution) -> dict[str, Any]:
     if SWING in values:
         found[SWING] = found[f"peak_{SWING}"]
     found |= {quantity.name: values[quantity.name] for quantity in swept.problem.system.inputs}
-    for each in run_quantities(solution.channels):
-        values[each.name] = values[each.name][-1:]
-        found[each.name] = values[each.name][0]
+    found |= {each.name: values[each.name][-1] for each in run_quantities(solution.channels)}
     if any(limit.rate for limit in swept.limits):  # of a flat problem that follows a branch
         assert isinstance(solution.origin, Problem)
         problem = replace(solution.origin, limits=swept.limits)

@@ -192,7 +192,7 @@ def rope_is_depth(problem: Problem, places: Array) -> bool:
     if not {"l", "gravity"} <= {*reported_quantities(problem.system), *problem.system.parameters.names}:
         return False
     rows = limit_rows(replace(problem, limits=(limit_named(problem.system, "l", (None, 1.0)),)), places[0])
-    return np.allclose(rows.at_rest(places, problem.p)[1], -places[:, -1])
+    return np.allclose(rows.at_rest(places, problem.p)[2], -places[:, -1])
 
 
 def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:

@@ -54,7 +54,7 @@ def shortest(task: Task, profile: Profile) -> float:
     return shortest_kept(fine, coarse)
 
 
-def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool]) -> float:
+def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] = lambda _: True) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none.
 
     A longer one may break a limit again, so that durations are tried from short to long.
@@ -63,7 +63,7 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
     ----------
     kept : callable
         Whether a law of a duration keeps all limits.
-    roughly : callable
+    roughly : callable, optional
         The same at less cost; False must be right.
     """
 

@@ -170,11 +170,10 @@ class Reference(ABC):
         radii : ndarray, shape (N, order + 1, dimension)
             Largest distance of a derivative from its polynomial; infinite where nothing bounds it.
         """
-        nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
+        nodes, inverse = _interpolation(degree)
         middle, half = (a + b) / 2.0, (b - a) / 2.0
         t = middle[:, None] + half[:, None] * nodes
         values = self.jet(t.ravel(), order).reshape(*t.shape, order + 1, self.dimension)
-        inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
         bounds = self._bounds(a, b, order + degree + 1)
         # Chebyshev interpolation: |f - p| <= h^(n+1) sup|f^(n+1)| / (2^n (n+1)!).
         share = (half ** (degree + 1) / (2.0**degree * factorial(degree + 1)))[:, None, None]
@@ -182,21 +181,33 @@ class Reference(ABC):
         # Values are rounded as shares of what is largest on the analytic piece around an interval.
         piece = np.clip(np.searchsorted(self.joints, middle) - 1, 0, len(self.joints) - 2)
         radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * _peaks(self, order)[piece]
-        return np.einsum("ij,njkd->nkdi", inverse, values), 1.001 * radii
+        return np.tensordot(values, inverse, (1, 1)), 1.001 * radii
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
         """Bound derivatives of polynomials on intervals by Taylor's formula, shape (N, order + 1, dimension)."""
         if (degree := self.degree) is None:
             return np.full((len(a), order + 1, self.dimension), np.inf)
-        jets, up = np.abs(self.jet((a + b) / 2.0, degree)), np.arange(degree + 1) - np.arange(order + 1)[:, None]
-        shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
-        return np.asarray(
-            1.001 * np.einsum("nkj,njd->nkd", shares * ((b - a) / 2.0)[:, None, None] ** np.maximum(up, 0), jets)
-        )
+        jets, (up, shares) = np.abs(self.jet((a + b) / 2.0, degree)), _taylor(degree, order)
+        powers = ((b - a) / 2.0)[:, None] ** np.arange(degree + 1)
+        return np.asarray(1.001 * (shares * powers[:, up]) @ jets)
 
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         """Answer `jet` for checked arguments: times (N,) to derivatives (N, order+1, dimension)."""
+
+
+@made_once
+def _interpolation(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return Chebyshev points and the matrix from values there to coefficients."""
+    nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
+    return nodes, np.asarray(np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree)))
+
+
+@made_once
+def _taylor(degree: int, order: int) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """Return powers of the step and factors of the derivatives in Taylor's sums, both (order + 1, degree + 1)."""
+    up = np.arange(degree + 1) - np.arange(order + 1)[:, None]
+    return np.maximum(up, 0), np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in up.tolist()])
 
 
 @made_once

@@ -83,8 +83,10 @@ class Pointwise(JudgedRoute):
             done = self._looked_at(problem, replace(done, states=motion.states))
         motion = replace(motion, values=done.observed[0])
         continuous_angles(motion, program, done.observed[0])
-        solution = solution_of(problem, [done], branch=FOLLOWED if followed else motion.branch)
-        return replace(solution, t=solution.t[kept], values=solution.values[kept], motion=motion)
+        solution = solution_of(problem, [done], motion=motion, branch=FOLLOWED if followed else motion.branch)
+        if len(solution.t) == len(solution.t[kept]):
+            return solution
+        return replace(solution, t=solution.t[kept], values=solution.values[kept])
 
     @staticmethod
     def _looked_at(problem: Problem, run: Run) -> Run:

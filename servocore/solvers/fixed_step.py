@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
 from servocore.checks.better_solutions import (
@@ -26,6 +27,7 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import subdivided
 from servocore.solution import Solution
@@ -53,6 +55,7 @@ _EVERY, _GOOD = 4, 0.5  # instants at which so good states are judged: they do n
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
+Places = tuple[npt.NDArray[np.intp], ...]
 
 
 @dataclass(frozen=True)
@@ -208,21 +211,30 @@ def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
 
 def _quality(array: DerivativeArray, J: Array) -> Array:
     """Smallest singular value of the chosen columns relative to that of all candidates, over all levels; shape (N,)."""
-    c, d = array.signature.equation_offsets, array.signature.variable_offsets
     # Rows of one size: units must not decide which states are good.
     scaled = J / np.maximum(np.abs(J).max(axis=2, keepdims=True), 1e-300)
     worst = np.ones(len(J))
-    for level in range(1, max(d) + 1):
-        rows = [i for i in range(len(c)) if c[i] >= level]
-        candidates = [j for j in range(len(d)) if d[j] >= level]
-        chosen = [j for j in candidates if (j, d[j] - level) not in array.states]
-        if rows and len(chosen) < len(candidates):
-            # Derivatives that are no states are solved for: their columns must stay far from singular.
-            present, best = (
-                np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates)
-            )
-            worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
+    for places in _candidates(array):
+        present, best = (np.linalg.svd(scaled[:, *each], compute_uv=False)[:, -1] for each in places)
+        worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst
+
+
+@made_once
+def _candidates(array: DerivativeArray) -> list[tuple[Places, Places]]:
+    """Return rows and columns of the system Jacobian by level: those that are solved for, and all candidates.
+
+    Derivatives that are no states are solved for: their columns must stay far from singular.
+    """
+    c, d = array.signature.equation_offsets, array.signature.variable_offsets
+    found = dict[tuple[tuple[int, ...], ...], tuple[Places, Places]]()  # levels often have the same
+    for level in range(1, max(d) + 1):
+        rows = tuple(i for i in range(len(c)) if c[i] >= level)
+        candidates = tuple(j for j in range(len(d)) if d[j] >= level)
+        chosen = tuple(j for j in candidates if (j, d[j] - level) not in array.states)
+        if rows and len(chosen) < len(candidates):
+            found[rows, chosen, candidates] = np.ix_(rows, chosen), np.ix_(rows, candidates)
+    return [*found.values()]
 
 
 # Error control --------------------------------------------------------------------------------------------------------

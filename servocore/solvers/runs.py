@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from servocore.checks.between_instants import require_less_than_half_a_turn
+from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.model.limits import run_quantities
-from servocore.numerics.compiled_calls import Array, chained, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, chained, side_by_side
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
 from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
-
-_DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
-_NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
 
 
 def require_derivatives(problem: Problem, order: int, who_needs: str) -> None:
@@ -50,6 +46,8 @@ class Run:
         Largest of all steps.
     observed : tuple of ndarray
         Values (channels, N), violations (4, N) and whatever was evaluated with them; empty where they are not known.
+    jets : ndarray, shape (N, orders, m), or None
+        Of the path at the instants, where the steps read them.
     """
 
     program: Program
@@ -59,14 +57,23 @@ class Run:
     factorizations: int = 0
     worst_residual: float = 0.0
     observed: tuple[Array, ...] = ()
+    jets: Array | None = None
 
     def at(self, chosen: slice) -> Run:
         """Return the run at some of its instants."""
-        return replace(self, t=self.t[chosen], states=self.states[:, chosen])
+        jets = None if self.jets is None else self.jets[chosen]
+        return replace(self, t=self.t[chosen], states=self.states[:, chosen], jets=jets)
 
 
 def solution_of(
-    problem: Problem, segments: list[Run], route: str = "", *, refuse_turns: bool = True, **statistics: Any
+    problem: Problem,
+    segments: list[Run],
+    route: str = "",
+    *,
+    refuse_turns: bool = True,
+    motion: Motion | None = None,
+    branch: str = "",
+    steps: int | None = None,
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -80,8 +87,12 @@ def solution_of(
         How it was solved, if the name of the last program does not say it.
     refuse_turns : bool
         Whether an angle that turns by half a turn within a step is refused, since its direction is ambiguous.
-    **statistics
-        Entries of `Statistics` that do not follow from the states.
+    motion : Motion, optional
+        The exact motion, for checks.
+    branch : str
+        How the run is known to be on one branch.
+    steps : int, optional
+        Taken in all, if the instants do not count them.
 
     Raises
     ------
@@ -89,30 +100,39 @@ def solution_of(
         If the states have left the branch of the equations that is wanted, or an angle turns so far between two
         instants that its direction is ambiguous.
     """
-    tables, violations = [], []
-    for segment in segments:
-        table, violation = _observed(problem, segment, refuse_turns)
-        tables.append(table if segment is segments[-1] else table[:-1])
-        violations.append(violation)
-    program = segments[-1].program
-    if len(segments) == 1:  # without copies, which take as long as a check where there are many instants
-        t, values, violation = segments[0].t, tables[0], violations[0]
-    else:
-        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), segments[-1].t])
-        values, violation = np.vstack(tables), np.hstack(violations)
+    observed = [_observed(problem, segment, refuse_turns) for segment in segments]
+    program, t, (values, violations) = segments[-1].program, segments[-1].t, observed[-1]
+    if len(segments) > 1:
+        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), t])
+        values = np.vstack([*(table[:-1] for table, _ in observed[:-1]), values])
+        violations = np.hstack([each for _, each in observed])
         for k, channel in enumerate(program.channels):
             if channel.wraps:
                 values[:, k] = np.unwrap(values[:, k])
-    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], violation)
-    return Solution(
-        t, program.channels, values, route or program.name, replace(summary, **statistics), problem.reference.fit_error
+    servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
+    summary = Statistics(
+        len(t) - 1 if steps is None else steps,
+        sum(segment.newton_iterations for segment in segments),
+        sum(segment.factorizations for segment in segments),
+        max(segment.worst_residual for segment in segments),
+        servo,
+        servo_rate,
+        constraint,
+        constraint_rate,
+        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
+        branch=branch,
     )
+    fit_error = problem.reference.fit_error
+    return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
 
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
-    program, t, states = segment.program, segment.t, segment.states
-    observed, violations, *_ = segment.observed or along_path(problem, program.observe, t, states)
+    program, t, known, jets = segment.program, segment.t, segment.observed, segment.jets
+    orders = program.observe.size2_in(1)
+    if not known and jets is not None and jets.shape[1] >= orders:
+        known = at_instants(program.observe, segment.states, jets=jets[:, :orders], p=problem.p)
+    observed, violations, *_ = known or along_path(problem, program.observe, t, segment.states)
     table = observed.T
     _require_numbers(problem, program, t, table)
     if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
@@ -135,34 +155,6 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
             f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
             " no finite number there, as v/|v| is none at rest"
         )
-
-
-def _summed_up(segments: list[Run], inputs: Array, violations: Array) -> Statistics:
-    return Statistics(
-        steps=len(inputs) - 1,
-        newton_iterations=sum(segment.newton_iterations for segment in segments),
-        factorizations=sum(segment.factorizations for segment in segments),
-        worst_residual=max(segment.worst_residual for segment in segments),
-        servo_violation=float(violations[0].max()),
-        servo_rate_violation=float(violations[1].max()),
-        constraint_violation=float(violations[2].max()),
-        constraint_rate_violation=float(violations[3].max()),
-        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
-        input_noise=input_noise(inputs),
-    )
-
-
-def input_noise(inputs: Array) -> float | None:
-    """Estimate the noise of trajectories (N, m) relative to their peaks, from differences of order eight.
-
-    Of white noise they keep sqrt(16 over 8) times the deviation; of a smooth trajectory they leave h^8 times its eighth
-    derivative. The median of their magnitudes passes over kinks.
-    """
-    if len(inputs) < _FEWEST_FOR_NOISE:
-        return None
-    deviations = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
-    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
-    return float((deviations / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
 
 
 def with_run_quantities(solution: Solution) -> Solution:
@@ -217,36 +209,34 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
     IntegrationFailed
         If a step is not solved.
     """
-    step, length = step_of(t), chunk_length(len(t) - 1)
+    step, length, count = step_of(t), chunk_length(len(t) - 1), len(t) - 1
     state, first_residual = first_state(problem, program, step)
-    run, complete = _advanced(problem, program, t, step, state, length, progress)
-    if not complete:
-        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
+    parts = list[Run]()
+    for done in range(0, count, length):
+        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, state, length)
+        state = part.states[:, -1]
+        if not complete:
+            raise step_failure(problem, program, state, part.t[-1], step)
+        parts.append(part)
+        if progress is not None:
+            progress(min(done + length, count), count)
+    run = _joined(parts)
     return replace(run, worst_residual=max(run.worst_residual, first_residual))
 
 
-def _advanced(
-    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
-) -> tuple[Run, bool]:
-    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
-    parts, complete, count = [Run(program, t[:1], state[:, None])], True, len(t) - 1
-    for done in range(0, count, length):
-        now = parts[-1].states[:, -1]
-        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, now, length)
-        parts.append(part.at(slice(1, None)))
-        if not complete:
-            break
-        if progress is not None:
-            progress(min(done + length, count), count)
-    run = Run(
-        program,
-        np.concatenate([part.t for part in parts]),
-        np.hstack([part.states for part in parts]),
+def _joined(parts: Sequence[Run]) -> Run:
+    """Return parts that follow one another as one run; each begins at the last instant of the one before."""
+    inner = [part.at(slice(int(part is not parts[0]), None)) for part in parts]
+    jets = [part.jets for part in inner if part.jets is not None]
+    return Run(
+        parts[0].program,
+        np.concatenate([part.t for part in inner]),
+        np.hstack([part.states for part in inner]),
         sum(part.newton_iterations for part in parts),
         sum(part.factorizations for part in parts),
         max(part.worst_residual for part in parts),
+        jets=np.concatenate(jets) if jets else None,
     )
-    return run, complete
 
 
 def step_of(t: Array) -> float:
@@ -271,9 +261,10 @@ def advance_chunk(
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
     ends = t[np.minimum(np.arange(1, length + 1), used)]
     nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
+    jets = problem.reference.jet(np.append(t[0], nodes), program.order)
     states_after, counts, worst = chained(program.step, length)(
         state,
-        side_by_side(problem.reference.jet(nodes, program.order)),
+        side_by_side(jets[1:]),
         np.full((1, length), step),
         np.tile(problem.p[:, None], length),
     )
@@ -284,11 +275,20 @@ def advance_chunk(
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
-        return _advanced(problem, program, t, step, state, 1, None)
+        parts = list[Run]()
+        for k in range(used):
+            part, complete = advance_chunk(problem, program, t[k : k + 2], step, state, 1)
+            parts, state = [*parts, part], part.states[:, -1]
+            if not complete:
+                break
+        return _joined(parts), complete
     iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
     worst_residual = float(worst[:good].max(initial=0.0))
-    return Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual), good == used
+    run = Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual)
+    if program.nodes[-1] == 1.0:  # of the end of a step
+        run = replace(run, jets=jets[:: len(program.nodes)][: good + 1])
+    return run, good == used
 
 
 _STICKS = (

@@ -31,7 +31,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem
 from servocore.references.base import time_grid
-from servocore.solution import ErrorEstimate, Solution
+from servocore.solution import ErrorEstimate, Solution, Statistics
 from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.runs import Progress, with_run_quantities
@@ -116,16 +116,15 @@ def solve(
         from servocore.checks.failure_causes import explained  # noqa: PLC0415 - looked for where something failed
 
         raise explained(problem, error) from None
-    if checked:
-        solution = _checked(problem, route, solution)
-    estimator = solution.estimator or partial(_error_estimate, problem, route)
-    fit = partial(_fit_effect, problem, route)
-    solution = replace(solution, advice=advice, estimator=estimator, fit_estimator=fit, origin=problem, motion=None)
-    solution = with_run_quantities(solution)
-    if checked and problem.run_limits:
-        from servocore.checks.motion_limits import require_run_limits  # noqa: PLC0415 - few have limits
-
-        require_run_limits(problem, solution)
+    solution = replace(
+        solution,
+        statistics=_checked(problem, route, solution) if checked else solution.statistics,
+        advice=advice,
+        estimator=solution.estimator or partial(_error_estimate, problem, route),
+        fit_estimator=partial(_fit_effect, problem, route),
+        origin=problem,
+        motion=None,
+    )
     if certify:
         from servocore.certificate.certify import require_certified  # noqa: PLC0415 - few ask
 
@@ -138,15 +137,15 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
 
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
     """
-    if not checked:
-        return route.run(problem, times, progress)
-    if not problem.flat and problem.motion_limits:
+    watched, limits = problem, problem.motion_limits
+    if checked and limits and not problem.flat:
         from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
 
         watched = with_watched(problem)
-        return with_limits_required(watched, route.run(watched, times, progress))
-    solution, limits = route.run(problem, times, progress), problem.motion_limits
-    if not problem.flat:
+    solution = with_run_quantities(route.run(watched, times, progress))
+    if watched is not problem:
+        return with_limits_required(watched, solution)
+    if not (checked and problem.flat):
         return solution
     motion: Motion | None = solution.motion
     if motion is None and len(solution.t) > 1:
@@ -158,7 +157,7 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
             if problem.resolved.holds(KINKS):  # the guess of the model may still do
                 motion = Motion(problem, solution.t, exact_unknowns(problem, solution.t)[0], by_guess=True)
     if not limits or motion is None:
-        return replace(solution, motion=motion)
+        return solution if motion is solution.motion else replace(solution, motion=motion)
     from servocore.checks.motion_limits import margins_of, require_limits, require_reported  # noqa: PLC0415
 
     values = require_limits(motion)
@@ -167,13 +166,13 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
     return replace(solution, motion=motion, margins=margins_of(limits, [*values[:, ::parts]], solution.t))
 
 
-def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
-    """Refuse or warn of what checks find; return the solution with its branch stated."""
+def _checked(problem: Problem, route: Route, solution: Solution) -> Statistics:
+    """Refuse or warn of what checks find; return the statistics with the branch stated."""
     statements = told(problem.system.name, solution.route, [*_findings(problem, solution)])
     stated = solution.statistics.branch  # a user's route states its branch itself
     if isinstance(route, JudgedRoute):
         stated = route.branch_statement(problem, solution)
-    return replace(solution, statistics=replace(solution.statistics, branch=stated + statements))
+    return replace(solution.statistics, branch=stated + statements)
 
 
 def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
@@ -249,7 +248,7 @@ def chosen_route(
     """
     if isinstance(method, JudgedRoute):
         method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))
-    if isinstance(method, Route):
+    if method is not None and isinstance(method, Route):
         return method
     if checks:
         require_smooth(problem)  # names inputs that drive nothing; forms of the problem do not

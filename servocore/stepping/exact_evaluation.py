@@ -245,8 +245,16 @@ def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Functi
 
 def along_path(problem: Problem, function: ca.Function, t: Array, *columns: Array) -> tuple[Array, ...]:
     """Return the results (rows, N) of a function of (*columns, gamma, p) at instants (N,), with columns (size, N)."""
-    jets = problem.reference.jet(t, function.size2_in(len(columns)) - 1)
+    outputs, orders = function.size_in(len(columns))
+    jets = problem.reference.jet(t, orders - 1) if _reads_path(function) else np.zeros((len(t), orders, outputs))
     return at_instants(function, *columns, jets=jets, p=problem.p)
+
+
+@made_once
+def _reads_path(function: ca.Function) -> bool:
+    """Whether results of a function of (..., gamma, p) depend on gamma, which costs more than most functions."""
+    place = function.n_in() - 2
+    return any(function.jac_sparsity(k, place).nnz() for k in range(function.n_out()))
 
 
 def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:

@@ -18,7 +18,7 @@ from servocore.structure.derivative_array import DerivativeArray, nominal
 LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
-_MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_OPERATIONS = 6000  # of equations that do not decouple; beyond, evaluation takes longer than function calls
 _MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
 _MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
 _MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
@@ -156,13 +156,14 @@ def _by_formula(block: Part) -> bool:
 def determinants(array: DerivativeArray) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> determinants of small blocks, and all entries if some are large."""
     (arguments, J), blocks = _system_jacobian(array), diagonal_blocks(array)
-    small = [
-        ca.det(J[block.rows.tolist(), block.columns.tolist()])
-        if _by_formula(block) and len(block.rows) == len(block.columns) else ca.SX(0)
-        for block in blocks
-    ]  # fmt: skip
+    small = ca.SX.zeros(len(blocks))
+    for k, block in enumerate(blocks):
+        if _by_formula(block) and len(block.rows) == len(block.columns):
+            # To take a block of one entry out of a matrix takes as long as a determinant.
+            single = len(block.rows) == len(block.entries) == 1
+            small[k] = J.nz[int(block.entries[0])] if single else ca.det(J[block.rows.tolist(), block.columns.tolist()])
     others = [] if all(map(_by_formula, blocks)) else [ca.vertcat(J.nz[:])]
-    return ca.Function("sc_blocks", arguments, [ca.densify(ca.vertcat(*small)), *others], {"cse": True})
+    return ca.Function("sc_blocks", arguments, [small, *others], {"cse": True})
 
 
 def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
@@ -186,13 +187,13 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
         most = _MOST_EXPLICIT
         if length > 2 * most or compile_explicit(array) is None:
             return None
-    unrolled = compile_unrolled_solver("sc_array", *_equations(array))
+    gamma, p = array.system.gamma[:, : array.reference_order + 1], array.system.p
+    givens, (equations, unknowns) = ca.vertcat(ca.vec(gamma), p), _equations(array)
+    equations = replace(equations, givens=givens, guess=guess(gamma, p))
+    unrolled = compile_unrolled_solver("sc_array", equations, unknowns)
     if unrolled is None:
         return None
-    system = array.system
-    gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
-    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
+    function = ca.Function("sc_flat_inversion", [gamma, p], unrolled.call([givens]))
     return function if share * function.n_instructions() <= most else None
 
 

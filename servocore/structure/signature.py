@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import are_regular, equilibrated, filled, parts_of
+from servocore.numerics.components import condition_numbers, equilibrated, filled, parts_of, places_of
 from servocore.numerics.step_operations import UNIT, Array, evaluate
 
 ABSENT = -1
@@ -202,7 +202,7 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
     J = ca.SX(len(c), len(d))
     for order in range(equations.y.size2()):
         part = ca.jacobian(equations.residual, equations.y[:, order])
-        rows, columns = (np.array(indices, dtype=np.intp) for indices in part.sparsity().get_triplet())
+        rows, columns = places_of(part.sparsity())
         # Entries below d_j - c_i are of lower order and do not belong to the leading Jacobian.
         kept = np.flatnonzero(leading[rows, columns] == order)
         pattern = ca.Sparsity.triplet(*J.shape, rows[kept].tolist(), columns[kept].tolist())
@@ -272,21 +272,26 @@ def jacobian_function(structure: Signature) -> ca.Function:
 
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian at points, zero where an entry is round-off."""
-    matrices = [filled(function(*point)) for point in points]
-    sizes = np.abs(matrices)
+    return [filled(ca.DM(function.sparsity_out(0), entries)) for entries in _entries_at(function, points)]
+
+
+def _entries_at(function: ca.Function, points: list[Point]) -> Array:
+    """Return the entries of the system Jacobian at points, shape (points, nnz), zero where one is round-off."""
+    entries = np.array([function(*point).nonzeros() for point in points])
+    sizes = np.abs(entries)
     # An entry that is so small beside others may be round-off.
-    if not ((sizes > 0.0) & (sizes < _SUSPICIOUS * sizes.max(axis=(1, 2), keepdims=True))).any():
-        return matrices
-    values, errors = evaluate(function, points)
-    return list(np.where(np.abs(values) <= errors, 0.0, values))
+    if not ((sizes > 0.0) & (sizes < _SUSPICIOUS * sizes.max(axis=1, keepdims=True, initial=0.0))).any():
+        return entries
+    values, errors = (each[:, *places_of(function.sparsity_out(0))] for each in evaluate(function, points))
+    return np.where(np.abs(values) <= errors, 0.0, values)
 
 
 def is_regular(structure: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
-    pattern = structure.jacobian.sparsity()
-    places = tuple(np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
-    finite = [J[places] for J in jacobian_at_probes(structure, p) if np.isfinite(J).all()]
-    return bool(finite) and bool(are_regular(parts_of(pattern), np.stack(finite, axis=1)).any())
+    function = jacobian_function(structure)
+    entries = _entries_at(function, probe_points(structure.equations, function, p))
+    conditions = condition_numbers(parts_of(function.sparsity_out(0)), entries.T)
+    return bool((conditions * np.finfo(np.float64).eps * function.size1_out(0) < 1.0).any())
 
 
 def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[npt.NDArray[np.bool_], bool]:
@@ -307,7 +312,7 @@ def _vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple
     here = present[: len(points)].any(axis=0)
     special = bool((present[len(points) :].any(axis=0) & ~here).any())
     vanishing = np.zeros(pattern.shape, dtype=bool)
-    vanishing[tuple(np.array(pattern.get_triplet()))] = ~here
+    vanishing[places_of(pattern)] = ~here
     return vanishing, special
 
 

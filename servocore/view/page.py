@@ -17,7 +17,7 @@ from servocore.errors import InvalidModel, InvalidSetting, require_kind, require
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.drawing import picture_of
-from servocore.model.limits import Named, run_quantities
+from servocore.model.limits import Named, RunQuantity, run_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
@@ -218,7 +218,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     shown = *quantities, *added_up
     rows |= {each.name: each.course(times, rows[each.of]) for each in added_up}
     source = {"points": points, **laws, **(live.source if live else {})}
-    limits, path_limits = _limits(problem, names)
+    limits, path_limits = _limits(problem, [each.name for each in shown])
     if live and path_limits:
         source["path_limits"] = _path_limits(problem, orders)
     about = {
@@ -309,7 +309,7 @@ def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], l
             "rate": limit.rate,
         }
         for limit in problem.limits
-        if isinstance(limit.expression, Named) and limit.expression.name in names
+        if isinstance(limit.expression, Named | RunQuantity) and limit.expression.name in names
     ]
     of_path = [{"quantity": limit.quantity, "reason": limit.reason} for limit in problem.limits if limit.of_path]
     return of_motion, of_path

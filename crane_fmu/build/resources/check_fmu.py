@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
+from typing import Any
 
-from fmpy import read_model_description, simulate_fmu
+from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
 STEPS = 5
 FOREIGN = ("servocore", "crane_fmu", "pythonfmu", "scipy")
 
 
-def run(file: str, settings: dict[str, object]) -> None:
-    """Take a few steps with nothing connected."""
+def run(folder: str, description: Any, settings: dict[str, object]) -> None:
+    """Take a few steps of an unpacked FMU with nothing connected."""
     messages: list[str] = []
-    settable = (each for each in read_model_description(file).modelVariables if each.causality != "output")
+    settable = (each for each in description.modelVariables if each.causality != "output")
     known = {each.name: each.declaredType for each in settable}
     numbers = {
         name: next(int(item.value) for item in known[name].items if item.name == value) if known[name] else value
@@ -29,7 +31,8 @@ def run(file: str, settings: dict[str, object]) -> None:
     label = ", ".join(map(str, settings.values())) or "defaults"
     try:
         result = simulate_fmu(
-            file,
+            folder,
+            model_description=description,
             stop_time=0.1 * STEPS,
             output_interval=0.1,
             start_values=numbers,
@@ -46,8 +49,11 @@ def main(file: str, runs: str) -> None:
     """Raise AssertionError with a sentence if anything is wrong."""
     problems = validate_fmu(file)
     assert not problems, "; ".join(problems)
-    for settings in json.loads(runs):
-        run(file, settings)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        extract(file, folder)
+        description = read_model_description(folder, validate=False)
+        for settings in json.loads(runs):
+            run(folder, description, settings)
     foreign = [name for name in FOREIGN if name in sys.modules]
     assert not foreign, f"the FMU imports {', '.join(foreign)} from its host"
 

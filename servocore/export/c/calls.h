@@ -14,8 +14,7 @@ OF_FMI(Status) OF_FMI(SetDebugLogging)(void *component, OF_FMI(Boolean) on, size
 OF_FMI(Status) OF_FMI(Terminate)(void *component)
 {
     REQUIRE(AFTER, "fmi_Terminate");
-    instance->state.phase = TERMINATED;
-    return STATUS[GOOD];
+    return STATUS[ended(instance)];
 }
 
 OF_FMI(Status) OF_FMI(Reset)(void *component)

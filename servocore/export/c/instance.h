@@ -34,6 +34,7 @@
 #define LONGEST_STEP 3600.0       /* s; a longer one is refused as a mistake */
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
 #define SUMMED 1e-3               /* of a step: rounding of the sum of millions of steps */
+#define ROUND_OFF 1e-9            /* of a limit: what a run adds up may exceed it by so much */
 #define LONGEST_MESSAGE 512
 
 /* Places of numbers, one after the other: inputs, outputs, parameters of the model, settings, internal states. */
@@ -365,14 +366,33 @@ static inline int breaks(const Limit *limit, double margin)
     return !(margin > 0.0) && !(limit->rate && isnan(margin));
 }
 
+static inline Outcome say_broken(const Instance *instance, Outcome outcome, double time, const Limit *limit, double margin)
+{
+    return say(instance, outcome, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time, limit->reason,
+               *limit->reason ? ": " : "", limit->quantity, limit->bound + limit->side * margin, limit->unit,
+               limit->side > 0.0 ? "above" : "below", limit->bound, limit->unit);
+}
+
 static inline Outcome require_limits(const Instance *instance, double time, const Limit *limits, int count, const double *margins)
 {
     for (int k = 0; k < count; k++)
-        if (breaks(&limits[k], margins[k]))
-            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time, limits[k].reason,
-                       *limits[k].reason ? ": " : "", limits[k].quantity, limits[k].bound + limits[k].side * margins[k],
-                       limits[k].unit, limits[k].side > 0.0 ? "above" : "below", limits[k].bound, limits[k].unit);
+        if (breaks(&limits[k], margins[k])) return say_broken(instance, DISCARD, time, &limits[k], margins[k]);
     return GOOD;
+}
+
+/* Warn of broken limits of what the run adds up, at its end: earlier an energy may still come back, and only the host
+   knows when the last step is done. */
+static inline Outcome ended(Instance *instance)
+{
+    const Moment *now = &instance->state.now;
+    Outcome outcome = GOOD;
+    instance->state.phase = TERMINATED;
+    for (size_t k = 0; k < N_RUN_LIMITS && instance->state.steps > 0; k++) {
+        const double margin = RUN_LIMITS[k].side * (now->outputs[RUN_LIMIT_OF[k]] - RUN_LIMITS[k].bound);
+        if (breaks(&RUN_LIMITS[k], margin + ROUND_OFF * fabs(RUN_LIMITS[k].bound)))
+            outcome = say_broken(instance, WARNING, now->time, &RUN_LIMITS[k], margin);
+    }
+    return outcome;
 }
 
 /* Check all values that were set without a check. */

@@ -62,8 +62,8 @@ class LivePage {
     this.bounds.forEach((bounds, i) => {
       if (!bounds) return;
       const { name, unit } = about.outputs[i], factor = factorOf(unit), beyond = (value) => Math.max(value - bounds.high, bounds.low - value);
-      let worst = 0;
-      for (let k = 1; k < t.length; k++) if (beyond(rows[i][k]) > beyond(rows[i][worst])) worst = k;
+      let worst = i < rows.length - about.added_up.length ? 0 : t.length - 1; // what the run adds up counts at its end
+      for (let k = worst + 1; k < t.length; k++) if (beyond(rows[i][k]) > beyond(rows[i][worst])) worst = k;
       const tolerance = 1e-9 * Math.max(...[bounds.low, bounds.high].filter(Number.isFinite).map(Math.abs), 0);
       if (beyond(rows[i][worst]) > tolerance)
         found.push({ output: i, text: `${name} reaches ${written(rows[i][worst] * factor, 3)} ${shownUnit(unit)} at ${written(t[worst], 3)} s` });
