@@ -30,8 +30,9 @@ def linkage(
     coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
     q = ca.vertsplit(coordinates.q)
     outputs, rows = output(*q), drive(*q)
-    if "potential" in more:
-        more["potential"] = more["potential"](*q)
+    for name, of in {"potential": q, "force": ca.vertsplit(coordinates.v)}.items():
+        if name in more:
+            more[name] = more[name](*of)
     return sc.MechanicalSystem(
         name="points",
         coordinates=coordinates,
@@ -280,22 +281,9 @@ def test_a_simulation_ends_when_its_time_is_over(inputs: sc.Solution) -> None:
 
 def block(friction: Callable[..., ca.SX], *, masses: int = 1) -> sc.Scene:
     """Return blocks in a row with friction, pushed by a force on the first that is too weak to keep it moving."""
-    names = ("x", "y")[:masses]
-    coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
-    return as_scene(
-        sc.MechanicalSystem(
-            name="block",
-            coordinates=coordinates,
-            parameters=sc.Parameters(),
-            inputs=(sc.Quantity("F", "N"),),
-            outputs=(sc.Quantity("out", "m"),),
-            mass=ca.SX.eye(masses),
-            output=coordinates.q[0],
-            input_matrix=ca.SX([[-1.0, *[0.0] * (masses - 1)]]),
-            force=friction(*ca.vertsplit(coordinates.v)),
-        ),
-        polynomial_path([[0.0], [0.5]], 2.0),
-    )
+    drive = ca.SX([[-1.0, *[0.0] * (masses - 1)]])
+    system = linkage([1.0] * masses, lambda *q: q[:1], lambda *_: drive, *"xy"[:masses], force=friction)
+    return as_scene(system, polynomial_path([[0.0], [0.5]], 2.0))
 
 
 STICKING: dict[str, tuple[Callable[..., ca.SX], int]] = {
@@ -309,7 +297,7 @@ STICKING: dict[str, tuple[Callable[..., ca.SX], int]] = {
 def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case: str) -> None:
     friction, masses = STICKING[case]
     said = (
-        r"^block: the forward simulation does not get past t = \S+ s: the acceleration of x jumps by \S+ with the .*"
+        r"^points: the forward simulation does not get past t = \S+ s: the acceleration of x jumps by \S+ with the .*"
         r" the velocity of x, at every step, as where dry friction sticks; a smooth form does, such as tanh\(v/v_s\)"
         r" for sign\(v\), where v_s is about a thousandth of the usual v$"
     )

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outside.systems import arm, named, symbols
+from outside.systems import arm
+from outside.writing import lagrange, rate, square
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -21,22 +22,18 @@ from servocore.scenes import jets
 def cars(size: float, nominal: float | None, scaled_guess: bool) -> sc.MechanicalSystem:
     """Two cars whose spring is as stiff again as at rest when it is stretched by `size`."""
     quantities = [sc.Quantity(name, "m", nominal=nominal) for name in ("x_1", "x_2")]
-    coordinates, gamma = sc.Coordinates(*quantities), symbols(1)
-    first, second = ca.vertsplit(coordinates.q)
+    of = sc.Coordinates(*quantities)
+    first, second = ca.vertsplit(of.q)
     d = second - first
-    return sc.MechanicalSystem(
-        name="cars",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("u", "N"),
-        outputs=named("y"),
-        mass=ca.SX.eye(2),
-        output=second,
-        input_matrix=-ca.SX([[1, 0]]),
-        potential=d**2 / 2 + d**4 / (4 * size**2),
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], gamma[0, 0]) if scaled_guess else ca.SX.zeros(2),
+    return lagrange(
+        "cars",
+        of,
+        square(of.v) / 2,
+        {"y": second},
+        {"u": first},
+        guess=lambda y: [y[0], y[0]] if scaled_guess else [0, 0],
         home=(0.0,),
+        potential=d**2 / 2 + d**4 / (4 * size**2),
     )
 
 
@@ -85,22 +82,17 @@ def test_an_arm_of_any_size_moves_alike_in_every_form(size: float) -> None:
 
 def hanging(size: float, nominal: float) -> sc.MechanicalSystem:
     """A bead on a circle of radius `size`, in Cartesian coordinates, pushed along x."""
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "m", nominal=nominal) for name in ("x", "z")))
-    gamma = symbols(1)
-    x, z = ca.vertsplit(coordinates.q)
-    return sc.MechanicalSystem(
-        name="bead",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("f", "N"),
-        outputs=named("X"),
-        mass=ca.SX.eye(2),
-        output=x,
-        input_matrix=-ca.SX([[1, 0]]),
-        constraints=(x**2 + z**2 - size**2) / 2,
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], -size),
+    of = sc.Coordinates(*(sc.Quantity(name, "m", nominal=nominal) for name in ("x", "z")))
+    x, z = ca.vertsplit(of.q)
+    return lagrange(
+        "bead",
+        of,
+        square(of.v) / 2,
+        {"X": x},
+        {"f": x},
+        guess=lambda y: [y[0], -size],
         home=(0.0,),
+        constraints=(x**2 + z**2 - size**2) / 2,
     )
 
 
@@ -120,24 +112,24 @@ def test_a_constraint_is_not_redundant_because_it_is_small(size: float, honest: 
 
 def elastic_crank(rod: float, order: str, sign: int) -> sc.MechanicalSystem:
     """A slider crank with a rod that yields, in the crank's angle and the rod's compression or extension."""
-    coordinates = sc.Coordinates(*(sc.Quantity(name, "rad" if name == "a" else "m") for name in order))
-    a, d = coordinates["a"], coordinates["d"]
+    of = sc.Coordinates(*(sc.Quantity(name, "rad" if name == "a" else "m") for name in order))
+    a, d = of["a"], of["d"]
     slider = 0.15 * ca.cos(a) + ca.sqrt((rod + sign * d) ** 2 - (0.15 * ca.sin(a)) ** 2)
-    v, gamma = ca.jtimes(slider, coordinates.q, coordinates.v), symbols(1)
-    start = ca.acos((0.15**2 + gamma[0, 0] ** 2 - rod**2) / (0.3 * gamma[0, 0]))
-    return sc.MechanicalSystem(
-        name="slider crank",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("T", "N.m"),
-        outputs=named("X"),
-        mass=ca.hessian((0.003 * coordinates.velocity("a") ** 2 + 2 * v**2) / 2, coordinates.v)[0],
-        output=slider,
-        input_matrix=-ca.jacobian(a, coordinates.q),
-        potential=1e7 * d**2 / 2,
-        gamma=gamma,
-        guess=ca.vertcat(*[start if name == "a" else 0 for name in order]),
+
+    def guess(y: ca.SX) -> list[ca.SX | float]:
+        start = ca.acos((0.15**2 + y[0] ** 2 - rod**2) / (0.3 * y[0]))
+        return [start if name == "a" else 0 for name in order]
+
+    return lagrange(
+        "slider crank",
+        of,
+        (0.003 * of.velocity("a") ** 2 + 2 * rate(slider, of) ** 2) / 2,
+        {"X": slider},
+        {"T": a},
+        guess=guess,
         home=(rod + 0.02,),
+        unit="N.m",
+        potential=1e7 * d**2 / 2,
     )
 
 
@@ -159,24 +151,20 @@ def test_a_mechanism_that_does_not_reach_far_is_looked_at_nearby(rod: float, ord
 
 def test_newtons_method_stops_where_corrections_are_round_off() -> None:
     """Round-off of a rod of 0.3 m in a spring of 1e6 N/m is far more than a small part of the nominal 1e-5 m."""
-    coordinates = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("w", "m", nominal=1e-5))
-    a, w = ca.vertsplit(coordinates.q)
-    slider, gamma = 0.1 * ca.cos(a) + ca.sqrt((0.3 + w) ** 2 - (0.1 * ca.sin(a)) ** 2), symbols(1)
-    J = ca.jacobian(slider, coordinates.q)
+    of = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("w", "m", nominal=1e-5))
+    (a, w), masses = ca.vertsplit(of.q), ca.SX([0.01, 0.2])
+    slider = 0.1 * ca.cos(a) + ca.sqrt((0.3 + w) ** 2 - (0.1 * ca.sin(a)) ** 2)
     home = 0.1 * np.cos(1.2) + np.sqrt(0.3**2 - (0.1 * np.sin(1.2)) ** 2)
-    system = sc.MechanicalSystem(
-        name="slider crank",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("T", "N.m"),
-        outputs=named("X"),
-        mass=ca.mtimes(J.T, J) + ca.diag(ca.SX([0.01, 0.2])),
-        output=slider,
-        input_matrix=-ca.SX([[1, 0]]),
-        potential=1e6 * w**2 / 2,
-        gamma=gamma,
-        guess=ca.SX([1.2, 0.0]),
+    system = lagrange(
+        "slider crank",
+        of,
+        (rate(slider, of) ** 2 + ca.dot(masses, of.v**2)) / 2,
+        {"X": slider},
+        {"T": a},
+        guess=lambda _: [1.2, 0.0],
         home=(home,),
+        unit="N.m",
+        potential=1e6 * w**2 / 2,
     )
     scene = sc.Scene("crank", {"elastic": lambda: system}, sc.rest_to_rest((home,), (home - 0.02,), 1.0))
     statistics = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=0.002).statistics
