@@ -187,6 +187,7 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
 
 
+_LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -198,7 +199,7 @@ def jumps(motion: Motion) -> Iterator[Finding]:
         return
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
     rows = _motion_rows(problem.array)
-    _, left, gaps = look(motion.beside, at, rows, SLIGHT)
+    _, left, gaps = look(motion.beside, at, rows, _LEAST)
     found = _of_motion(motion, left, gaps, rows)
     yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
     yield from steps_passed(problem, *switches)
@@ -313,7 +314,7 @@ def steps_passed(problem: Problem, left: Moments, right: Moments) -> Iterator[Fi
     q = rows[: len(rows) // 2]
     # At one time, so that what depends on time alone is no step.
     before, after = (along_path(problem, stepped[0], left.t, side.states[q])[0] for side in (left, right))
-    for row, k in np.argwhere(np.abs(after - before) > SLIGHT * np.maximum(np.abs(after), np.abs(before))):
+    for row, k in np.argwhere(np.abs(after - before) > _LEAST * np.maximum(np.abs(after), np.abs(before))):
         quantity, time = stepped[1][row], left.t[k]
         values = f"{before[row, k]:.4g} to {after[row, k]:.4g} {quantity.unit}".rstrip()
         what = f"at t = {time:.9g} s {quantity.name} jumps from {values}, which is an impulse"

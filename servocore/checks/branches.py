@@ -341,7 +341,9 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     """
     problem, passages, lowest, highest = branch.problem, list[Passage](), known.min(axis=1), known.max(axis=1)
     least, most = (each(np.abs([lowest, highest]), axis=0) for each in (np.min, np.max))
-    blocks = np.flatnonzero(~((lowest * highest > 0.0) & (least > _ON_IT * most)))  # few are looked at more closely
+    blocks = np.flatnonzero(
+        ~(((lowest > 0.0) | (highest < 0.0)) & (least > _ON_IT * most))
+    )  # few are looked at more closely
     known, sizes = known[blocks], np.abs(known[blocks])
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
