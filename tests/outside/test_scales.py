@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import casadi as ca
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import arm
-from outside.writing import lagrange, rate, square
+from outside.writing import lagrange, named, rate, square
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -120,7 +121,7 @@ def elastic_crank(rod: float, order: str, sign: int) -> sc.MechanicalSystem:
         start = ca.acos((0.15**2 + y[0] ** 2 - rod**2) / (0.3 * y[0]))
         return [start if name == "a" else 0 for name in order]
 
-    return lagrange(
+    crank = lagrange(
         "slider crank",
         of,
         (0.003 * of.velocity("a") ** 2 + 2 * rate(slider, of) ** 2) / 2,
@@ -128,9 +129,9 @@ def elastic_crank(rod: float, order: str, sign: int) -> sc.MechanicalSystem:
         {"T": a},
         guess=guess,
         home=(rod + 0.02,),
-        unit="N.m",
         potential=1e7 * d**2 / 2,
     )
+    return replace(crank, inputs=named("T", "N.m"))
 
 
 @pytest.mark.parametrize("rod", [0.3, 1.0])
@@ -163,9 +164,9 @@ def test_newtons_method_stops_where_corrections_are_round_off() -> None:
         {"T": a},
         guess=lambda _: [1.2, 0.0],
         home=(home,),
-        unit="N.m",
         potential=1e6 * w**2 / 2,
     )
+    system = replace(system, inputs=named("T", "N.m"))
     scene = sc.Scene("crank", {"elastic": lambda: system}, sc.rest_to_rest((home,), (home - 0.02,), 1.0))
     statistics = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=0.002).statistics
     assert statistics.newton_iterations <= (QUICK_ITERATIONS + 1) * statistics.steps

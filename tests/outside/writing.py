@@ -75,19 +75,18 @@ def lagrange(
     guess: Callable[[ca.SX], Sequence[ca.SX | float]],
     home: tuple[float, ...],
     damping: ca.SX | float = 0.0,
-    unit: str = "N",
     **others: Any,
 ) -> sc.MechanicalSystem:
     """Write Lagrange's equations of a kinetic energy in v.
 
-    Every input, in `unit`, pushes along its entry of `drives`, a function of q; `damping` is Rayleigh's function of v.
+    Every input pushes along its entry of `drives`, a function of q; `damping` is Rayleigh's function of v.
     """
     gamma = ca.SX.sym("gamma", len(output), sc.MAX_REFERENCE_ORDER + 1)
     return sc.MechanicalSystem(
         name=name,
         coordinates=of,
         parameters=sc.Parameters(),
-        inputs=named(" ".join(drives), unit),
+        inputs=named(" ".join(drives), "N"),
         outputs=named(" ".join(output)),
         mass=ca.sparsify(ca.hessian(kinetic, of.v)[0]),
         output=ca.vertcat(*output.values()),
