@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
-from servocore.checks.branches import MANY, SLIGHT, Rows
+from servocore.checks.branches import MANY, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
@@ -125,6 +125,7 @@ def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
     return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
+_SLACK = 0.02  # of the median before: tensions below, lengths above as many times
 _LONGEST = 64.0  # times the duration
 
 
@@ -156,9 +157,9 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     usual = np.median(found[:, : bad[0]], axis=1)
     good, _ = bisected(lambda at: bool((values(np.array([at])) > 0.0).all()), t[bad[0] - 1], t[bad[0]])
     for each, share in zip(signed, values(np.array([good]))[:, 0] / usual, strict=True):
-        if each.unit == "N" and share < SLIGHT:
+        if each.unit == "N" and share < _SLACK:
             return f"the rope goes slack at t = {good:.6g} s: {each.name} comes to 0 N, and a rope cannot push"
-        if each.unit == "m" and share * SLIGHT > 1.0:
+        if each.unit == "m" and share * _SLACK > 1.0:
             return (
                 f"the rope goes slack at t = {good:.6g} s: {each.name} grows beyond all bounds, for the load would fall"
                 " as fast as gravity pulls it"

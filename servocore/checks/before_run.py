@@ -163,12 +163,13 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     if not limits:
         return
     every = survey(problem.reference)
-    for instants in (np.append(every[:-1:_FEWER], every[-1]), every):
-        margins = _margins(problem, limits, instants)
-        bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-        if (margins.min(axis=1) > bends).all():
-            return
+    margins = _margins(problem, limits, np.append(every[:-1:_FEWER], every[-1]))
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+    if (margins.min(axis=1) > bends).all():
+        return
+    margins = _margins(problem, limits, every)
     _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
+    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
     for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
         one = limits[row : row + 1]
         margin = partial(_margins, problem, one)

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, SLIGHT, Branch, Passage, Places, Rows
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -27,6 +27,7 @@ from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
+_NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
 
 
 Beside = Callable[[Array, Array, Array], Array]
@@ -160,7 +161,7 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)
-    t = np.array([each.time + side * (each.after - each.before) for each in inside for side in (-SLIGHT, SLIGHT)])
+    t = np.array([each.time + side * (each.after - each.before) for each in inside for side in (-_NEAR, _NEAR)])
     near = np.searchsorted(motion.t, [each.before for each in inside]).repeat(2)
     beside = Moments(t, motion.beside(motion.t[near], motion.states[:, near], t))
     return between.and_then(beside), np.arange(len(between.t) + len(t)) >= len(between.t)

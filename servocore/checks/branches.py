@@ -178,9 +178,9 @@ class Branch:
     def of(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
         rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
-        known = states[rows.values, :: -(-states.shape[1] // MANY)]
-        ranges = np.fmax.reduce(known, axis=1) - np.fmin.reduce(known, axis=1)  # of those that are found
-        return cls(problem, rows, np.fmax(ranges, SLIGHT * still))
+        known = states[rows.values]
+        known = known[:, np.isfinite(known).all(axis=0)]
+        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, SLIGHT * still))
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
@@ -284,8 +284,6 @@ def on_one_branch(
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
-    if np.isfinite(states.sum()):  # of many instants in less time than each of them
-        return states
     solved, name = np.flatnonzero(np.isfinite(states).all(axis=0)), branch.problem.system.name
     if not len(solved):
         raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
@@ -339,15 +337,10 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    problem, passages, lowest, highest = branch.problem, list[Passage](), known.min(axis=1), known.max(axis=1)
-    least, most = (each(np.abs([lowest, highest]), axis=0) for each in (np.min, np.max))
-    blocks = np.flatnonzero(
-        ~(((lowest > 0.0) | (highest < 0.0)) & (least > _ON_IT * most))
-    )  # few are looked at more closely
-    known, sizes = known[blocks], np.abs(known[blocks])
+    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        found = (Passage(time, time, time, each) for each in _equations_of(problem, blocks[lost]))
+        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
         passages += [each for each in found if each.of_constraints][:1]
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():

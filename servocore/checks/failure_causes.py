@@ -31,7 +31,7 @@ SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
 
 _INSTANTS = 41  # of the path that are examined
-_STARTS = 8  # of the search for the nearest configuration, each some nominal magnitudes from another
+_STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 
@@ -176,7 +176,7 @@ def _around(problem: Problem, x: Array) -> list[Array]:
     home = problem.system.home_configuration(problem.p)[0] / np.array(problem.system.coordinates.nominal)
     generator = np.random.default_rng(8)
     size = np.maximum(1.0, np.abs(x))
-    spread = [generator.standard_normal(len(x)) for _ in range(_STARTS)]
+    spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
     return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
 
 

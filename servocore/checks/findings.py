@@ -17,11 +17,14 @@ ROUND_OFF = 1e-9
 BISECTIONS = 40
 """Halvings after which an interval is as short as round-off of its ends."""
 
+SECTIONS, ROUNDS = 21, 6
+"""Evaluations within an interval, and how often it shrinks to a tenth, to find where a smooth quantity is least."""
+
 
 def least_between(evaluate: Callable[[Array], Array], t: Array, k: int) -> float:
     """Return the time at which a smooth function of times is least, between the instants beside the k-th of `t`."""
-    for _ in range(BISECTIONS // 2):  # as close as the square root of round-off says where a quantity is least
-        t = np.linspace(t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)], 5)
+    for _ in range(ROUNDS):
+        t = np.linspace(t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)], SECTIONS)
         k = int(np.nan_to_num(evaluate(t), nan=np.inf).argmin())
     return float(t[k])
 
