@@ -18,7 +18,7 @@ from servocore.structure.derivative_array import DerivativeArray, nominal
 LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
-_MOST_OPERATIONS = 6000  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
 _MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
 _MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
 _MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
