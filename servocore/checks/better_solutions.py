@@ -35,6 +35,8 @@ NOTICED = 0.02
 tolerance that is larger does not prove by itself that inputs are accurate."""
 
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
+_BEYOND = 1e4  # times the peak: the size of a larger error is not reported
+_SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
 _ELSEWHERE = 0.1  # of the range of a coordinate: further from the better motion may be another branch
 
@@ -123,7 +125,7 @@ def warn_of_wrong_inputs(
 def _share_in_words(share: float) -> str:
     if share < 1.0:
         return f"{100.0 * share:.2g} % of its peak"
-    return f"{share:.3g} times its peak"
+    return f"{share:.3g} times its peak" if share < _BEYOND else f"more than {_BEYOND:g} times its peak"
 
 
 def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
@@ -154,7 +156,7 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     step = np.abs(solution.values[k] - solution.values[k - 1])
     turns = {each.name: float(turn) for each, turn in zip(solution.channels, step, strict=True) if each.unit == "rad"}
     name = max(turns, key=lambda each: turns[each], default="")
-    if k == 0 or not name:
+    if k == 0 or not name or turns[name] < _SMALLEST_TURN:
         return ""
     return (
         f"{name} turns by {turns[name]:.2g} rad within this step, where about {min(factor, 1.0) * turns[name]:.2g} rad"

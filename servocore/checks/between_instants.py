@@ -26,6 +26,7 @@ from servocore.stepping.exact_evaluation import along_path
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 
+_MOST = 64  # intervals that are halved at once
 _TIMES = 2.0  # the largest value at the instants: a peak that they do not show
 _NEAR = 1e-2  # of an interval: moments beside a singularity that is passed
 
@@ -79,7 +80,7 @@ def look(
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
         worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
-        kept = np.argsort(-worst, kind="stable")[: min(MANY, int((worst > 1.0).sum()))]
+        kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break

@@ -41,11 +41,10 @@ CONTINUOUS = (
 FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
-SLIGHT = 1e-3
-"""Of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none."""
-
-_ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
+_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
+_JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
 _MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
+_ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
 
@@ -180,9 +179,9 @@ class Branch:
         rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
         known = states[rows.values]
         known = known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, SLIGHT * still))
+        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
 
-    def apart(self, first: Array, last: Array, h: Array, slight: float = SLIGHT) -> npt.NDArray[np.bool_]:
+    def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
         rows = self.rows
         lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
@@ -238,7 +237,7 @@ class Branch:
         found, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
         good = bool(np.isfinite(found).all() and np.isfinite(residual).all())
         # With more room where branches meet, short steps would turn into the other one.
-        slight = SLIGHT if own is None else ROUND_OFF
+        slight = _SLIGHT if own is None else ROUND_OFF
         good = good and not self.apart(state[:, None], found[:, None], h, slight)[0]
         if good and own is not None:
             good = bool((self.determinants(t, found[:, None]) * np.sign(own) > LOST * np.abs(own)).all())
@@ -273,7 +272,7 @@ def on_one_branch(
                 return states, CLOSED_FORM, (), far
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
-        if (off[:, 0] <= SLIGHT * branch.scale).all():
+        if (off[:, 0] <= _SLIGHT * branch.scale).all():
             continue
         kept = kept if replaced else kept.copy()
         kept[:, k + 1], replaced = reached, True
@@ -300,7 +299,10 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     every = -(-(len(t) - 1) // MANY)
     looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
     some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
-    far = branch.apart(some[:, :-1], some[:, 1:], steps)
+    _, velocities = _velocity_rows(branch.problem.array)
+    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps)
+    jolts = velocities.missed(some[:, :-1], some[:, 1:], steps)
+    far |= (jolts > _JOLT * velocities.ranges(some)[:, None]).any(axis=0)
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 

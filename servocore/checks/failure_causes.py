@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.along_motion import jumps, slack_rope
-from servocore.checks.branches import SLIGHT, constraint_rows
+from servocore.checks.branches import constraint_rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, bisected
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
@@ -188,7 +188,7 @@ def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> f
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
     place, outputs = problem.reference.jet(time, 0)[0], problem.system.outputs
-    worst = [k for k in range(len(miss)) if abs(miss[k]) > SLIGHT * np.abs(miss).max()]
+    worst = [k for k in range(len(miss)) if abs(miss[k]) > 1e-3 * np.abs(miss).max()]
     listed = " and ".join(
         f"{outputs[k].name} = {place[k]:.6g} {outputs[k].unit} by {abs(miss[k]):.3g} {outputs[k].unit}" for k in worst
     )

@@ -142,7 +142,8 @@ def motion_of(
 def passed(motion: Motion) -> Iterator[Finding]:
     """Yield a statement on each singularity that a motion passes; where constraints lose rank, a warning as well."""
     for each in motion.passages:
-        how = "this one begins or ends there" if each.before == each.after else "this one goes on smoothly"
+        ends = min(each.time - motion.t[0], motion.t[-1] - each.time) < 1e-6 * np.ptp(motion.t)
+        how = "this one begins or ends there" if ends else "this one goes on smoothly"
         if each.of_constraints:
             yield Finding(f"{each}; {how}", warns=True)
         yield Finding(f"{each}{';' if each.of_constraints else ','} {how}")
