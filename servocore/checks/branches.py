@@ -51,6 +51,8 @@ LOST = 1e-6
 DISAGREEMENT = 0.05
 """Of a movement, or of the range of a derivative: neighbours whose rates explain it but for less belong together."""
 
+_LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
+
 Places = npt.NDArray[np.intp]
 MANY = 1000
 """Intervals that are compared, of more some are left out, though of no instant the determinants; and steps from one
@@ -70,17 +72,20 @@ class Passage:
         The instants, and the time itself, in s.
     equations : tuple of str
         Equations of the diagonal block whose determinant changes its sign.
+    at_once : bool
+        Whether all constraints taken together lose rank there, not only those of the block for its variables.
     """
 
     before: float
     after: float
     time: float
     equations: tuple[str, ...]
+    at_once: bool = True
 
     @cached_property
     def of_constraints(self) -> bool:
         """Whether holonomic constraints lose rank, by themselves or together with the servo constraints."""
-        holonomic = any(name.startswith("holonomic") for name in self.equations)
+        holonomic = self.at_once and any(name.startswith("holonomic") for name in self.equations)
         return holonomic and all(name.startswith(("holonomic", "servo")) for name in self.equations)
 
     def __str__(self) -> str:
@@ -317,9 +322,14 @@ def _passage(
 ) -> Passage:
     ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
-    passages = [Passage(begin, end, time, equations) for equations in changed]
+    moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
+    least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
+    at_once = least[1] < _LESS * max(least[0], least[2])
+    passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
-    return next((each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ())))
+    return next(
+        (each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ()), at_once)
+    )
 
 
 @made_once
@@ -329,6 +339,14 @@ def constraint_rows(resolved: ResolvedSystem) -> Call:
     residual, S = ca.vertcat(system.constraints, system.output - system.path[:, 0]), ca.vertcat(system.G, system.C)
     results = [ca.densify(residual), ca.densify(S)]
     return Call(ca.Function("sc_S_rows", [system.q, system.gamma[:, 0], system.p], results))
+
+
+def _least_singular_value(problem: Problem, t: float, q: Array) -> float:
+    """Return the least singular value of the Jacobian of all constraints, with rows of unit length."""
+    residual, S = constraint_rows(problem.resolved)(q, problem.reference.jet(t, 0)[0], problem.p)
+    rows = S.reshape(len(residual), -1) * np.array(problem.system.coordinates.nominal)
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return float(np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
 
 
 def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
