@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -209,34 +209,38 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
     IntegrationFailed
         If a step is not solved.
     """
-    step, length, count = step_of(t), chunk_length(len(t) - 1), len(t) - 1
+    step, length = step_of(t), chunk_length(len(t) - 1)
     state, first_residual = first_state(problem, program, step)
-    parts = list[Run]()
-    for done in range(0, count, length):
-        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, state, length)
-        state = part.states[:, -1]
-        if not complete:
-            raise step_failure(problem, program, state, part.t[-1], step)
-        parts.append(part)
-        if progress is not None:
-            progress(min(done + length, count), count)
-    run = _joined(parts)
+    run, complete = _advanced(problem, program, t, step, state, length, progress)
+    if not complete:
+        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
     return replace(run, worst_residual=max(run.worst_residual, first_residual))
 
 
-def _joined(parts: Sequence[Run]) -> Run:
-    """Return parts that follow one another as one run; each begins at the last instant of the one before."""
-    inner = [part.at(slice(int(part is not parts[0]), None)) for part in parts]
-    jets = [part.jets for part in inner if part.jets is not None]
-    return Run(
-        parts[0].program,
-        np.concatenate([part.t for part in inner]),
-        np.hstack([part.states for part in inner]),
+def _advanced(
+    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
+) -> tuple[Run, bool]:
+    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
+    parts, complete, count = list[Run](), True, len(t) - 1
+    for done in range(0, count, length):
+        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, state, length)
+        state = part.states[:, -1]
+        parts.append(part.at(slice(int(done > 0), None)))  # it begins at the last instant of the one before
+        if not complete:
+            break
+        if progress is not None:
+            progress(min(done + length, count), count)
+    jets = [part.jets for part in parts if part.jets is not None]
+    run = Run(
+        program,
+        np.concatenate([part.t for part in parts]),
+        np.hstack([part.states for part in parts]),
         sum(part.newton_iterations for part in parts),
         sum(part.factorizations for part in parts),
         max(part.worst_residual for part in parts),
         jets=np.concatenate(jets) if jets else None,
     )
+    return run, complete
 
 
 def step_of(t: Array) -> float:
@@ -275,13 +279,7 @@ def advance_chunk(
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
-        parts = list[Run]()
-        for k in range(used):
-            part, complete = advance_chunk(problem, program, t[k : k + 2], step, state, 1)
-            parts, state = [*parts, part], part.states[:, -1]
-            if not complete:
-                break
-        return _joined(parts), complete
+        return _advanced(problem, program, t, step, state, 1, None)
     iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
     worst_residual = float(worst[:good].max(initial=0.0))
