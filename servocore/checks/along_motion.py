@@ -38,7 +38,7 @@ from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 
 _WHY = "it follows from the others where the model is at home, and was left out"
-_INSTANTS = 10  # at which masses are looked at
+_INSTANTS = 9  # at which masses are looked at
 
 
 def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
@@ -107,8 +107,8 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.mass_varies:
         return
-    every = -(-len(t) // _INSTANTS)
-    t, q = t[::every], q[:, ::every]
+    few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
+    t, q = t[few], q[:, few]
     masses = along_path(problem, _compiled_mass(problem.resolved), t, q)[0]
     eigenvalues = np.linalg.eigvalsh(np.nan_to_num(masses.T.reshape(len(t), len(q), len(q))))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
