@@ -97,11 +97,12 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     limits = motion.problem.motion_limits
     if not limits:
         return np.zeros((0, len(motion.t if t is None else t)))
-    watched, of_motion = watched_limits(motion.problem), (motion.t, motion.states)
-    values = watched.values(motion.problem, *(of_motion if t is None else (t, motion.at(t))))
-    for k, added in enumerate(limit.over_run for limit in limits):
-        if added:
-            values[k] = added.course(motion.t, watched.values(motion.problem, *of_motion)[k])[-1]
+    watched, problem = watched_limits(motion.problem), motion.problem
+    values = watched.values(problem, *((motion.t, motion.states) if t is None else (t, motion.at(t))))
+    of_run = [(k, added) for k, limit in enumerate(limits) if (added := limit.over_run)]
+    whole = watched.values(problem, motion.t, motion.states) if of_run and t is not None else values
+    for k, added in of_run:
+        values[k] = added.course(motion.t, whole[k])[-1]
     angles = np.array(watched.wraps, dtype=bool)
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
