@@ -73,9 +73,9 @@ static void multiply(const whole *tape, const double *a, const double *b, double
 }
 
 /* The first tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to
-   one with a coefficient of a, and the places of the results, those within the degrees first; the second the numbers of steps, inputs and outputs, for each step its
-   operation, the slot of the result and those of the arguments, and for inputs and outputs slots and places among the
-   models, an array (rows, places, boxes). */
+   one with a coefficient of a, and the places of the results, those within the degrees first; the second the numbers of
+   steps, inputs and outputs, for each step its operation, the slot of the result and those of the arguments, and for
+   inputs and outputs slots and places among the models, an array (rows, places, boxes). */
 void sc_run(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes)
 {
     const whole *steps = tape + 3, *inputs = steps + 4 * tape[0], *outputs = inputs + 2 * tape[1];
