@@ -7,20 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from present import present
-from problems import scene
+from problems import FLAT_MODELS, scene
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
-from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import inversion
 
 CRANE = scene("rotary_crane")
-POINTWISE = [
-    (name, model)
-    for name in sc.scenes.REGISTRY
-    for model in scene(name).models
-    if not derivative_array(scene(name).model(model)).states and scene(name).closed_form is not None
-]
+POINTWISE = [(name, model) for name, model in FLAT_MODELS if scene(name).closed_form is not None]
 
 
 def assert_exact(found: Array, exact: dict[str, Array], names: tuple[str, ...]) -> None:

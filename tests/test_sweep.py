@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,7 @@ from servocore.planning.sweep_settings import drawn
 from servocore.planning.sweep_store import Parquet, Zarr
 from servocore.references.rest_to_rest import RestToRest
 
-pytest.importorskip("xarray")
-pytest.importorskip("zarr")
+pytestmark = pytest.mark.skipif(not (find_spec("xarray") and find_spec("zarr")), reason="needs xarray and zarr")
 
 CRANE = sc.scenes.rotary_crane()
 LIMITS = {"F": 60.0, "s.rate": 1.0}
