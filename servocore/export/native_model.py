@@ -189,8 +189,8 @@ class NativeModel:
             If there is no such variable or item, or a number is not finite or outside its range.
         """
         variables, choices = list(self.variables), list(self.choices)
-        places = {name: (i, k) for i, each in enumerate(variables) if each.starts
-                  for k, name in enumerate(each.scalar_names)}  # fmt: skip
+        places = {scalar.name: (i, k) for i, each in enumerate(variables) if each.starts
+                  for k, scalar in enumerate(each.scalars)}  # fmt: skip
         named = {each.name: i for i, each in enumerate(choices)}
         for name, value in start.items():
             if name in places:
