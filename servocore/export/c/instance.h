@@ -42,6 +42,7 @@
 #define FIRST_PARAMETER (FIRST_OUTPUT + N_OUTPUTS)
 #define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
 #define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
+#define NOWHERE (N_NUMBERS + 1)   /* the place of no number; that of the time is N_NUMBERS */
 CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 
 #ifndef N_KEPT
@@ -547,6 +548,8 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
             value = state->inputs[k];
         else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
             value = state->parameters[k - FIRST_PARAMETER];
+        else if (k == N_NUMBERS)
+            value = state->now.time;
         else {
             if (refresh(instance) != GOOD) {
                 *values = NAN;
