@@ -164,15 +164,13 @@ def packed(
         "documentation/licenses/pythonfmu.txt": licence.read_binary(),
         "model.png": (_HERE / "resources" / "model.png").read_bytes(),
     }
-    of_linux = [path for path in behind if path.startswith("linux64/")]
-    if of_linux:
-        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`.
-        library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
-        # In Python processes it loads PythonFMU's own binary.
-        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": library}
+    for name in [each for each in files if "/linux64/" in each]:
+        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`. In Python
+        # processes it loads PythonFMU's own binary.
+        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": f"../../resources/{name}"}
         of_shim = {name: sources[name] for name in HEADERS[2]}
         of_shim["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
-        of_shim["shim_config.h"] = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
+        of_shim["shim_config.h"] = "".join(f'#define {key} "{text}"\n' for key, text in texts.items())
         ((place, shim),) = libraries(of_shim, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
         members[f"{Path(place).parent.as_posix()}/{texts['REAL_BINARY']}"] = members[place]
         members[place] = shim.content

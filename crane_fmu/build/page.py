@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 import servocore as sc
@@ -16,6 +15,7 @@ from crane_fmu.build.estimates import amplification
 from crane_fmu.build.native import OF_PYTHONFMU, native_model
 from crane_fmu.catalogue import ORDERS, FmuKind
 from servocore.export.native_model import NativeModel
+from servocore.export.sources import rendered
 from servocore.export.variables import Causality, listed
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
@@ -44,9 +44,9 @@ def user_page(kind: FmuKind, model: NativeModel | None = None) -> str:
         The page.
     """
     described = model or native_model(kind, host=OF_PYTHONFMU)
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
-    template = environment.from_string((TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
-    return template.render(
+    return rendered(
+        f"{kind.page}.j2",
+        TEMPLATES,
         table=lambda causality: _table(described, causality),
         verdict=lambda: _verdict(described),
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
@@ -74,8 +74,8 @@ def _table(model: NativeModel, causality: Causality) -> str:
     rows = [f"| name | unit | {third} | |", "|---|---|---|---|"]
     for each in listed(model.of(causality), 2):
         change = each.variability if causality == "parameter" else ""
-        extent = ", ".join(filter(None, (*(f"{start:g}" for start in each.starts), each.range, change)))
-        rows.append(_row(each.name, each.unit, extent, each.description))
+        extent = filter(None, (*(f"{start:g}" for start in each.starts), each.range, change))
+        rows.append(_row(each.name, each.unit, ", ".join(extent), each.description))
     for choice in model.choices if causality == "parameter" else ():
         begun = f"`{choice.items[choice.start - 1][0]}`"
         items = ", ".join(f"{k} {name}" for k, (name, _) in enumerate(choice.items, start=1))
@@ -84,6 +84,5 @@ def _table(model: NativeModel, causality: Causality) -> str:
 
 
 def _row(name: str, unit: str, extent: str, text: str) -> str:
-    """Return a row of a table; a bar would end a cell."""
-    escaped = text.replace("|", r"\|")
+    escaped = text.replace("|", r"\|")  # a bar would end the cell
     return f"| `{name}` | {unit} | {extent} | {escaped} |"

@@ -61,13 +61,13 @@ def _headers(model: NativeModel) -> tuple[str, ...]:
     return "instance.h", "calls.h", *_KERNELS[model.kernel]
 
 
-def rendered(template: str, **values: Any) -> str:
-    """Return a template, filled in."""
+def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
+    """Return a template of a folder, filled in."""
     with refused_if_missing():
         import jinja2  # noqa: PLC0415 - imported for exports only
 
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(SHARED),
+        loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
         autoescape=template.endswith(".html.j2"),
