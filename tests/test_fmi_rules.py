@@ -328,7 +328,7 @@ def test_a_vendor_s_words_stand_in_description_sources_and_documentation(
     assert {name: root.get(name) for name in wanted} == wanted
     assert str(root.get("generationTool")).startswith("servocore ")
     assert root.get("generationDateAndTime")
-    assert [(each.get("name"), each.get("value")) for each in root.iter("Entry")] == [("order", "17")]
+    assert [(each.get("name"), each.get("value")) for each in root.iter("Entry")] == [("order", "17"), ("line", "3")]
     described = read_model_description("x.fmu", validate=True)  # against the schemas of FMI
     assert [each.start for each in described.modelVariables if each.name == default] != ["1"]
     ours = [text for name, text in members.items() if name.startswith("sources/") and "fmi/" not in name

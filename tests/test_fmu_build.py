@@ -19,11 +19,14 @@ from present import present
 import servocore as sc
 from crane_fmu.build import fmu as build
 from crane_fmu.build.fmu import packed
-from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
+from crane_fmu.build.native import OF_PYTHONFMU, native_model
 from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel
+from servocore.export.native_model import NativeModel
+from servocore.export.targets import host
 from servocore.export.units import base_units
 
+THIS_MACHINE = (host(),)
 ROOT = Path(__file__).parents[1]
 
 
@@ -33,9 +36,9 @@ def members(file: Path | io.BytesIO) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def native() -> bytes:
-    """Return a native FMU that is soon compiled."""
-    return native_fmu(LOAD_TRAJECTORY, targets="host", host=OF_PYTHONFMU)
+def native() -> NativeModel:
+    """Return the model of a native FMU that is soon compiled."""
+    return native_model(LOAD_TRAJECTORY, host=OF_PYTHONFMU)
 
 
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
@@ -50,9 +53,9 @@ def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
 
 
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(
-    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
+    monkeypatch.setattr(build, "native_model", lambda *_: native)
     (tmp_path / "LoadTrajectory.fmu").write_text("older")
     broken = tmp_path / "slave.py"
     broken.write_text("raise RuntimeError('broken')\n")
@@ -69,7 +72,7 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(
 
 
 def test_a_library_missing_from_the_bundle_is_found_by_the_check(
-    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without_libraries(*given: Any) -> bytes:
         stream = io.BytesIO()
@@ -78,16 +81,16 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
                 file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
         return stream.getvalue()
 
-    monkeypatch.setattr(build, "native_fmu", lambda *_, **__: native)
+    monkeypatch.setattr(build, "native_model", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
         build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
     assert not list(tmp_path.iterdir())
 
 
-def test_building_leaves_no_traces_in_the_process(native: bytes) -> None:
+def test_building_leaves_no_traces_in_the_process(native: NativeModel) -> None:
     path, modules = list(sys.path), set(sys.modules)
-    packed(native, LOAD_TRAJECTORY)
+    packed(native, LOAD_TRAJECTORY, THIS_MACHINE)
     assert sys.path == path
     assert not {each for each in set(sys.modules) - modules if each.startswith("rotary_crane")}
 
@@ -136,10 +139,10 @@ def test_outputs_depend_on_inputs_at_the_start_only() -> None:
 
 
 def test_the_identifier_changes_with_the_content(
-    native: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def entry() -> str:
-        return members(io.BytesIO(packed(native, LOAD_TRAJECTORY)))["resources/slavemodule.txt"].decode()
+        return members(io.BytesIO(packed(native, LOAD_TRAJECTORY, THIS_MACHINE)))["resources/slavemodule.txt"].decode()
 
     usual = entry()
     other = tmp_path / "kernel.py"
@@ -151,12 +154,12 @@ def test_the_identifier_changes_with_the_content(
 def test_two_builds_of_different_content_live_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of the slave, and of the library: the crane has a lighter load. Two native FMUs run beside."""
     fmu_file()  # built while the slave is the usual one
-    lighter = native_fmu(ROTARY_CRANE, starts={"load_mass": 50.0}, targets="host", host=OF_PYTHONFMU)
+    lighter = native_model(ROTARY_CRANE, starts={"load_mass": 50.0}, host=OF_PYTHONFMU)
     slave = Path(str(kernel.__file__)).read_text(encoding="utf-8")
     (tmp_path / "kernel.py").write_text(slave.replace("current_time, step_size, 1)", "current_time, step_size / 2, 1)"))
     monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))
     other = scratch() / "another.fmu"
-    other.write_bytes(packed(lighter, ROTARY_CRANE))
+    other.write_bytes(packed(lighter, ROTARY_CRANE, THIS_MACHINE))
     with (
         Host() as usual,
         Host(other) as another,

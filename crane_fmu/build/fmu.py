@@ -8,7 +8,6 @@ members are fixed: equal sources give equal bytes.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import re
 import subprocess
@@ -16,17 +15,21 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module, metadata
 from pathlib import Path
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import servocore as sc
-from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
-from crane_fmu.build.page import documentation_page
+from crane_fmu.build.native import OF_PYTHONFMU, native_model
+from crane_fmu.build.page import documentation_page, user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
+from servocore.export.description import model_description
+from servocore.export.native_model import NativeModel
+from servocore.export.sources import HEADERS, compiled_files, fmu_sources, token_of
 from servocore.export.targets import HOST, chosen_targets, host, libraries
 from servocore.files import made_folder, require_writable, write_together, xml_document, zipped
 
@@ -98,15 +101,15 @@ def build_fmu(
         If the FMU fails its check.
     """
     import_module("pythonfmu")  # fails before the compilation if it is not installed
-    if host() not in chosen_targets(targets or USUAL_TARGETS, 2):
+    platforms = chosen_targets(targets or USUAL_TARGETS, 2)
+    if host() not in platforms:
         raise sc.InvalidSetting(f"the FMU is checked on this machine, {host()}: have {HOST} among its platforms")
     directory = Path(directory)
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        native = native_fmu(kind, path, starts, targets or USUAL_TARGETS, progress, OF_PYTHONFMU, drives)
-        progress(f"packing {kind.file_name}")
-        archive = packed(native, kind)
+        model = native_model(kind, path, starts, drives, progress, OF_PYTHONFMU)
+        archive = packed(model, kind, platforms, progress)
         progress(f"checking {kind.file_name} in a separate process")
         _check(archive, kind, starts)
         write_together({target: archive})
@@ -132,43 +135,45 @@ def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
 # The archive ----------------------------------------------------------------------------------------------------------
 
 
-def packed(native: bytes, kind: FmuKind) -> bytes:
-    """Return the archive of an FMU whose slave forwards its calls to the libraries of a native one.
+def packed(
+    model: NativeModel, kind: FmuKind, platforms: tuple[str, ...], progress: Callable[[str], None] = lambda _: None
+) -> bytes:
+    """Return the archive of an FMU whose slave forwards its calls to the libraries of a model.
 
     Parameters
     ----------
-    native : bytes
-        The archive of the native FMU.
+    model : NativeModel
+        Of the native FMU of the same kind.
     kind : FmuKind
         Which FMU it is.
+    platforms : tuple of str
+        Platforms of the libraries.
+    progress : callable
+        Called with a phrase for every stage.
     """
-    with zipfile.ZipFile(io.BytesIO(native)) as archive:
-        given = {name: archive.read(name) for name in archive.namelist()}
-    description = given["modelDescription.xml"]
-    token = ET.fromstring(description).get("guid", "")
-    behind = {name.removeprefix("binaries/"): each for name, each in given.items() if name.startswith("binaries/")}
+    sources, token = fmu_sources(model, 2), token_of(model, 2)
+    built = libraries(sources, compiled_files(model, 2), model.identifier, platforms, 2, progress, model.more_sources)
+    progress(f"packing {kind.file_name}")
+    behind = {place.removeprefix("binaries/"): each.content for place, each in built.items()}
     entry, files = _staged(kind, token, behind)
     members = _packed_by_pythonfmu(kind, entry, files)
-    notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
     licence = next(each for each in metadata.files("pythonfmu") or () if each.name.upper().startswith("LICENSE"))
     members |= {
-        "modelDescription.xml": _wrapped(description, kind.name, notes),
-        "documentation/index.html": documentation_page(kind, native).encode(),
+        "modelDescription.xml": _description(model, kind, token),
+        "documentation/index.html": documentation_page(kind, user_page(kind, model)).encode(),
         "documentation/licenses/pythonfmu.txt": licence.read_binary(),
         "model.png": (_HERE / "resources" / "model.png").read_bytes(),
     }
-    of_linux = [path for path in behind if path.startswith("linux64/")]
-    if of_linux:
-        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`.
-        library = next(f"../../resources/{name}" for name in files if name.endswith(of_linux[0]))
-        # In Python processes it loads PythonFMU's own binary.
-        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": library}
-        sources = {Path(name).name: text.decode() for name, text in given.items() if re.search(r"/fmi2\w+\.h$", name)}
-        sources["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
-        sources["shim_config.h"] = "".join(f'#define {name} "{text}"\n' for name, text in texts.items())
-        ((place, built),) = libraries(sources, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
+    for name in [each for each in files if "/linux64/" in each]:
+        # Hosts that are not Python run the FMU too: their calls go to the native library, see `shim.c`. In Python
+        # processes it loads PythonFMU's own binary.
+        texts = {"FMU_GUID": token, "REAL_BINARY": "pythonfmu.so", "LIBRARY": f"../../resources/{name}"}
+        of_shim = {name: sources[name] for name in HEADERS[2]}
+        of_shim["shim.c"] = (_HERE / "shim.c").read_text(encoding="utf-8")
+        of_shim["shim_config.h"] = "".join(f'#define {key} "{text}"\n' for key, text in texts.items())
+        ((place, shim),) = libraries(of_shim, ["shim.c"], kind.name, ["x86_64-linux"], 2).items()
         members[f"{Path(place).parent.as_posix()}/{texts['REAL_BINARY']}"] = members[place]
-        members[place] = built.content
+        members[place] = shim.content
     return zipped(members)
 
 
@@ -224,25 +229,15 @@ def _packed_by_pythonfmu(kind: FmuKind, entry: str, files: Mapping[str, str | by
     return result
 
 
-def _wrapped(native: bytes, name: str, notes: Mapping[str, str]) -> bytes:
-    """Return a native FMU's model description, changed for PythonFMU; notes become a vendor annotation.
-
-    Outputs change in doStep only: there is no direct feedthrough, and there are no directional derivatives.
-    """
-    root = ET.fromstring(native)
-    root.attrib |= {
-        "modelName": name,
-        "generationTool": f"{root.get('generationTool')} with PythonFMU {notes['pythonfmu']}",
-    }
-    root.set("guid", root.get("guid", "").strip("{}"))  # as PythonFMU writes it
+def _description(model: NativeModel, kind: FmuKind, token: str) -> bytes:
+    """Return the model description: that of the native model, but without sources and directional derivatives."""
+    notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
+    about = replace(model.about, annotations={"servocore": notes})
+    forwarded = replace(model, title=kind.name, identifier=kind.name, differentiable=False, about=about)
+    root = ET.fromstring(model_description(forwarded, token.strip("{}"), 2))  # the GUID as PythonFMU writes it
+    root.set("generationTool", f"{root.get('generationTool')} with PythonFMU {notes['pythonfmu']}")
     (simulation,) = root.iter("CoSimulation")
-    simulation.attrib |= {"modelIdentifier": name, "needsExecutionTool": "true"}
-    simulation.attrib.pop("providesDirectionalDerivative", None)
+    simulation.set("needsExecutionTool", "true")
     for sources in simulation.findall("SourceFiles"):
         simulation.remove(sources)
-    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
-        unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
-    annotations = ET.Element("VendorAnnotations")
-    ET.SubElement(ET.SubElement(annotations, "Tool", name="servocore"), "Build", dict(notes))
-    root.insert([child.tag for child in root].index("DefaultExperiment") + 1, annotations)
     return xml_document(root)

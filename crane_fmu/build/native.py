@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import casadi as ca
 
@@ -29,6 +26,13 @@ from crane_fmu.catalogue import (
     Starts,
     crane_with,
 )
+from servocore.export.building import inverse_model
+from servocore.export.fmu import archive, described
+from servocore.export.native_model import NativeModel
+from servocore.export.plant_model import plant_model
+from servocore.export.routes import with_routes
+from servocore.export.targets import chosen_targets
+from servocore.export.trajectory_model import trajectory_model
 
 ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
 """Formulations and methods of RotaryCrane.fmu besides the exact inversion."""
@@ -49,16 +53,15 @@ LARGEST_TURN = 1.0
 """Largest turn of the fastest pendulum in a step, in rad, with which the feedback is used."""
 
 
-def native_fmu(
+def native_model(
     kind: FmuKind,
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
-    targets: str | None = None,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
     progress: Callable[[str], None] = lambda _: None,
     host: sc.HostRules | None = None,
-    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
-) -> bytes:
-    """Return the archive of trajectory, inverse model or plant, FMI 2.
+) -> NativeModel:
+    """Return trajectory, inverse model or plant, ready to become an FMU.
 
     Parameters
     ----------
@@ -68,33 +71,43 @@ def native_fmu(
         The path in the trajectory.
     starts : mapping of str to float or str
         Start values of variables in place of defaults, parameters of the crane among them.
-    targets : str, optional
-        Platforms, as `sc.export_fmu` takes them.
+    drives : mapping of str to Drive
+        Motors and transmissions of the crane.
     progress : callable
         Called with a phrase for every stage.
     host : HostRules, optional
         Rules of its hosts: `OF_PYTHONFMU`, with which the inverse model has all formulations and methods.
-    drives : mapping of str to Drive
-        Motors and transmissions of the crane.
     """
     crane = crane_with(starts, drives)
-    common: dict[str, Any] = {"fmi": 2, "targets": targets, "progress": progress, "host": host}
-    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
-        file = Path(folder, kind.file_name)
-        if kind is LOAD_TRAJECTORY:
-            progress("compiling the trajectory")
-            law, others = starts.get("profile"), ("profile", *crane.parameter_values())
-            own = {name: float(value) for name, value in starts.items() if name not in others}
-            named = None if law in (None, FROM_FILE) else str(law)
-            options = sc.TrajectoryOptions(path, named, own, kind.name, host == OF_PYTHONFMU)
-            sc.export_trajectory(crane, file, options, **common)
-        elif kind is CRANE_PLANT:
-            sc.export_plant(crane, file, replace(PLANT, start=starts), model="generalized", **common)
-        else:
-            along = crane if path is None else crane.with_reference(path)
-            common |= {"feedback": feedback_of(crane), "estimates": estimates_of(crane, starts)}
-            sc.export_fmu(along, file, start=starts, routes=ROUTES if host == OF_PYTHONFMU else None, **common)
-        return file.read_bytes()
+    if kind is LOAD_TRAJECTORY:
+        progress("compiling the trajectory")
+        law, others = starts.get("profile"), ("profile", *crane.parameter_values())
+        own = {name: float(value) for name, value in starts.items() if name not in others}
+        named = None if law in (None, FROM_FILE) else str(law)
+        options = sc.TrajectoryOptions(path, named, own, kind.name, host == OF_PYTHONFMU)
+        return described(trajectory_model(crane, None, options), host)
+    if kind is CRANE_PLANT:
+        progress("compiling the forward dynamics")
+        return described(plant_model(crane, "generalized", replace(PLANT, start=starts)), host)
+    progress("analysing")
+    along = crane if path is None else crane.with_reference(path)
+    made = inverse_model(along, None, feedback_of(crane), estimates_of(crane, starts))
+    if host == OF_PYTHONFMU:
+        made = with_routes(made, along, ROUTES)
+    return described(made.with_starts(starts), host)
+
+
+def native_fmu(
+    kind: FmuKind,
+    path: sc.Reference | None = None,
+    starts: Starts = NO_STARTS,
+    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
+    progress: Callable[[str], None] = lambda _: None,
+    targets: str | None = None,
+) -> bytes:
+    """Return the archive of a `native_model`, FMI 2, for platforms as `sc.export_fmu` takes them."""
+    platforms = chosen_targets(targets, 2)
+    return archive(native_model(kind, path, starts, drives, progress), 2, platforms, progress)
 
 
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:

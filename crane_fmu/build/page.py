@@ -1,26 +1,25 @@
 """The user page of an FMU: ``docs/fmu*.md`` and the documentation in the FMU, behind a tool's Help button.
 
-Its tables of variables are made from the model description of the FMU.
+Its tables are made from the variables of the exported model.
 """
 
 from __future__ import annotations
 
-import io
 import re
 from pathlib import Path
-from typing import Any
 
-import fmpy
-from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification
-from crane_fmu.build.native import OF_PYTHONFMU, native_fmu
+from crane_fmu.build.native import OF_PYTHONFMU, native_model
 from crane_fmu.catalogue import ORDERS, FmuKind
+from servocore.export.native_model import NativeModel
+from servocore.export.sources import rendered
+from servocore.export.variables import Causality, listed
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
-_TEMPLATES = Path(__file__).parent / "resources"
+TEMPLATES = Path(__file__).parent / "resources"
 
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -29,69 +28,61 @@ _STYLE = (
 )
 
 
-def user_page(kind: FmuKind, fmu: bytes | None = None) -> str:
+def user_page(kind: FmuKind, model: NativeModel | None = None) -> str:
     """Return the page of an FMU as Markdown.
 
     Parameters
     ----------
     kind : FmuKind
         Which one.
-    fmu : bytes, optional
-        Its archive, or that of the native FMU; only the model description is read. Without it nothing is compiled.
+    model : NativeModel, optional
+        That of its library; when not given that with the default values.
 
     Returns
     -------
     str
         The page.
     """
-    fmu = fmu or native_fmu(kind, targets="none", host=OF_PYTHONFMU)
-    described = fmpy.read_model_description(io.BytesIO(fmu), validate=False)
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
-    template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
-    return template.render(
-        table=lambda causality: _table(described.modelVariables, causality),
-        verdict=lambda: _verdict(described.modelVariables),
+    described = model or native_model(kind, host=OF_PYTHONFMU)
+    return rendered(
+        f"{kind.page}.j2",
+        TEMPLATES,
+        table=lambda causality: _table(described, causality),
+        verdict=lambda: _verdict(described),
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 
 
-def documentation_page(kind: FmuKind, fmu: bytes) -> str:
-    """Return the page as a complete HTML document."""
-    alone = _LOCAL_LINK.sub(r"\1", user_page(kind, fmu))  # inside the FMU there are no other pages
+def documentation_page(kind: FmuKind, page: str) -> str:
+    """Return the user page of an FMU as a complete HTML document."""
+    alone = _LOCAL_LINK.sub(r"\1", page)  # inside the FMU there are no other pages
     body = MarkdownIt("commonmark").enable("table").render(alone)
     head = f'<meta charset="utf-8"><title>{kind.file_name}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
 
 
-def _verdict(variables: list[Any]) -> str:
+def _verdict(model: NativeModel) -> str:
     """Return the verdict of the certificate of the default crane on its default path."""
     crane = sc.scenes.rotary_crane()
-    own = {each.name: float(each.start) for each in variables if each.name in crane.parameter_values()}
+    own = {each.name: each.starts[0] for each in model.of("parameter") if each.name in crane.parameter_values()}
     return sc.certify(crane.with_parameters(**own)).verdict
 
 
-def _table(variables: list[Any], causality: str) -> str:
+def _table(model: NativeModel, causality: Causality) -> str:
     """Return the variables of one causality as a table in Markdown."""
     third = {"input": "start", "output": "range", "parameter": "default, range, change"}[causality]
-    rows = []
-    for each in variables:
-        if each.causality == causality:
-            items = each.declaredType.items if each.type == "Enumeration" else []
-            numbers = [", ".join(f"{item.value} {item.name}" for item in items)] if items else []
-            text = ": ".join([each.description.replace("|", r"\|"), *numbers])  # a bar would end the cell
-            rows.append(f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {text} |")
-    return "\n".join([f"| name | unit | {third} | |", "|---|---|---|---|", *rows])
+    rows = [f"| name | unit | {third} | |", "|---|---|---|---|"]
+    for each in listed(model.of(causality), 2):
+        change = each.variability if causality == "parameter" else ""
+        extent = filter(None, (*(f"{start:g}" for start in each.starts), each.range, change))
+        rows.append(_row(each.name, each.unit, ", ".join(extent), each.description))
+    for choice in model.choices if causality == "parameter" else ():
+        begun = f"`{choice.items[choice.start - 1][0]}`"
+        items = ", ".join(f"{k} {name}" for k, (name, _) in enumerate(choice.items, start=1))
+        rows.append(_row(choice.name, "choice", f"{begun}, {choice.variability}", f"{choice.description}: {items}"))
+    return "\n".join(rows)
 
 
-def _extent(variable: Any) -> str:
-    """Return start value, range and variability as a short text."""
-    low, high, start = (None if each is None else float(each) for each in (variable.min, variable.max, variable.start))
-    if low is not None and high is not None:
-        bounds = f"{low:g} to {high:g}"
-    else:
-        bounds = f">= {low:g}" if low is not None else f"<= {high:g}" if high is not None else ""
-    change = variable.variability if variable.causality == "parameter" else ""
-    begun = "" if start is None else f"{start:g}"
-    if variable.type == "Enumeration" and start is not None:
-        begun = f"`{variable.declaredType.items[int(start) - 1].name}`"
-    return ", ".join(each for each in (begun, bounds, change) if each)
+def _row(name: str, unit: str, extent: str, text: str) -> str:
+    escaped = text.replace("|", r"\|")  # a bar would end the cell
+    return f"| `{name}` | {unit} | {extent} | {escaped} |"

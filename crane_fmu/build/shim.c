@@ -7,6 +7,7 @@
    folder of this binary). */
 
 #define _GNU_SOURCE
+#include <ctype.h>
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -105,12 +106,6 @@ static int is_ours(const char *guid) {
     return length + 2 * (size_t)!braces == own && !strncmp(guid + braces, &FMU_GUID[1], own - 2);
 }
 
-static int digit(char c) {
-    if (c >= '0' && c <= '9') return c - '0';
-    if (c >= 'a' && c <= 'f') return c - 'a' + 10;
-    return c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
-}
-
 /* Write file:// and the plain path of an address file:///a%20b, file:/a%20b, file://localhost/a%20b, or of a path. */
 static int plain_location(const char *address, char *plain, char *why) {
     const int is_address = !strncmp(address, "file:", 5);
@@ -122,10 +117,10 @@ static int plain_location(const char *address, char *plain, char *why) {
         if (!address) address = "";
     }
     for (; *address && k < LONGEST - 1; address++) {
-        const int high = is_address && *address == '%' ? digit(address[1]) : -1;
-        const int low = high >= 0 ? digit(address[2]) : -1;
-        plain[k++] = low >= 0 ? (char)(16 * high + low) : *address;
-        if (low >= 0) address += 2;
+        const unsigned char *code = (const unsigned char *)address + 1;
+        const int escapes = is_address && *address == '%' && isxdigit(code[0]) && isxdigit(code[1]);
+        plain[k++] = escapes ? (char)strtol((const char[]){address[1], address[2], '\0'}, NULL, 16) : *address;
+        if (escapes) address += 2;
     }
     plain[k] = '\0';
     if (*address || k == 7 || strlen(plain) != k)

@@ -130,11 +130,11 @@ def build_ssp(
     starts = start_values(options, inverse)
     with filled_folder(directory) as draft:
         for kind in KINDS.values():
-            given = (kind, path, starts[kind.name], options.targets)
+            given = (kind, path, starts[kind.name])
             if options.native:
-                put(draft, {kind.file_name: native_fmu(*given, progress, drives=options.drives)})
+                put(draft, {kind.file_name: native_fmu(*given, options.drives, progress, options.targets)})
             else:
-                build_fmu(draft, progress, *given, options.drives)
+                build_fmu(draft, progress, *given, options.targets, options.drives)
         if not options.native:
             progress("writing the cross-check files")
             for kind in KINDS.values():

@@ -115,8 +115,8 @@ def inverse_model(
             "nodes": compiled.nodes,
             "has_quick": int("quick" in compiled.functions),
             "end_conditions": end_conditions(compiled.orders),
-            "feedback": feedback.own() if feedback else None,
-            "estimates": estimates.own() if estimates else None,
+            "feedback": feedback,
+            "estimates": estimates,
             "has_motors": int("motors" in more),
         },
         functions={**compiled.functions, **named_in_c(more, identifier)},
@@ -201,10 +201,9 @@ def _with_measured(compiled: Mathematics, feedback: SampledFeedback | None) -> n
     """Return which outputs depend on which inputs; inputs of the system and their motors also on measured values."""
     if feedback is None:
         return compiled.depends
-    drives, measured = feedback.laws["feedback_start"].numel_out(1), feedback.numbers
-    inputs = [each.name for each in compiled.outputs[:drives]]
+    inputs = [each.name for each in compiled.outputs[: feedback.drives]]
     chosen = np.array([each.name.partition(".")[0] in inputs for each in compiled.outputs])
-    return np.hstack([compiled.depends, np.repeat(chosen[:, None], measured, axis=1)])
+    return np.hstack([compiled.depends, np.repeat(chosen[:, None], feedback.numbers, axis=1)])
 
 
 def end_conditions(orders: int) -> list[list[float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from servocore.export.building import InverseModel
+from servocore.export.variables import listed
 from servocore.files import cross_check_texts
 from servocore.model.scene import Scene
 from servocore.solution import Solution
@@ -33,11 +34,6 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
     path, t, begin = scene.reference, solution.t, model.start_time
     jets = path.jet(t, model.orders - 1).reshape(len(t), -1)
     since = {"time": t - path.start_time + begin}
-    inputs = dict(since)
-    for each in model.of("input"):
-        if fmi == 3 and each.size is not None:
-            inputs[each.name] = jets[:, each.place : each.place + each.size]
-        else:
-            inputs |= zip(each.scalar_names, jets.T[each.place :], strict=False)
+    inputs = since | {each.name: jets[:, each.places] for each in listed(model.of("input"), fmi)}
     results = since | {variable.name: solution[variable.name] for variable in model.of("output")}
     return cross_check_texts(stem, inputs, results, (begin, begin + path.duration, float(t[1] - t[0])))

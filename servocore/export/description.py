@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import add
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
-from servocore.export.variables import INTERNAL_STEP, Variable
+from servocore.export.variables import INTERNAL_STEP, Variable, listed
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -80,27 +82,26 @@ def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
         return
     parent = add(root, "VendorAnnotations" if fmi == 2 else "Annotations")
     for name, values in model.about.annotations.items():
-        each = add(parent, "Tool", name=name) if fmi == 2 else add(parent, "Annotation", type=name)
+        # FMI 2 allows a tool one element only.
+        each = add(add(parent, "Tool", name=name), "Entries") if fmi == 2 else add(parent, "Annotation", type=name)
         for key, value in values.items():
             add(each, "Entry", name=key, value=str(value))
 
 
 def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
-    for reference, (variable, places) in enumerate(_numbered(model, fmi)):
-        name, text, starts = variable.name, variable.description, variable.starts
-        if fmi == 2 and variable.size is not None:
-            k = places.start - variable.place
-            name, text, starts = variable.scalar_names[k], f"{text}; component {k + 1}", starts[k : k + 1]
-        common = {"name": name, "valueReference": str(reference), "description": text, **_causality(variable, fmi)}
+    every = listed(model.variables, fmi)
+    for reference, variable in enumerate(every):
+        common = {"name": variable.name, "valueReference": str(reference), "description": variable.description,
+                  **_causality(variable, fmi)}  # fmt: skip
         if fmi == 2:
             number = add(add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
         else:
             number = add(table, "Float64", **common, **_attributes(variable))
-        if starts:
-            number.set("start", " ".join(map(repr, starts)))
-        if fmi == 3 and variable.size is not None:
+        if variable.starts:
+            number.set("start", " ".join(map(repr, variable.starts)))
+        if variable.size is not None:
             add(number, "Dimension", start=str(variable.size))
-    for reference, choice in enumerate(model.choices, start=len(_numbered(model, fmi))):
+    for reference, choice in enumerate(model.choices, start=len(every)):
         common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
                   "causality": "parameter", "variability": choice.variability}  # fmt: skip
         kind = {"declaredType": choice.type_name, "start": str(choice.start)}
@@ -109,15 +110,9 @@ def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
         else:
             add(table, "Enumeration", **common, **kind)
     if fmi == 3:
-        last = len(model.variables) + len(model.choices)
+        last = len(every) + len(model.choices)
         add(table, "Float64", name="time", valueReference=str(last), causality="independent",
             variability="continuous", unit="s")  # fmt: skip
-
-
-def _numbered(model: NativeModel, fmi: int) -> list[tuple[Variable, range]]:
-    """Return variables with their places in the order of their references: FMI 2 has one for each component."""
-    every = [(each, range(each.place, each.place + (each.size or 1))) for each in model.variables]
-    return every if fmi == 3 else [(each, range(k, k + 1)) for each, places in every for k in places]
 
 
 # Outputs change in doStep only, not when inputs are set. By what an output does not depend on, its derivative is zero
@@ -126,23 +121,22 @@ def _numbered(model: NativeModel, fmi: int) -> list[tuple[Variable, range]]:
 
 
 def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
-    every, first_output = _numbered(model, fmi), model.numbers("input")
-    of = {k: places for k, (variable, places) in enumerate(every) if variable.causality == "input"}
-    parameters = [k for k, (variable, _) in enumerate(every)
-                  if variable.causality == "parameter" and variable.name != INTERNAL_STEP]  # fmt: skip
+    every, first_output = listed(model.variables, fmi), model.numbers("input")
+    of = {k: each.places for k, each in enumerate(every) if each.causality == "input"}
+    parameters = [k for k, each in enumerate(every) if each.causality == "parameter" and each.name != INTERNAL_STEP]
     parameters += range(len(every), len(every) + len(model.choices))
     time = [len(every) + len(model.choices)] if model.timed and fmi == 3 else []
-    listed = dict[int, tuple[list[int], list[int]]]()
-    for k, (variable, places) in enumerate(every):
+    known = dict[int, tuple[list[int], list[int]]]()
+    for k, variable in enumerate(every):
         if variable.causality == "output":
-            rows = slice(places.start - first_output, places.stop - first_output)
-            used = [j for j, columns in of.items() if model.depends[rows, columns].any()]
+            rows = [place - first_output for place in variable.places]
+            used = [j for j, columns in of.items() if model.depends[np.ix_(rows, columns)].any()]
             awaited = [j for j in used if of[j].start < first_output - model.measured]
-            listed[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
+            known[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
     # FMI 2 counts from 1.
     parents = [add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
     for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
-        for k, on in listed.items():
+        for k, on in known.items():
             if fmi == 2:
                 add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
             else:
@@ -187,12 +181,10 @@ def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
 
 
 def _causality(variable: Variable, fmi: int) -> dict[str, str]:
+    attributes = {"causality": variable.causality, "variability": variable.variability}
     if variable.causality in ("output", "local"):
-        return {"causality": variable.causality, "variability": "continuous", "initial": "calculated"}
-    if variable.causality == "input":
-        return {"causality": "input", "variability": "continuous"}
-    attributes = {"causality": "parameter", "variability": "fixed" if variable.fixed else "tunable"}
-    return attributes | ({"initial": "exact"} if fmi == 2 else {})
+        return attributes | {"initial": "calculated"}
+    return attributes | ({"initial": "exact"} if fmi == 2 and variable.causality == "parameter" else {})
 
 
 def _attributes(variable: Variable) -> dict[str, str]:

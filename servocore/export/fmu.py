@@ -20,6 +20,7 @@ from servocore.export.sources import SHARED, compiled_files, fmu_sources, render
 from servocore.export.system import Element, packed_system, require_played, wires_by_name
 from servocore.export.targets import Library, Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
+from servocore.export.variables import listed
 from servocore.files import require_places, write_together, zipped
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.newton import MAX_ITERATIONS
@@ -214,7 +215,7 @@ def export_trajectory(
     return written(described(made, host, about), path, fmi, targets, progress)
 
 
-def described(model: NativeModel, host: HostRules | None, about: About | None) -> NativeModel:
+def described(model: NativeModel, host: HostRules | None, about: About | None = None) -> NativeModel:
     """Return a model with the rules of its hosts, and with its origin and default items."""
     about = about or About()
     return replace(model.with_run_quantities().with_starts(about.defaults), host=host or HostRules(), about=about)
@@ -352,5 +353,5 @@ def export_ssp(
 
 def _named(model: NativeModel, causality: str, role: str, values: list[float]) -> dict[str, float | str]:
     """Return values by the names of a model's numbers of one causality and role."""
-    chosen = (each for each in model.variables if each.causality == causality and each.role == role)
-    return dict(zip((name for each in chosen for name in each.scalar_names), values, strict=False))
+    chosen = (each for each in listed(model.variables, 2) if each.causality == causality and each.role == role)
+    return dict(zip((each.name for each in chosen), values, strict=False))

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 from servocore.errors import InvalidModel
-from servocore.export.variables import Variable
+from servocore.export.variables import Variable, listed
 from servocore.problem import Problem
 
 _LONGEST_IDENTIFIER = 40
@@ -26,7 +26,7 @@ def identifier_of(name: str) -> str:
 
 def require_different(problem: Problem, variables: Sequence[Variable], taken: Sequence[str]) -> None:
     """Raise `InvalidModel` if two variables have one name, or a name is not valid in FMI."""
-    names = [name for each in variables for name in each.scalar_names]
+    names = [each.name for each in listed(variables, 2)]
     every = [*names, *taken]
     repeated = sorted({name for name in every if every.count(name) > 1})
     if repeated:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from servocore.errors import InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
+from servocore.export.sampled_laws import SampledFeedback
 from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
 from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
@@ -169,8 +170,8 @@ class NativeModel:
     @property
     def measured(self) -> int:
         """The number of inputs, the last ones, with measured values for a feedback."""
-        feedback = self.own.get("feedback")
-        return int(feedback["measured"]) if feedback else 0
+        feedback: SampledFeedback | None = self.own.get("feedback")
+        return feedback.numbers if feedback else 0
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
@@ -189,8 +190,8 @@ class NativeModel:
             If there is no such variable or item, or a number is not finite or outside its range.
         """
         variables, choices = list(self.variables), list(self.choices)
-        places = {name: (i, k) for i, each in enumerate(variables) if each.starts
-                  for k, name in enumerate(each.scalar_names)}  # fmt: skip
+        places = {scalar.name: (i, k) for i, each in enumerate(variables) if each.starts
+                  for k, scalar in enumerate(each.scalars)}  # fmt: skip
         named = {each.name: i for i, each in enumerate(choices)}
         for name, value in start.items():
             if name in places:

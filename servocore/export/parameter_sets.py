@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 from servocore.export.native_model import NativeModel
 from servocore.export.units import base_units
-from servocore.export.variables import Variable
+from servocore.export.variables import Variable, listed
 from servocore.files import xml_document
 
 _PARTS = {"ssd": "Description", "ssc": "Common", "ssv": "ParameterValues", "ssm": "ParameterMapping"}
@@ -52,14 +52,11 @@ def parameter_set(name: str, variables: Sequence[Variable], fmi: int) -> bytes:
     """Return start values with units as an SSV document, vectors as arrays where SSP has them."""
     root = ET.Element("ssv:ParameterSet", {**SPACES, "version": SSP[fmi], "name": name})
     rows = add(root, "ssv:Parameters")
-    for each in variables:
-        whole = fmi == 3 or each.size is None
-        names, values = ((each.name,), (each.starts,)) if whole else (each.scalar_names, [(k,) for k in each.starts])
-        for label, numbers in zip(names, values, strict=True):
-            row = add(rows, "ssv:Parameter", name=label)
-            add(row, f"ssv:{NUMBER[fmi]}", value=" ".join(map(repr, numbers)), unit=each.unit)
-            if len(numbers) > 1:
-                add(row, "ssc:Dimension", size=str(len(numbers)))
+    for each in listed(variables, fmi):
+        row = add(rows, "ssv:Parameter", name=each.name)
+        add(row, f"ssv:{NUMBER[fmi]}", value=" ".join(map(repr, each.starts)), unit=each.unit)
+        if len(each.starts) > 1:
+            add(row, "ssc:Dimension", size=str(each.size))
     declare_units(root, "ssv:Units", (each.unit for each in variables))
     return xml_document(root)
 

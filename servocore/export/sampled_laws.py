@@ -51,24 +51,15 @@ class SampledFeedback:
         """The number of measured values."""
         return sum(size or 1 for _, size in self.measured)
 
-    def own(self) -> dict[str, object]:
-        """Return values for the templates of the sources.
+    @property
+    def memory(self) -> int:
+        """The size of the memory."""
+        return self.laws["feedback_start"].numel_in(0)
 
-        Returns
-        -------
-        dict of str to object
-            The values by name.
-        """
-        law = self.laws["feedback_start"]
-        return {
-            "measured": self.numbers,
-            "memory": law.numel_in(0),
-            "drives": law.numel_out(1),
-            "largest_turn": self.largest_turn,
-            "too_long": self.too_long,
-            "not_measured": self.not_measured,
-            "shown": self.shown,
-        }
+    @property
+    def drives(self) -> int:
+        """The number of corrected inputs."""
+        return self.laws["feedback_start"].numel_out(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +94,7 @@ class SampledEstimates:
         text = "highest derivative of the path that is connected; others are estimated"
         return Choice("connected", text, items, len(names) - self.start)
 
-    def own(self) -> dict[str, object]:
-        """Return values for the templates of the sources.
-
-        Returns
-        -------
-        dict of str to object
-            The values by name.
-        """
-        memory = self.functions["estimate"].numel_in(0)
-        return {"memory": memory, "unknown": self.unknown, "rough": self.rough}
+    @property
+    def memory(self) -> int:
+        """The size of the memory."""
+        return self.functions["estimate"].numel_in(0)

@@ -11,7 +11,7 @@ from typing import Any
 from servocore.errors import refused_if_missing
 from servocore.export.c_functions import scratch_of
 from servocore.export.native_model import NativeModel
-from servocore.export.variables import Variable
+from servocore.export.variables import listed
 
 SHARED = Path(__file__).parent / "c"
 """Folder of the common files and of the templates."""
@@ -61,13 +61,13 @@ def _headers(model: NativeModel) -> tuple[str, ...]:
     return "instance.h", "calls.h", *_KERNELS[model.kernel]
 
 
-def rendered(template: str, **values: Any) -> str:
-    """Return a template, filled in."""
+def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
+    """Return a template of a folder, filled in."""
     with refused_if_missing():
         import jinja2  # noqa: PLC0415 - imported for exports only
 
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(SHARED),
+        loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
         autoescape=template.endswith(".html.j2"),
@@ -102,11 +102,10 @@ def c_number(value: float) -> str:
 
 def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
     """Return the values for the templates."""
-    parameters, settings = model.of("parameter"), sum(setting.size or 1 for setting in model.settings)
+    parameters, settings = listed(model.of("parameter"), 2), len(listed(model.settings, 2))
     roles: dict[str, list[int]] = {}
-    for each in parameters:
-        places = range(each.place - parameters[0].place, each.place - parameters[0].place + (each.size or 1))
-        roles.setdefault(each.role, []).extend(places)
+    for k, each in enumerate(parameters):
+        roles.setdefault(each.role, []).append(k)
     return {
         "model": model,
         "identifier": model.identifier,
@@ -114,18 +113,11 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "stamp": int(token[1:9] or "0", 16),
         "inputs": model.numbers("input"),
         "outputs": model.outputs,
-        "parameters": model.numbers("parameter") - settings,
+        "parameters": len(parameters) - settings,
         "settings": settings,
         "roles": {role: places for role, places in roles.items() if role},
         "internal": model.numbers("local"),
         "scratch": scratch_of([*model.functions.values(), *model.elsewhere]),
-        "numbers": [row for variable in model.variables for row in _numbers(variable)],
+        "numbers": listed(model.variables, 2),
         **model.own,
     }
-
-
-def _numbers(variable: Variable) -> list[dict[str, Any]]:
-    starts = variable.starts or (0.0,) * (variable.size or 1)
-    unit = "" if variable.unit == "1" else f" {variable.unit}"  # as it follows a number in a sentence
-    common = {"unit": unit, "low": variable.low, "high": variable.high, "fixed": variable.fixed}
-    return [{"name": n, "start": s, **common} for n, s in zip(variable.scalar_names, starts, strict=True)]

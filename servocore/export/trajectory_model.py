@@ -105,7 +105,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
     require_different(problem, variables, (choice.name, "time"))
-    outputs = [Quantity(name, each.unit, each.description) for each in path for name in each.scalar_names]
+    outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(path, 2)]
     return NativeModel(
         identifier=identifier,
         title=f"{scene.name} trajectory",

@@ -72,9 +72,27 @@ class Variable:
     place: int = 0
 
     @property
-    def scalar_names(self) -> tuple[str, ...]:
-        """Names of the components, as FMI 2 has them."""
-        return (self.name,) if self.size is None else tuple(f"{self.name}[{k + 1}]" for k in range(self.size))
+    def scalars(self) -> tuple[Variable, ...]:
+        """The variable, or one for each component of a vector: as FMI 2 has them, by the name ``load.position[1]``."""
+        if self.size is None:
+            return (self,)
+        return tuple(
+            replace(
+                self, name=f"{self.name}[{k + 1}]", description=f"{self.description}; component {k + 1}",
+                starts=self.starts[k : k + 1], size=None, place=self.place + k,
+            )
+            for k in range(self.size)
+        )  # fmt: skip
+
+    @property
+    def places(self) -> range:
+        """Places of its numbers."""
+        return range(self.place, self.place + (self.size or 1))
+
+    @property
+    def unit_behind(self) -> str:
+        """The unit as it follows a number in a sentence."""
+        return "" if self.unit == "1" else f" {self.unit}"
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -83,9 +101,9 @@ class Variable:
         return {name: value for name, value in attributes.items() if abs(value) < _MOST_DISPLAYED}
 
     @property
-    def kind(self) -> str:
-        """Its causality, for a parameter with its variability."""
-        return f"{'fixed' if self.fixed else 'tunable'} parameter" if self.causality == "parameter" else self.causality
+    def variability(self) -> str:
+        """As FMI has it."""
+        return ("fixed" if self.fixed else "tunable") if self.causality == "parameter" else "continuous"
 
     @property
     def range(self) -> str:
@@ -146,6 +164,11 @@ INPUT_TIME = Choice(
 def order_name(order: int) -> str:
     """Return the name of a derivative of the path."""
     return ORDERS[order] if order < len(ORDERS) else f"derivative{order}"
+
+
+def listed(variables: Iterable[Variable], fmi: int) -> tuple[Variable, ...]:
+    """Return variables as a version of FMI has them: the second knows no vectors."""
+    return tuple(variables) if fmi == 3 else tuple(scalar for each in variables for scalar in each.scalars)
 
 
 def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
@@ -324,7 +347,7 @@ def with_item(choice: Choice, item: float | str) -> Choice:
 
 def with_start(variable: Variable, k: int, value: float | str) -> Variable:
     """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
-    name, unit = variable.scalar_names[k], "" if variable.unit == "1" else f" {variable.unit}"
+    name, unit = variable.scalars[k].name, variable.unit_behind
     if isinstance(value, str) or not math.isfinite(value):
         raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
     if not variable.low <= value <= variable.high:

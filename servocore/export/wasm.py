@@ -16,7 +16,7 @@ from servocore.export.c_functions import c_source, checked_once, copied_in_one_p
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
 from servocore.export.targets import zig
-from servocore.export.variables import Variable, path_variables
+from servocore.export.variables import Variable, listed, path_variables
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import compile_in
@@ -113,7 +113,7 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
     return {
         "title": model.title,
         "model": model.model,
-        "path": [{"name": name, "unit": each.unit} for each in path for name in each.scalar_names],
+        "path": [{"name": each.name, "unit": each.unit} for each in listed(path, 2)],
         "outputs": [{"name": e.name, "unit": e.unit, "description": e.description} for e in model.outputs],
         "parameters": [
             {"name": e.name, "unit": e.unit, "start": e.starts[0], **e.bounds, "description": e.description}

@@ -18,13 +18,27 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
            strchr(message, '%') == NULL ? message : "%s", message);
 }
 
-#define REQUIRE(phases, call) \
-    Instance *instance = (Instance *)component; \
-    if (refused(instance, phases, call)) return fmi2Error
-
 #define OF_FMI(name) fmi2##name
 #define STATE(before, after) fmi2##before##FMUstate##after
 #define DESERIALIZE fmi2DeSerializeFMUstate
+#define NUMBERS(what) fmi2##what##Real
+#define NUMBER "Real"
+#define SETTABLE NUMBER
+#define ITEMS(what) fmi2##what##Integer
+#define ITEM "Integer"
+#define IGNORED "; it is ignored"
+#define STOPS 0                   /* what follows a refused value is done all the same */
+#define FIRST_CHOICE N_NUMBERS
+#define VALUES(type) type values[]
+#define ROOM count
+typedef fmi2Integer Integer;
+
+static Array array_of(fmi2ValueReference reference)
+{
+    const Array number = {(unsigned short)(reference < N_NUMBERS ? reference : NOWHERE), 1};
+    return number;
+}
+
 #include "calls.h"
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
@@ -79,111 +93,17 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
     return STATUS[do_step(instance, time, step)];
 }
 
-/* Variables ---------------------------------------------------------------------------------------------------------- */
-
-/* A host whose setters cannot fail may set values after the end. */
-#define SETTING (DEFERRED_CHECKS ? ANY : BEFORE | DURING | AFTER)
-
-static Outcome unknown_reference(const Instance *instance, fmi2ValueReference reference, const char *type)
-{
-    return say(instance, ERROR, "no %s variable has the value reference %u; it is ignored", type, reference);
-}
-
-fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Real values[])
-{
-    Outcome worst = GOOD;
-    REQUIRE(ANY, "fmi2GetReal");
-    for (size_t k = 0; k < count; k++) {
-        Outcome outcome = ERROR;
-        if (references[k] < N_NUMBERS)
-            outcome = get_numbers(instance, references[k], 1, values + k);
-        else {
-            values[k] = NAN;
-            unknown_reference(instance, references[k], "Real");
-        }
-        if (outcome > worst) worst = outcome;
-    }
-    return STATUS[worst];
-}
-
-/* What is refused is left as it was, the others are set. */
-fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
-                       const fmi2Real values[])
-{
-    Outcome worst = GOOD;
-    REQUIRE(SETTING, "fmi2SetReal");
-    for (size_t k = 0; k < count; k++) {
-        const Outcome outcome = references[k] < N_NUMBERS ? set_number(instance, references[k], values[k])
-                                                          : unknown_reference(instance, references[k], "Real");
-        if (outcome > worst) worst = outcome;
-    }
-    return STATUS[worst];
-}
-
-fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
-                          fmi2Integer values[])
-{
-    Outcome worst = GOOD;
-    REQUIRE(ANY, "fmi2GetInteger");
-    for (size_t k = 0; k < count; k++) {
-        const size_t choice = (size_t)references[k] - N_NUMBERS;
-        if (choice < N_CHOICES)
-            values[k] = (fmi2Integer)instance->state.choices[choice];
-        else
-            worst = unknown_reference(instance, references[k], "Integer");
-    }
-    return STATUS[worst];
-}
-
-fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
-                          const fmi2Integer values[])
-{
-    Outcome worst = GOOD;
-    REQUIRE(SETTING, "fmi2SetInteger");
-    for (size_t k = 0; k < count; k++) {
-        const size_t choice = (size_t)references[k] - N_NUMBERS;
-        const Outcome outcome = choice < N_CHOICES ? set_choice(instance, choice, values[k])
-                                                   : unknown_reference(instance, references[k], "Integer");
-        if (outcome > worst) worst = outcome;
-    }
-    return STATUS[worst];
-}
-
-#define NO_SUCH_VARIABLES(type, what, values_type) \
-    fmi2Status fmi2##what##type(fmi2Component component, const fmi2ValueReference references[], size_t count, \
-                                values_type values[]) \
-    { \
-        REQUIRE(ANY, "fmi2" #what #type); \
-        (void)values; \
-        return count == 0 ? fmi2OK : STATUS[unknown_reference(instance, references[0], #type)]; \
-    }
-NO_SUCH_VARIABLES(Boolean, Get, fmi2Boolean)
-NO_SUCH_VARIABLES(Boolean, Set, const fmi2Boolean)
-NO_SUCH_VARIABLES(String, Get, fmi2String)
-NO_SUCH_VARIABLES(String, Set, const fmi2String)
-
 /* Derivatives, and missing features --------------------------------------------------------------------------------- */
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2ValueReference unknowns[],
                                         size_t unknownCount, const fmi2ValueReference knowns[], size_t knownCount,
                                         const fmi2Real seeds[], fmi2Real derivatives[])
 {
-    size_t outputs[N_OUTPUTS] = {0}, given[N_NUMBERS] = {0};
-    Outcome outcome;
+    size_t of[N_NUMBERS] = {0}, by[N_NUMBERS] = {0};
     REQUIRE(DURING | AFTER, "fmi2GetDirectionalDerivative");
-    if (unknownCount > N_OUTPUTS || knownCount > N_NUMBERS)
-        return STATUS[say(instance, ERROR, "more unknowns or knowns than the %d outputs and %d numbers were requested", N_OUTPUTS,
-                          N_NUMBERS)];
-    for (size_t k = 0; k < unknownCount; k++) {
-        if (unknowns[k] >= N_NUMBERS) return STATUS[unknown_reference(instance, unknowns[k], "Real")];
-        outputs[k] = unknowns[k];
-    }
-    for (size_t k = 0; k < knownCount; k++) {
-        if (knowns[k] >= N_NUMBERS) return STATUS[unknown_reference(instance, knowns[k], "Real")];
-        given[k] = knowns[k];
-    }
-    outcome = directional(instance, outputs, unknownCount, given, knownCount, seeds, derivatives);
-    return STATUS[outcome];
+    if (!spread(instance, unknowns, unknownCount, unknownCount, of)) return fmi2Error;
+    if (!spread(instance, knowns, knownCount, knownCount, by)) return fmi2Error;
+    return STATUS[directional(instance, of, unknownCount, by, knownCount, seeds, derivatives)];
 }
 
 #define NO_DERIVATIVES(name, values_type, sentence) \

@@ -8,8 +8,6 @@
 #include "fmi3Functions.h"
 #include KERNEL
 
-#define TIME (N_ARRAYS + N_CHOICES)
-
 static const fmi3Status STATUS[] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error};
 
 static void report(const Instance *instance, Outcome outcome, const char *message)
@@ -18,13 +16,27 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
     logger(instance->environment, STATUS[outcome], CATEGORY[outcome], message);
 }
 
-#define REQUIRE(phases, call) \
-    Instance *instance = (Instance *)component; \
-    if (refused(instance, phases, call)) return fmi3Error
-
 #define OF_FMI(name) fmi3##name
 #define STATE(before, after) fmi3##before##FMUState##after
 #define DESERIALIZE fmi3DeserializeFMUState
+#define NUMBERS(what) fmi3##what##Float64
+#define NUMBER "Float64"
+#define SETTABLE "settable " NUMBER
+#define ITEMS(what) fmi3##what##Int64
+#define ITEM "Int64"
+#define IGNORED ""
+#define STOPS 1
+#define FIRST_CHOICE N_ARRAYS
+#define VALUES(type) type values[], size_t valueCount
+#define ROOM valueCount
+typedef fmi3Int64 Integer;
+
+static Array array_of(fmi3ValueReference reference)
+{
+    const Array time = {N_NUMBERS, 1}, none = {NOWHERE, 1};
+    return reference < N_ARRAYS ? ARRAYS[reference] : reference == N_ARRAYS + N_CHOICES ? time : none;
+}
+
 #include "calls.h"
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
@@ -78,95 +90,6 @@ fmi3Status fmi3DoStep(fmi3Instance component, fmi3Float64 time, fmi3Float64 step
     return STATUS[outcome];
 }
 
-/* Variables ---------------------------------------------------------------------------------------------------------- */
-
-static fmi3Status unknown_reference(const Instance *instance, fmi3ValueReference reference, const char *type)
-{
-    return STATUS[say(instance, ERROR, "no %s variable has the value reference %u", type, reference)];
-}
-
-static fmi3Status wrong_count(const Instance *instance, size_t count)
-{
-    return STATUS[say(instance, ERROR, "%u values do not fit the sizes of the variables", (unsigned)count)];
-}
-
-fmi3Status fmi3GetFloat64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
-                          fmi3Float64 values[], size_t valueCount)
-{
-    size_t done = 0;
-    REQUIRE(ANY, "fmi3GetFloat64");
-    for (size_t k = 0; k < count; k++) {
-        Outcome outcome = GOOD;
-        const int timed = references[k] == TIME;
-        size_t size = 1;
-        if (!timed && references[k] >= N_ARRAYS) return unknown_reference(instance, references[k], "Float64");
-        if (!timed) size = ARRAYS[references[k]].size;
-        if (valueCount - done < size) return wrong_count(instance, valueCount);
-        if (timed)
-            values[done] = instance->state.now.time;
-        else
-            outcome = get_numbers(instance, ARRAYS[references[k]].first, size, values + done);
-        if (outcome != GOOD) return STATUS[outcome];
-        done += size;
-    }
-    return done == valueCount ? fmi3OK : wrong_count(instance, valueCount);
-}
-
-fmi3Status fmi3SetFloat64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
-                          const fmi3Float64 values[], size_t valueCount)
-{
-    size_t done = 0;
-    REQUIRE(BEFORE | DURING | AFTER, "fmi3SetFloat64");
-    for (size_t k = 0; k < count; k++) {
-        const Array *array;
-        if (references[k] >= N_ARRAYS) return unknown_reference(instance, references[k], "settable Float64");
-        array = &ARRAYS[references[k]];
-        if (valueCount - done < array->size) return wrong_count(instance, valueCount);
-        for (size_t i = 0; i < array->size; i++) {
-            const Outcome outcome = set_number(instance, array->first + i, values[done++]);
-            if (outcome != GOOD) return STATUS[outcome];
-        }
-    }
-    return done == valueCount ? fmi3OK : wrong_count(instance, valueCount);
-}
-
-/* Enumerations are integers of 64 bits. */
-fmi3Status fmi3GetInt64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
-                        fmi3Int64 values[], size_t valueCount)
-{
-    REQUIRE(ANY, "fmi3GetInt64");
-    if (count != valueCount) return wrong_count(instance, valueCount);
-    for (size_t k = 0; k < count; k++) {
-        if (references[k] < N_ARRAYS || references[k] >= TIME)
-            return unknown_reference(instance, references[k], "Int64");
-        values[k] = instance->state.choices[references[k] - N_ARRAYS];
-    }
-    return fmi3OK;
-}
-
-fmi3Status fmi3SetInt64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
-                        const fmi3Int64 values[], size_t valueCount)
-{
-    REQUIRE(BEFORE | DURING | AFTER, "fmi3SetInt64");
-    if (count != valueCount) return wrong_count(instance, valueCount);
-    for (size_t k = 0; k < count; k++) {
-        if (references[k] < N_ARRAYS || references[k] >= TIME)
-            return unknown_reference(instance, references[k], "Int64");
-        if (set_choice(instance, references[k] - N_ARRAYS, values[k]) != GOOD) return fmi3Error;
-    }
-    return fmi3OK;
-}
-
-#define NO_SUCH_CALL(what, type, values_type) \
-    fmi3Status fmi3##what##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
-                                values_type values[], size_t valueCount) \
-    { \
-        REQUIRE(ANY, "fmi3" #what #type); \
-        (void)values; \
-        (void)valueCount; \
-        return count == 0 ? fmi3OK : unknown_reference(instance, references[0], #type); \
-    }
-#define NO_SUCH_VARIABLES(type) NO_SUCH_CALL(Get, type, fmi3##type) NO_SUCH_CALL(Set, type, const fmi3##type)
 NO_SUCH_VARIABLES(Float32)
 NO_SUCH_VARIABLES(Int8)
 NO_SUCH_VARIABLES(UInt8)
@@ -175,33 +98,8 @@ NO_SUCH_VARIABLES(UInt16)
 NO_SUCH_VARIABLES(Int32)
 NO_SUCH_VARIABLES(UInt32)
 NO_SUCH_VARIABLES(UInt64)
-NO_SUCH_VARIABLES(Boolean)
-NO_SUCH_VARIABLES(String)
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
-
-/* Write the places of all components of variables one after the other; returns whether they are `size` places, or says
-   why not. */
-static int spread(const Instance *instance, const fmi3ValueReference references[], size_t count, size_t size,
-                  size_t places[])
-{
-    size_t found = 0;
-    for (size_t k = 0; k < count; k++) {
-        const Array *array;
-        if (references[k] >= N_ARRAYS) {
-            unknown_reference(instance, references[k], "Float64");
-            return 0;
-        }
-        array = &ARRAYS[references[k]];
-        if (found + array->size > N_NUMBERS) {
-            say(instance, ERROR, "more unknowns or knowns than the %d numbers were requested", N_NUMBERS);
-            return 0;
-        }
-        for (size_t i = 0; i < array->size; i++) places[found++] = array->first + i;
-    }
-    if (found != size) wrong_count(instance, size);
-    return found == size;
-}
 
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance component, const fmi3ValueReference unknowns[],
                                         size_t unknownCount, const fmi3ValueReference knowns[], size_t knownCount,

@@ -42,6 +42,7 @@
 #define FIRST_PARAMETER (FIRST_OUTPUT + N_OUTPUTS)
 #define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
 #define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
+#define NOWHERE (N_NUMBERS + 1)   /* the place of no number; that of the time is N_NUMBERS */
 CHECKED(NUMBERS, N_NUMBERS == sizeof VARIABLES / sizeof *VARIABLES);
 
 #ifndef N_KEPT
@@ -123,8 +124,8 @@ static Outcome move(Instance *instance, double time, double h);
 #ifndef remark_step
 static Outcome remark_step(Instance *instance, double time);
 #endif
-/* Number of inputs, the first ones, that keep their values at the start while the first step has zeros. */
-static size_t awaited(const State *state);
+/* Of macros: INTERNAL(moment, k), an internal state; AWAITED(state), the number of inputs, the first ones, that keep their
+   values at the start while the first step has zeros. */
 /* Directional derivatives of the present outputs with respect to inputs and parameters. */
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
 
@@ -308,6 +309,13 @@ static int all_finite(const double *values, size_t count)
     for (size_t k = 0; k < count; k++)
         if (!(fabs(values[k]) <= DBL_MAX)) return 0;
     return 1;
+}
+
+static inline int any(const double *values, size_t count)
+{
+    for (size_t k = 0; k < count; k++)
+        if (values[k] != 0.0) return 1;
+    return 0;
 }
 
 /* The inputs of a step belong to an instant of it, measured values always to its start. */
@@ -499,11 +507,9 @@ static Outcome refresh(Instance *instance)
 static void take_inputs(Instance *instance)
 {
     State *state = &instance->state;
-    const size_t count = awaited(state);
-    int nothing = state->steps == 0;
-    for (size_t k = 0; k < count && nothing; k++) nothing = state->inputs[k] == 0.0;
+    const size_t count = AWAITED(state);
     memcpy(instance->step_inputs, state->inputs, sizeof instance->step_inputs);
-    if (nothing) memcpy(instance->step_inputs, state->last_inputs, count * sizeof(double));
+    if (state->steps == 0 && !any(state->inputs, count)) memcpy(instance->step_inputs, state->last_inputs, count * sizeof(double));
 }
 
 /* One communication step; a refused step changes no state. */
@@ -536,6 +542,16 @@ static Outcome do_step(Instance *instance, double time, double h)
     return remark;
 }
 
+/* Divide a time into a whole number of steps of nearly the given size, 0 for one. */
+static inline Outcome divided(const Instance *instance, double wanted, double duration, double *count)
+{
+    *count = wanted > 0.0 ? fmax(1.0, floor(duration / wanted + 0.5)) : 1.0;
+    if (*count > MOST_INTERNAL_STEPS)
+        return say(instance, ERROR, "an internal_step of %g s divides the communication step of %g s into more than %g"
+                   " steps", wanted, duration, MOST_INTERNAL_STEPS);
+    return GOOD;
+}
+
 /* Variables ---------------------------------------------------------------------------------------------------------- */
 
 static Outcome get_numbers(Instance *instance, size_t first, size_t count, double *values)
@@ -547,6 +563,8 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
             value = state->inputs[k];
         else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
             value = state->parameters[k - FIRST_PARAMETER];
+        else if (k == N_NUMBERS)
+            value = state->now.time;
         else {
             if (refresh(instance) != GOOD) {
                 *values = NAN;

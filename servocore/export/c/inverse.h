@@ -52,6 +52,7 @@ typedef struct {
 } Work;
 
 #define INTERNAL(moment, k) (moment).state[k]
+#define AWAITED(state) N_PATH
 
 #include "instance.h"
 
@@ -78,7 +79,7 @@ static int solve_instant(Instance *instance, Moment *moment)
 #if HAS_QUICK
     results[0] = instance->scratch.margins;
     results[1] = moment->outputs;
-    MATHEMATICS(quick)(arguments, results, instance->integers, instance->numbers, 0);
+    call(instance, MATHEMATICS(quick));
     if (all_finite(moment->outputs, N_OUTPUTS)) return 1;
 #endif
     arguments[3] = instance->state.parameters + PLACE_STARTS;
@@ -86,7 +87,7 @@ static int solve_instant(Instance *instance, Moment *moment)
     results[1] = moment->outputs;
     results[2] = instance->scratch.margins;
     results[3] = &residual;
-    if (MATHEMATICS(begin)(arguments, results, instance->integers, instance->numbers, 0)) return 0;
+    if (call(instance, MATHEMATICS(begin))) return 0;
     return all_finite(moment->outputs, N_OUTPUTS) && all_finite(moment->state, N_STATE) && fabs(residual) <= DBL_MAX;
 }
 
@@ -106,7 +107,7 @@ static int solve_step(Instance *instance, Moment *moment, double h)
     results[1] = moment->outputs;
     results[2] = instance->scratch.margins;
     results[3] = &residual;
-    if (MATHEMATICS(advance)(arguments, results, instance->integers, instance->numbers, 0)) return 0;
+    if (call(instance, MATHEMATICS(advance))) return 0;
     memcpy(moment->state, instance->scratch.next, N_STATE * sizeof(double));
     return all_finite(moment->outputs, N_OUTPUTS) && all_finite(moment->state, N_STATE) && fabs(residual) <= DBL_MAX;
 }
@@ -273,12 +274,6 @@ static Outcome require_agreement(Instance *instance, double time)
                again ? "" : "; the outputs are those of a " FOLLOWER " that stands still, and the next such step is refused");
 }
 
-static size_t awaited(const State *state)
-{
-    (void)state;
-    return N_PATH;
-}
-
 static Outcome remark_step(Instance *instance, double time)
 {
     /* The instant that the inputs belong to. */
@@ -320,9 +315,8 @@ static Outcome with_feedback(Instance *instance, const double *given, double tim
     Moment *work = &instance->work;
     Work *scratch = &instance->scratch;
     double feedforward[N_DRIVES], judged[3] = {0.0, NAN, NAN}, *found = scratch->drives;
-    int measures = 0, finite;
-    for (size_t k = 0; k < N_MEASURED; k++) measures |= measured[k] != 0.0;
-    if (!(p[PLACE_SHARE] > 0.0) || !measures) {
+    int finite;
+    if (!(p[PLACE_SHARE] > 0.0) || !any(measured, N_MEASURED)) {
         work->remembers = 0;
         within_limits(instance, work->outputs);
         return GOOD;
@@ -370,11 +364,7 @@ static Outcome with_feedback(Instance *instance, const double *given, double tim
     return GOOD;
 }
 #else
-static void within_limits(const Instance *instance, double *outputs)
-{
-    (void)instance;
-    (void)outputs;
-}
+#define within_limits(instance, outputs) (void)(outputs) /* there are no limits of drives */
 #endif
 
 /* Compute the quantities of motors from the inputs, which feedback and limits have changed. */
@@ -413,25 +403,13 @@ static Outcome first_moment(Instance *instance)
     return outcome;
 }
 
-#if N_STATE > 0 || N_ROUTES > 0
-static Outcome divided(const Instance *instance, double h, double *count)
-{
-    const double wanted = instance->state.parameters[PLACE_STEP];
-    *count = wanted > 0.0 ? fmax(1.0, floor(h / wanted + 0.5)) : 1.0;
-    if (*count > MOST_INTERNAL_STEPS)
-        return say(instance, ERROR, "an internal_step of %g s divides the communication step of %g s into more than %g"
-                   " steps", wanted, h, MOST_INTERNAL_STEPS);
-    return GOOD;
-}
-#endif
-
 #if N_STATE > 0
 static Outcome move(Instance *instance, double time, double h)
 {
     const State *state = &instance->state;
     Moment *work = &instance->work;
     double count;
-    Outcome outcome = divided(instance, h, &count);
+    Outcome outcome = divided(instance, state->parameters[PLACE_STEP], h, &count);
     if (outcome != GOOD) return outcome;
     for (double k = 0.0; k < count; k += 1.0) {
         const Moment before = *work;
@@ -453,7 +431,7 @@ static Outcome move(Instance *instance, double time, double h)
 static Outcome reached(Instance *instance, const double *given, double time, double h)
 {
     double count;
-    const Outcome outcome = divided(instance, h, &count);
+    const Outcome outcome = divided(instance, instance->state.parameters[PLACE_STEP], h, &count);
     return outcome == GOOD ? follow_route(instance, given, time, h, count) : outcome;
 }
 #else
@@ -528,7 +506,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
         Moment *work = &instance->work;
         static const double none[N_PATH] = {0.0};
         double count;
-        if (divided(instance, state->step, &count) != GOOD) return ERROR;
+        if (divided(instance, state->parameters[PLACE_STEP], state->step, &count) != GOOD) return ERROR;
         *work = state->before;
         memset(instance->scratch.state_seed, 0, sizeof instance->scratch.state_seed);
         for (double k = 0.0; k < count && !failed; k += 1.0) {
@@ -550,7 +528,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
             arguments[7] = parameter_seed;
             results[0] = instance->scratch.next_seed;
             results[1] = found;
-            failed = MATHEMATICS(advance_tangent)(arguments, results, instance->integers, instance->numbers, 0);
+            failed = call(instance, MATHEMATICS(advance_tangent));
             failed |= !solve_step(instance, work, h);
             work->time = state->before.time + (k + 1.0) / count * state->step;
             memcpy(instance->scratch.state_seed, instance->scratch.next_seed, sizeof instance->scratch.state_seed);
@@ -570,7 +548,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
         arguments[5] = parameter_seed;
         results[0] = instance->scratch.next_seed;
         results[1] = found;
-        failed = MATHEMATICS(begin_tangent)(arguments, results, instance->integers, instance->numbers, 0);
+        failed = call(instance, MATHEMATICS(begin_tangent));
     }
     if (failed)
         return say(instance, DISCARD, "at t = %.6g s the outputs have no derivatives", state->now.time);

@@ -8,6 +8,9 @@
 
 #include "model.h"
 
+enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
+enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
+
 /* The data of one instant. */
 typedef struct {
     double time;
@@ -24,6 +27,8 @@ typedef struct {
 } Work;
 
 #define INTERNAL(moment, k) (moment).state[k]
+/* With brakes, zeros before the first other value are no inputs. */
+#define AWAITED(state) ((state)->choices[BRAKES] == UNTIL_INPUTS ? N_INPUTS : 0)
 #define remark_step(instance, time) GOOD
 
 #include "instance.h"
@@ -38,16 +43,6 @@ typedef struct {
 #endif
 CHECKED(GROUPS, COUNT_OFFSETS == N_OFFSETS && COUNT_ERRORS == N_ERRORS && COUNT_WIND == N_PUSHED &&
         COUNT_GUST == N_PUSHED && COUNT_MOTION == N_STARTS * N_PUSHED);
-
-enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
-enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
-
-static int any(const double *values, size_t count)
-{
-    for (size_t k = 0; k < count; k++)
-        if (values[k] != 0.0) return 1;
-    return 0;
-}
 
 /* Ratio of a parameter of the plant to that of the model. */
 static double larger(const State *state, size_t place)
@@ -194,12 +189,10 @@ static void reconstructed(const State *state, const Moment *now, const double *u
 static Outcome through(Instance *instance, double time, double begin, double end, const double *u, const double *slope,
                        const double *u_seed, const double *slope_seed)
 {
-    const double longest = instance->state.parameters[PLACE_LONGEST], duration = end - begin;
-    const double count = duration > longest ? fmax(1.0, floor(duration / longest + 0.5)) : 1.0, h = duration / count;
-    double force[N_PUSHED], now[N_INPUTS], now_seed[N_INPUTS];
-    if (count > MOST_INTERNAL_STEPS)
-        return say(instance, ERROR, "an internal_step of %g s divides the communication step of %g s into more than %g"
-                   " steps", longest, duration, MOST_INTERNAL_STEPS);
+    double force[N_PUSHED], now[N_INPUTS], now_seed[N_INPUTS], count, h;
+    const Outcome outcome = divided(instance, instance->state.parameters[PLACE_LONGEST], end - begin, &count);
+    if (outcome != GOOD) return outcome;
+    h = (end - begin) / count;
     pushed(instance->state.parameters, begin, force);
     for (double i = 0.0; i < count; i += 1.0) {
         const double elapsed = begin - time + i * h;
@@ -247,9 +240,6 @@ static Outcome move(Instance *instance, double time, double h)
     work->time = time + h;
     return checked_moment(instance, work, h);
 }
-
-/* With brakes, zeros before the first other value are no inputs. */
-static size_t awaited(const State *state) { return state->choices[BRAKES] == UNTIL_INPUTS ? N_INPUTS : 0; }
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
 

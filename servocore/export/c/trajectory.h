@@ -21,6 +21,7 @@ typedef struct {
 } Work;
 
 #define INTERNAL(moment, k) 0.0
+#define AWAITED(state) 0
 #define remark_step(instance, time) GOOD
 
 #include "instance.h"
@@ -150,12 +151,6 @@ static Outcome move(Instance *instance, double time, double h)
         return DISCARD;
     instance->work.time = time + h;
     return followed(instance, &instance->work);
-}
-
-static size_t awaited(const State *state)
-{
-    (void)state;
-    return 0;
 }
 
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found)
