@@ -19,7 +19,7 @@ from math import prod
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.programs import TIMES, UNIT, UP, Products, Program, norm, summed
+from servocore.certificate.programs import TIMES, UNIT, UP, Products, carry_out, norm, summed
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
@@ -28,7 +28,7 @@ __all__ = ["UNIT", "Arithmetic", "Model", "arithmetic", "bounded", "magnitude", 
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
 _NARROW = 1e-8  # radius
-_PRODUCT = Program([(TIMES, 2, 0, 1)], {2})
+_PRODUCT = np.array([[TIMES, 2, 0, 1]], dtype=np.intp)
 
 Model = Array
 """Coefficients and below them radii, (terms + 1, count, boxes): `count` functions on each of a number of boxes."""
@@ -123,10 +123,9 @@ class Arithmetic(Products):
 
     def product(self, a: Model, b: Model) -> Model:
         """Return a times b."""
-        models = np.empty((len(a), 3, *a.shape[1:]))
-        models[:, 0], models[:, 1] = a, b
-        _PRODUCT(self, models.reshape(len(a), 3, -1))
-        return models[:, 2]
+        places = np.stack([a, b, a]).reshape(3, len(a), -1)
+        carry_out(_PRODUCT, self, places)
+        return places[2].reshape(a.shape)
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------
 

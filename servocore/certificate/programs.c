@@ -15,20 +15,23 @@ static const double UNIT = 2.3e-16, UP = 1.0 + 1e-14, TINY = 1e-290;
 
 static double magnitude(double x) { return x < 0.0 ? -x : x; }
 
-static void norm(whole terms, const double *restrict a, double *restrict sum)
+/* Rows of a model are `apart` numbers apart. */
+
+static void norm(whole terms, whole apart, const double *a, double *restrict sum)
 {
     EACH sum[l] = 0.0;
     for (whole k = 0; k < terms; ++k)
-        EACH sum[l] += magnitude(a[k * LANES + l]);
+        EACH sum[l] += magnitude(a[k * apart + l]);
 }
 
-static void add(whole terms, double sign, const double *a, const double *b, double *restrict to)
+static void add(whole terms, whole apart, double sign, const double *a, const double *b, double *restrict to)
 {
     double size[LANES];
-    const double *r = a + terms * LANES, *s = b + terms * LANES;
-    for (whole k = 0; k < terms * LANES; ++k) to[k] = a[k] + sign * b[k];
-    norm(terms, to, size);
-    EACH to[terms * LANES + l] = (r[l] + s[l] + UNIT * size[l]) * UP;
+    const double *r = a + terms * apart, *s = b + terms * apart;
+    for (whole k = 0; k < terms * apart; k += apart)
+        EACH to[k + l] = a[k + l] + sign * b[k + l];
+    norm(terms, apart, to, size);
+    EACH to[terms * apart + l] = (r[l] + s[l] + UNIT * size[l]) * UP;
 }
 
 static int used(const double *row)
@@ -38,20 +41,21 @@ static int used(const double *row)
     return any;
 }
 
-static void multiply(const whole *tape, const double *a, const double *b, double *restrict results,
+static void multiply(const whole *tape, whole apart, const double *a, const double *b, double *restrict results,
                      double *restrict to)
 {
     double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES], off[LANES] = {0.0};
     const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 4;
-    const double *r = a + terms * LANES, *s = b + terms * LANES;
+    const double *r = a + terms * apart, *s = b + terms * apart;
     double share = 1.0 / targets, added = tape[3];
     for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
     for (whole i = terms - 1; i >= 0; --i) {
-        if (!used(a + i * LANES)) continue;
-        EACH x[l] = share * a[i * LANES + l];
-        EACH off[l] += (1.0 + added * (i + 1)) * UNIT / 2.0 * magnitude(a[i * LANES + l]);
+        const double *left = a + i * apart;
+        if (!used(left)) continue;
+        EACH x[l] = share * left[l];
+        EACH off[l] += (1.0 + added * (i + 1)) * UNIT / 2.0 * magnitude(left[l]);
         for (whole j = 0; j < terms; ++j) {
-            const double *right = b + j * LANES;
+            const double *right = b + j * apart;
             const whole *place = table + (i * terms + j) * targets;
             if (targets > 2 && !used(right)) continue;
             EACH z[l] = x[l] * right[l];
@@ -61,47 +65,33 @@ static void multiply(const whole *tape, const double *a, const double *b, double
             }
         }
     }
-    for (whole k = 0; k < terms * LANES; ++k) to[k] = results[k];
-    norm(full - terms, results + terms * LANES, beyond);
-    norm(terms, a, size_a);
-    norm(terms, b, size_b);
+    for (whole k = 0; k < terms; ++k)
+        EACH to[k * apart + l] = results[k * LANES + l];
+    norm(full - terms, LANES, results + terms * LANES, beyond);
+    norm(terms, apart, a, size_a);
+    norm(terms, apart, b, size_b);
     EACH {
         double crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
         double radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
-        to[terms * LANES + l] = radius + (radius > 0.0 ? TINY : 0.0);
+        to[terms * apart + l] = radius + (radius > 0.0 ? TINY : 0.0);
     }
 }
 
-/* The first tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to
-   one with a coefficient of a, and the places of the results, those within the degrees first; the second the numbers of
-   steps, inputs and outputs, for each step its operation, the slot of the result and those of the arguments, and for
-   inputs and outputs slots and places among the models, an array (rows, places, boxes). */
-void sc_run(const whole *products, const whole *tape, double *models, double *scratch, whole places, whole boxes)
+/* The tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to one
+   with a coefficient of a, and the places of the results, those within the degrees first. A step is an operation, the
+   place of its result and those of its arguments among the models, an array (places, rows, boxes). There are LANES boxes
+   at least; some of the last are computed twice, as no step overwrites an argument. */
+void sc_run(const whole *tape, const whole *steps, double *models, double *results, whole count, whole boxes)
 {
-    const whole *steps = tape + 3, *inputs = steps + 4 * tape[0], *outputs = inputs + 2 * tape[1];
-    whole terms = products[0], rows = terms + 1, size = rows * LANES;
-    double *results = scratch, *slots = scratch + products[2] * LANES;
-    for (whole first = 0; first < boxes; first += LANES) {
-        whole lanes = boxes - first < LANES ? boxes - first : LANES;
-        for (whole n = 0; n < tape[1]; ++n)
-            for (whole k = 0; k < rows; ++k) {
-                const double *from = models + (k * places + inputs[2 * n + 1]) * boxes + first;
-                double *to = slots + inputs[2 * n] * size + k * LANES;
-                EACH to[l] = l < lanes ? from[l] : 0.0;
-            }
-        for (whole n = 0; n < tape[0]; ++n) {
-            const whole *step = steps + 4 * n;
-            double *to = slots + step[1] * size, *a = slots + step[2] * size, *b = slots + step[3] * size;
+    whole terms = tape[0], size = (terms + 1) * boxes;
+    for (whole next = 0; next < boxes; next += LANES) {
+        double *from = models + (next + LANES < boxes ? next : boxes - LANES);
+        for (const whole *step = steps; step < steps + 4 * count; step += 4) {
+            double *to = from + step[1] * size, *a = from + step[2] * size, *b = from + step[3] * size;
             if (step[0] < 2)
-                add(terms, step[0] ? -1.0 : 1.0, a, b, to);
+                add(terms, boxes, step[0] ? -1.0 : 1.0, a, b, to);
             else
-                multiply(products, a, b, results, to);
+                multiply(tape, boxes, a, b, results, to);
         }
-        for (whole n = 0; n < tape[2]; ++n)
-            for (whole k = 0; k < rows; ++k) {
-                const double *from = slots + outputs[2 * n] * size + k * LANES;
-                double *to = models + (k * places + outputs[2 * n + 1]) * boxes + first;
-                for (whole l = 0; l < lanes; ++l) to[l] = from[l];
-            }
     }
 }

@@ -8,7 +8,7 @@ errors alike.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -40,10 +40,10 @@ PLUS, MINUS, TIMES = range(3)
 
 _TINY = 1e-290  # underflow
 _SOURCE = Path(__file__).with_name("programs.c")
-_LANES = 16  # boxes side by side in machine code
+LANES = 16
+"""Boxes side by side in machine code, and the least number of them that it takes."""
 
 Places: TypeAlias = npt.NDArray[np.intp]
-Step: TypeAlias = tuple[int, int, int, int]
 _Run: TypeAlias = Callable[..., None]
 
 
@@ -135,58 +135,28 @@ def summed(a: Array, b: Array, sign: float = 1.0) -> Array:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Program:
-    """Sums, differences and products of models, one after the other.
+def carry_out(steps: Places, tables: Products, models: Array) -> None:
+    """Carry out sums, differences and products of models, one after the other.
 
     Parameters
     ----------
-    steps : sequence of (int, int, int, int)
+    steps : ndarray of int, shape (N, 4)
         Operation, place of the result, places of the arguments.
-    wanted : collection of int
-        Places of the results that are read afterwards.
+    tables : Products
+        Of the polynomials.
+    models : ndarray, shape (places, terms + 1, boxes)
+        The models by their places, contiguous; results in place.
     """
-
-    steps: Sequence[Step]
-    wanted: Collection[int]
-
-    @cached_property
-    def tape(self) -> tuple[Places, int, int]:
-        """For machine code: steps, inputs and outputs with slots, used again; its address; the number of slots."""
-        made = {result for _, result, *_ in self.steps}
-        last = {place: at for at, (_, *places) in enumerate(self.steps) for place in places}
-        slot = {place: k for k, place in enumerate(sorted(last.keys() - made))}
-        outputs = sorted(made.intersection(self.wanted))
-        last |= dict.fromkeys(outputs, len(self.steps))
-        read, free, count, found = [(k, place) for place, k in slot.items()], list[int](), len(slot), list[Step]()
-        for at, (operation, result, a, b) in enumerate(self.steps):
-            if not free:
-                free, count = [count], count + 1
-            # A result has a slot of its own: its arguments are read while it is written.
-            slot[result] = free.pop()
-            found.append((operation, slot[result], slot[a], slot[b]))
-            free += {slot[each] for each in (result, a, b) if last[each] == at}
-        parts = found, read, [(slot[place], place) for place in outputs]
-        tape = np.concatenate([[len(each) for each in parts], *(np.ravel(each) for each in parts)]).astype(np.intp)
-        return tape, tape.ctypes.data, count
-
-    def __call__(self, tables: Products, models: Array) -> None:
-        """Carry the steps out on models (terms + 1, places, boxes); results in place."""
-        if not self.steps:
-            return
-        run = machine_code().best(len(self.steps) * models.shape[2])
-        if run is not None:
-            (products, address), (_, own, count) = tables.tape, self.tape
-            scratch = np.empty((count * len(models) + products[2]) * _LANES)
-            run(address, own, models.ctypes.data, scratch.ctypes.data, *models.shape[1:])
-            return
-        count, most = models.shape[1], max(result for _, result, *_ in self.steps)
-        work = np.zeros((len(models), max(count, most + 1), models.shape[2]))
-        work[:, :count] = models
-        rules = [summed, lambda a, b: summed(a, b, -1.0), tables.multiplied]  # of PLUS, MINUS and TIMES
-        for operation, result, a, b in self.steps:
-            work[:, result] = rules[operation](work[:, a], work[:, b])
-        models[:] = work[:, :count]
+    boxes = models.shape[2]
+    run = machine_code().best(len(steps) * boxes) if boxes >= LANES else None
+    if run is not None:
+        tape, address = tables.tape
+        results = np.empty(tape[2] * LANES)
+        run(address, steps.ctypes.data, models.ctypes.data, results.ctypes.data, len(steps), boxes)
+        return
+    rules = [summed, lambda a, b: summed(a, b, -1.0), tables.multiplied]  # of PLUS, MINUS and TIMES
+    for operation, result, a, b in steps.tolist():
+        models[result] = rules[operation](models[a], models[b])
 
 
 @made_once

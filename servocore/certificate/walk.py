@@ -11,18 +11,17 @@ import operator
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from servocore.certificate.chebyshev import Arithmetic, Model, bounded, norm
-from servocore.certificate.programs import MINUS, PLUS, TIMES, UP, Places, Program, Step
+from servocore.certificate.programs import LANES, MINUS, PLUS, TIMES, UP, carry_out
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
-_Function: TypeAlias = tuple[Rule, list[Places], Places]
 
 _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
@@ -32,7 +31,7 @@ class Walk:
     """An expression's operations in programs, and between them what is interpolated.
 
     The depth of a place is the number of interpolations before it: at each depth there is a program, then the functions
-    of what is then known.
+    of what is then known. Every result has a place of its own.
 
     Parameters
     ----------
@@ -46,8 +45,8 @@ class Walk:
         self._depth: list[int] = []
         self._arguments = defaultdict[int, int](self._place)
         self._constants = defaultdict[float, int](self._place)
-        self._steps: list[Step] = []
-        self._functions: dict[tuple[int, Rule], dict[tuple[int, ...], int]] = {}
+        self._steps = defaultdict[int, list[tuple[int, ...]]](list)
+        self._functions = defaultdict[tuple[int, Rule], dict[tuple[int, ...], int]](dict)
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
         outputs, place_of = np.full(expression.numel(), self._constants[0.0]), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
@@ -59,33 +58,45 @@ class Walk:
                 place_of[out[0]] = self._arguments[used[1]]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
-        self._parts, places = self._grouped(outputs.tolist())
-        taken = np.array([*self._arguments.items()], dtype=np.intp).reshape(-1, 2)
-        self._outputs, self._taken, self._given = places[outputs], taken[:, 0], places[taken[:, 1]]
-        self._values, self._fixed = np.array([*self._constants])[:, None], places[[*self._constants.values()]]
+        self._outputs, self._values = outputs, np.array([*self._constants])[:, None]
+        self._parts = [
+            (
+                np.array(self._steps[depth], dtype=np.intp).reshape(-1, 4),
+                [(rule, np.array([*some]).T, [*some.values()])
+                 for (level, rule), some in self._functions.items() if level == depth + 1],
+            )
+            for depth in range(max(self._depth) + 1)
+        ]  # fmt: skip
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
         """Return models of the results from models of all arguments (terms + 1, arguments, boxes)."""
-        models: Array = np.empty((len(arguments), self._places, arguments.shape[2]))
-        models[:, self._given], models[:, self._fixed] = arguments[:, self._taken], ring.constant(self._values)
-        for program, functions in self._parts:
-            program(ring, models)
+        boxes = arguments.shape[2]
+        if boxes < LANES:  # the last box is repeated
+            arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
+        places: Array = np.empty((len(self._depth), len(arguments), arguments.shape[2]))
+        models = places.swapaxes(0, 1)
+        models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
+        models[:, [*self._constants.values()]] = ring.constant(self._values)
+        for steps, functions in self._parts:
+            carry_out(steps, ring, places)
             for rule, taken, results in functions:
                 models[:, results] = rule(ring, *(models[:, each] for each in taken))
-        return bounded(models[:, self._outputs])
+        return bounded(models[:, self._outputs, :boxes])
 
     def _place(self, depth: int = 0) -> int:
         self._depth.append(depth)
         return len(self._depth) - 1
 
     def _step(self, operation: int, a: int, b: int) -> int:
-        self._steps.append((operation, self._place(max(self._depth[a], self._depth[b])), a, b))
-        return self._steps[-1][1]
+        depth = max(self._depth[a], self._depth[b])
+        place = self._place(depth)
+        self._steps[depth].append((operation, place, a, b))
+        return place
 
     def _function(self, number: int, *arguments: int) -> int:
         depth = 1 + max(self._depth[each] for each in arguments)
-        some = self._functions.setdefault((depth, _RULES[number]), {})
+        some = self._functions[depth, _RULES[number]]
         if arguments not in some:
             some[arguments] = self._place(depth)
         return some[arguments]
@@ -99,26 +110,6 @@ class Walk:
         if number in _STEPS:
             return self._step(_STEPS[number], a, b)
         return self._function(number, *arguments)
-
-    def _grouped(self, outputs: list[int]) -> tuple[list[tuple[Program, list[_Function]]], Places]:
-        """Return programs and functions, each with places of arguments and results, and the numbers of the places.
-
-        Those that only one program knows come last: models have no room for them.
-        """
-        depth, wanted = self._depth, set(outputs)
-        wanted.update(place for some in self._functions.values() for taken in some for place in taken)
-        for _, result, *taken in self._steps:
-            wanted.update(place for place in taken if depth[place] < depth[result])
-        inner = {result for _, result, *_ in self._steps} - wanted
-        number = np.argsort(sorted(range(len(depth)), key=inner.__contains__))
-        self._places, read = len(number) - len(inner), set(number[list(wanted)].tolist())
-        steps, functions = ([list[Any]() for _ in range(max(depth) + 1)] for _ in range(2))
-        for operation, *places in self._steps:
-            steps[depth[places[0]]].append((operation, *number[places].tolist()))
-        for (level, rule), some in self._functions.items():
-            taken, results = number[np.array(list(some)).T], number[list(some.values())]
-            functions[level - 1].append((rule, list(taken), results))
-        return [(Program(own, read), others) for own, others in zip(steps, functions, strict=True)], number
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
