@@ -21,7 +21,7 @@ import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
 from servocore.checks.branches import MANY, Rows
-from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
 from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
@@ -55,14 +55,6 @@ def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
         what = f"the holonomic constraint {_names(problem)[row]} does not hold, by {abs(values[row, k]):.3g}: {_WHY}"
         yield Finding(f"at t = {t[k]:.6g} s {what}", error=InvalidModel)
-
-
-def require_redundant_constraints(problem: Problem, motion: Motion) -> None:
-    """Raise `InvalidModel` if a constraint that was left out does not hold along the path of a problem."""
-    if problem.resolved.redundant:
-        t = survey(problem.reference)
-        places = problem.array.places((k, 0) for k in range(len(problem.system.coordinates)))
-        told(problem.system.name, "", left_out(problem, t, motion.at(t)[places]))
 
 
 def with_redundant_constraints_as_limits(problem: Problem) -> Problem:

@@ -183,8 +183,8 @@ class Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
         rows, still = coordinate_rows(problem.array), np.array(problem.system.coordinates.nominal)
         known = states[rows.values]
-        known = known[:, np.isfinite(known).all(axis=0)]
-        return cls(problem, rows, np.maximum(np.ptp(known, axis=1) if known.size else 0.0, _SLIGHT * still))
+        ranges = np.fmax.reduce(known, axis=1) - np.fmin.reduce(known, axis=1)
+        return cls(problem, rows, np.fmax(ranges, _SLIGHT * still))
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""

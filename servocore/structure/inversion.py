@@ -137,8 +137,13 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
 
 @made_once
 def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
-    """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is."""
-    return triangular_blocks(_system_jacobian(array)[1].sparsity())
+    """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is.
+
+    Those that depend on neither unknowns nor path are regular everywhere, as at home, and left out.
+    """
+    (unknowns, reference, _), J = _system_jacobian(array)
+    varying = set(ca.jacobian_sparsity(ca.vertcat(J.nz[:]), ca.veccat(unknowns, reference)).row())
+    return tuple(each for each in triangular_blocks(J.sparsity()) if varying & set(each.entries.ravel().tolist()))
 
 
 def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
