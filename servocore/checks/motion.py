@@ -18,7 +18,7 @@ from servocore.checks.branches import (
     Places,
     ahead,
     coordinate_rows,
-    is_closed_form,
+    guess_is_exact,
     on_one_branch,
 )
 from servocore.checks.findings import Finding
@@ -69,7 +69,7 @@ class Motion:
     @cached_property
     def direct(self) -> bool:
         """Whether the guess of the model is the answer itself, so that no instant needs its neighbours."""
-        return is_closed_form(self.problem, self.t, self.states) if self.by_guess is None else self.by_guess
+        return guess_is_exact(self.problem, self.t) if self.by_guess is None else self.by_guess
 
     @property
     def q(self) -> Array:
