@@ -181,7 +181,6 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
 
 
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
-_ASIDE = 1e-8  # of the duration: instants beside a jump
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -209,14 +208,15 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
     """Yield the jumps of coordinates and velocities, and the gaps of a motion, with their times."""
     quantities, path = motion.problem.system.coordinates.quantities, motion.problem.reference
     n, ranges = len(quantities), rows.ranges(motion.states)
+    beside = 10.0 * ROUND_OFF * path.duration  # the time of a jump is known to round-off
     sides = [(short[0].of(k), short[1].of(k)) for k in np.arange(len(short[0].t))[:, None]]
     for (left, right), gap in [*((ends, False) for ends in sides), *((ends, True) for ends in gaps)]:
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
-        asides = -_ASIDE, 0.0 if gap else _ASIDE  # a kink itself is neither before nor after
+        asides = -beside, 0.0 if gap else beside  # a kink itself is neither before nor after
         for side, aside in zip((left, right), asides, strict=True):
-            t = np.clip(side.t + aside * path.duration, path.start_time, path.end_time)
+            t = np.clip(side.t + aside, path.start_time, path.end_time)
             values.append(motion.beside(side.t, side.states, t)[rows.values[row], 0])
         before, after = values
         if gap:

@@ -99,7 +99,6 @@ def _classified(eigenvalues: tuple[complex, ...], damped: float) -> str:
 
 _CALLER = 4  # the line that called `solve`
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
-_CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
@@ -165,7 +164,7 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
         margins = _margins(problem, limits, grid)
         bends = np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-        low = ~(margins.min(axis=1) > _CAUTION * bends)
+        low = ~(margins.min(axis=1) > bends)  # a smooth margin falls by an eighth of that between instants
         if not low.any():
             return
     _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.findings import ROUND_OFF
+from servocore.checks.findings import FEWEST, ROUND_OFF
 from servocore.errors import ServocoreError, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method, errs_less_with_smaller_steps
@@ -36,7 +36,6 @@ NOTICED = 0.02
 tolerance that is larger does not prove by itself that inputs are accurate."""
 
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
-_SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
 
 
@@ -149,7 +148,7 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     step = np.abs(solution.values[k] - solution.values[k - 1])
     turns = {each.name: float(turn) for each, turn in zip(solution.channels, step, strict=True) if each.unit == "rad"}
     name = max(turns, key=lambda each: turns[each], default="")
-    if k == 0 or not name or turns[name] < _SMALLEST_TURN:
+    if k == 0 or not turns.get(name):
         return ""
     return (
         f"{name} turns by {turns[name]:.2g} rad within this step, where about {min(factor, 1.0) * turns[name]:.2g} rad"
@@ -163,7 +162,6 @@ Run = Callable[[Problem, Array], Solution]
 """(problem, instants) -> its solution."""
 
 _MOST_HALVINGS = 3
-_COMPARED = 200  # intervals at whose ends a run with internal dynamics is compared, of more some are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +273,7 @@ def stated_branch(
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
     """Compare a solution with better values, of those that depend on steps at some instants; None if there are none."""
-    every = 1 if better.exact else max(1, (len(solution.t) - 1) // _COMPARED)
+    every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
     kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
     try:
         return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))

@@ -111,8 +111,8 @@ def _is_stiff(rate: Rate, recent: deque[tuple[float, Array]], end: float) -> boo
 def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recent: deque[tuple[float, Array]]) -> None:
     """Raise `IntegrationFailed` if an acceleration jumps across the states of the last steps.
 
-    A force that is steep, but continuous, grows with the distance; one that jumps, as dry friction with the sign of a
-    velocity, is the same near and far. Where it holds a body at rest, the velocity changes its sign at every step.
+    A force that is steep, but continuous, changes on the way from side to side; one that jumps, as dry friction with
+    the sign of a velocity, at one place. Where it holds a body at rest, the velocity changes its sign at every step.
     """
     (began, _), (at, last) = recent[0], recent[-1]
     states, n = np.array([state for _, state in recent]), len(coordinates)
