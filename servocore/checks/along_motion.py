@@ -118,7 +118,7 @@ def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
 
 
 _SLACK = 0.02  # of the median before: tensions below, lengths above as many times
-_LONGEST = 64.0  # times the duration
+_LONGER = 2.0, 4.0, 8.0, 16.0, 32.0, 64.0  # times the duration
 
 
 def slack_rope(problem: Problem) -> str:
@@ -170,11 +170,9 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
         except ServocoreError:
             return False
 
-    longest = 1.0
-    while not kept(longest):
-        longest *= 2.0
-        if longest > _LONGEST:
-            return 0.0
+    longest = next((factor for factor in _LONGER if kept(factor)), 0.0)
+    if not longest:
+        return 0.0
     longest, _ = bisected(kept, longest, longest / 2.0, BISECTIONS // 2)
     digits = 3 - int(np.floor(np.log10(longest * path.duration)))
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
