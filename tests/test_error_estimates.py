@@ -22,7 +22,6 @@ from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.route import Route
-from servocore.solvers.solve import better_solver_of
 
 DAMPED = (sc.BackwardEuler(), sc.BDF(2), sc.BDF(4), sc.RadauIIA(2), sc.RadauIIA(3), sc.GeneralizedAlpha())
 UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
@@ -323,9 +322,11 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     values[after, found.names.index("f")] *= -1.0
     values[after, found.names.index("theta")] += np.pi
     turned, problem = replace(found, values=values), sc.Problem.of(aircraft.scene)
-    better_solver, how = better_solver_of(problem, FixedStep(sc.Projected(), sc.BDF(2))), (sc.Projected(), sc.BDF(2))
+    route = FixedStep(sc.Projected(), sc.BDF(2))
     with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
-        said = stated_branch(problem, turned, how, better_solver.compared(problem, turned))
+        said = stated_branch(
+            problem, turned, (route.formulation, route.method), route.better(problem).compared(problem, turned)
+        )
     assert said == (
         "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
         " another motion from t = 2.005 s"

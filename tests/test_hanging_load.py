@@ -9,6 +9,8 @@ import pytest
 from thinned import thinned
 
 import servocore as sc
+from servocore.numerics.compiled_calls import at_instants
+from servocore.structure.inversion import inversion
 
 T = np.linspace(0.0, 1.0, 20_001)
 PEAK = float(np.abs(sc.DEGREE9.jet(T, 1.0 - T, 1.0, 2)[:, 2]).max())
@@ -42,6 +44,21 @@ def largest_error(scene: sc.Scene, model: str) -> float:
     return float(max(np.abs(found[name] - values).max() / np.abs(values).max() for name, values in exact.items()))
 
 
+def rounding_error(scene: sc.Scene, model: str) -> float:
+    """Changes of the inputs, relative to their peaks, that Newton's method makes of rounding the parameters.
+
+    No evaluation of these equations is more accurate: where the bridge of the generalized crane turns fastest, large
+    accelerations cancel.
+    """
+    problem, random = sc.Problem.of(scene, model), np.random.default_rng(1)
+    jets = scene.reference.jet(np.linspace(0.0, scene.reference.duration, 61), problem.array.reference_order)
+    search = inversion(problem.array).search_from_guess
+    places = [problem.array.position(f"u.{each.name}", 0) for each in problem.system.inputs]
+    rounded = problem.p * (1.0 + np.finfo(float).eps * random.uniform(-1.0, 1.0, (20, len(problem.p))))
+    inputs = np.array([at_instants(search, jets=jets, p=p)[0][places] for p in rounded])
+    return float((np.ptp(inputs, axis=0).max(axis=1) / np.abs(inputs).max(axis=(0, 2))).max())
+
+
 @pytest.mark.parametrize(("name", "model"), thinned(MODELS, is_small))
 @pytest.mark.parametrize("swing", [30.0, 64.0, 80.0, 89.5])
 def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: float) -> None:
@@ -52,7 +69,7 @@ def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: 
     scene = crane().with_reference(sc.rest_to_rest(*level, duration)).with_parameters(gravity=float(gravity))
     assert np.degrees(scene.exact(duration * T)["swing"].max()) == pytest.approx(swing, abs=0.01)
     with passing_close(swing > 89.0 and name == "rotary_crane"):  # its bridge turns within a hundredth of a step
-        assert largest_error(scene, model) < 1e-12
+        assert largest_error(scene, model) < max(1e-12, rounding_error(scene, model))
 
 
 @pytest.mark.parametrize(("name", "model"), thinned(MODELS, is_small))

@@ -21,7 +21,7 @@ import numpy as np
 
 from servocore.checks.between_instants import Beside, Ends, Moments, look
 from servocore.checks.branches import MANY, Rows
-from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected, told
+from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected
 from servocore.checks.motion import Motion
 from servocore.checks.motion_limits import compile_watched
 from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
@@ -55,14 +55,6 @@ def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
         what = f"the holonomic constraint {_names(problem)[row]} does not hold, by {abs(values[row, k]):.3g}: {_WHY}"
         yield Finding(f"at t = {t[k]:.6g} s {what}", error=InvalidModel)
-
-
-def require_redundant_constraints(problem: Problem, motion: Motion) -> None:
-    """Raise `InvalidModel` if a constraint that was left out does not hold along the path of a problem."""
-    if problem.resolved.redundant:
-        t = survey(problem.reference)
-        places = problem.array.places((k, 0) for k in range(len(problem.system.coordinates)))
-        told(problem.system.name, "", left_out(problem, t, motion.at(t)[places]))
 
 
 def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
@@ -126,7 +118,7 @@ def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
 
 
 _SLACK = 0.02  # of the median before: tensions below, lengths above as many times
-_LONGEST = 64.0  # times the duration
+_LONGER = 2.0, 4.0, 8.0, 16.0, 32.0, 64.0  # times the duration
 
 
 def slack_rope(problem: Problem) -> str:
@@ -178,18 +170,15 @@ def _least_duration(problem: Problem, signed: Sequence[Quantity]) -> float:
         except ServocoreError:
             return False
 
-    longest = 1.0
-    while not kept(longest):
-        longest *= 2.0
-        if longest > _LONGEST:
-            return 0.0
+    longest = next((factor for factor in _LONGER if kept(factor)), 0.0)
+    if not longest:
+        return 0.0
     longest, _ = bisected(kept, longest, longest / 2.0, BISECTIONS // 2)
     digits = 3 - int(np.floor(np.log10(longest * path.duration)))
     return float(np.ceil(longest * path.duration * 10.0**digits) / 10.0**digits)
 
 
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
-_ASIDE = 1e-8  # of the duration: instants beside a jump
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _SMOOTH = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
 
@@ -217,14 +206,15 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
     """Yield the jumps of coordinates and velocities, and the gaps of a motion, with their times."""
     quantities, path = motion.problem.system.coordinates.quantities, motion.problem.reference
     n, ranges = len(quantities), rows.ranges(motion.states)
+    beside = 10.0 * ROUND_OFF * path.duration  # the time of a jump is known to round-off
     sides = [(short[0].of(k), short[1].of(k)) for k in np.arange(len(short[0].t))[:, None]]
     for (left, right), gap in [*((ends, False) for ends in sides), *((ends, True) for ends in gaps)]:
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
-        asides = -_ASIDE, 0.0 if gap else _ASIDE  # a kink itself is neither before nor after
+        asides = -beside, 0.0 if gap else beside  # a kink itself is neither before nor after
         for side, aside in zip((left, right), asides, strict=True):
-            t = np.clip(side.t + aside * path.duration, path.start_time, path.end_time)
+            t = np.clip(side.t + aside, path.start_time, path.end_time)
             values.append(motion.beside(side.t, side.states, t)[rows.values[row], 0])
         before, after = values
         if gap:

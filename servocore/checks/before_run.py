@@ -98,7 +98,6 @@ def _classified(eigenvalues: tuple[complex, ...], damped: float) -> str:
 
 
 _CALLER = 4  # the line that called `solve`
-_CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 _FEWER = 4  # of the survey's instants one is enough where all margins are large
 
 
@@ -155,22 +154,21 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     Such limits are functions of the path alone: they are evaluated on a grid that follows the stretches of the path,
     and between its instants where a margin is so low that it may fall to zero there.
     """
-    of_path = tuple(limit for limit in problem.limits if limit.of_path)
-    at_instants = tuple(each for each in of_path if each.at_instants_only)
-    if at_instants and t is not None:
+    of_path = [limit for limit in problem.limits if limit.of_path]
+    if t is not None and (at_instants := tuple(each for each in of_path if each.at_instants_only)):
         _require_kept(at_instants, _margins(problem, at_instants, t), t)
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
     every = survey(problem.reference)
-    margins = _margins(problem, limits, np.append(every[:-1:_FEWER], every[-1]))
-    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-    if (margins.min(axis=1) > bends).all():
-        return
-    margins = _margins(problem, limits, every)
+    for grid in (np.append(every[:-1:_FEWER], every[-1]), every):
+        margins = _margins(problem, limits, grid)
+        bends = np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
+        low = ~(margins.min(axis=1) > bends)  # a smooth margin falls by an eighth of that between instants
+        if not low.any():
+            return
     _require_kept(limits, margins, every)  # of all instants, so that a refusal names the first
-    bends = _CAUTION * np.abs(np.diff(margins, 2, axis=1)).max(axis=1, initial=0.0)
-    for row in np.flatnonzero(margins.min(axis=1) <= bends).tolist():
+    for row in np.flatnonzero(low).tolist():
         one = limits[row : row + 1]
         margin = partial(_margins, problem, one)
         at = np.array([least_between(margin, every, int(margins[row].argmin()))])

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.findings import ROUND_OFF
+from servocore.checks.findings import FEWEST, ROUND_OFF
 from servocore.errors import ServocoreError, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method, errs_less_with_smaller_steps
@@ -28,17 +28,15 @@ from servocore.references.base import subdivided
 from servocore.solution import ErrorEstimate, Solution
 
 LARGEST_UNWARNED = 0.05
-"""Of an input's peak: an input further from the exact one is warned of."""
+"""Of an input's peak: an input further from the exact one is warned of; of the range of a coordinate: one further from
+the better motion may be on another branch."""
 
 NOTICED = 0.02
 """Of a range: about the third differences of a wave at 20 instants a period, less than which says nothing; of a peak: a
 tolerance that is larger does not prove by itself that inputs are accurate."""
 
 _HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
-_BEYOND = 1e4  # times the peak: the size of a larger error is not reported
-_SMALLEST_TURN = 0.01  # rad a step: not worth a word
 _BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
-_ELSEWHERE = 0.1  # of the range of a coordinate: further from the better motion may be another branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +53,15 @@ class Comparison:
         Better values there.
     basis : str
         Their source.
-    known : ndarray of bool, shape (inputs,) or longer, optional
-        Whether the difference is the error of the run, rather than that of the better values; it is if not given.
+    known : ndarray of bool, shape (inputs,) or longer, or True
+        Whether the difference is the error of the run, rather than that of the better values.
     """
 
     inputs: tuple[Quantity, ...]
     solution: Solution
     better: Array
     basis: str
-    known: npt.NDArray[np.bool_] | None = None
+    known: npt.NDArray[np.bool_] | bool = True
 
     @property
     def off(self) -> Array:
@@ -78,8 +76,7 @@ class Comparison:
         names = [quantity.name for quantity in self.inputs]
         peaks = np.abs(self.better[:, : len(names)]).max(axis=0)
         largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
-        all_known = np.ones(len(names), dtype=bool) if self.known is None else self.known
-        rows = zip(names, largest.tolist(), all_known.tolist(), strict=False)
+        rows = zip(names, largest.tolist(), np.broadcast_to(self.known, self.better.shape[1]), strict=False)
         errors = {name: error if known else None for name, error, known in rows}
         return ErrorEstimate(errors, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
 
@@ -111,21 +108,16 @@ def warn_of_wrong_inputs(
     k, unit = int(comparison.off[:, column].argmax()), solution.unit(name)
     at = int(np.searchsorted(solution.t, comparison.solution.t[k]))
     turn = _fastest_turn(solution, at, _HALF / relative[name]) if relative[name] > _HALF else ""
+    share = f"{100.0 * relative[name]:.2g} % of" if relative[name] < 1.0 else f"{relative[name]:.3g} times"
     advice = _advice(problem, formulation, method)
     step = (solution.t[-1] - solution.t[0]) / (len(solution.t) - 1)
     warnings.warn(
-        f"{solution.route}, step {step:.6g} s: {name} is off by {_share_in_words(relative[name])}; at"
+        f"{solution.route}, step {step:.6g} s: {name} is off by {share} its peak; at"
         f" t = {comparison.solution.t[k]:.6g} s it is {comparison.solution.values[k, column]:.4g} {unit},"
         f" {comparison.basis} gives {comparison.better[k, column]:.4g} {unit}; {turn}{advice}",
         ServocoreWarning,
         stacklevel=5,
     )
-
-
-def _share_in_words(share: float) -> str:
-    if share < 1.0:
-        return f"{100.0 * share:.2g} % of its peak"
-    return f"{share:.3g} times its peak" if share < _BEYOND else f"more than {_BEYOND:g} times its peak"
 
 
 def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
@@ -156,7 +148,7 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     step = np.abs(solution.values[k] - solution.values[k - 1])
     turns = {each.name: float(turn) for each, turn in zip(solution.channels, step, strict=True) if each.unit == "rad"}
     name = max(turns, key=lambda each: turns[each], default="")
-    if k == 0 or not name or turns[name] < _SMALLEST_TURN:
+    if k == 0 or not turns.get(name):
         return ""
     return (
         f"{name} turns by {turns[name]:.2g} rad within this step, where about {min(factor, 1.0) * turns[name]:.2g} rad"
@@ -170,8 +162,6 @@ Run = Callable[[Problem, Array], Solution]
 """(problem, instants) -> its solution."""
 
 _MOST_HALVINGS = 3
-_SURE = 2.0  # times the change of the better values at half the step: a larger difference is the error of the run
-_COMPARED = 40, 400  # instants at which a run with internal dynamics is compared, at first and where it is doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,15 +170,15 @@ class BetterSolver:
 
     Attributes
     ----------
-    run : callable or None
-        Solves the same problem better; None where nothing is known to.
+    run : callable
+        Solves the same problem better.
     exact : bool
         Whether its results do not depend on its steps.
     basis : str
-        Its name in messages; the reason where there is none.
+        Its name in messages.
     """
 
-    run: Run | None
+    run: Run
     exact: bool
     basis: str
 
@@ -200,29 +190,26 @@ class BetterSolver:
         ServocoreError
             If there are none.
         """
-        if self.run is None:
-            raise ServocoreError(self.basis)
         t, inputs = solution.t, problem.system.inputs
         if self.exact:
             return Comparison(inputs, solution, _on_the_grid(self.run(problem, t), solution), self.basis)
-        last: Array | None = None
-        comparison, failed = None, ServocoreError("no step was small enough")
-        for halvings in range(_MOST_HALVINGS + 1):
-            parts = 2**halvings
+        found, failed = list[Array](), ServocoreError("no step was small enough")
+        for parts in 2 ** np.arange(_MOST_HALVINGS + 1):
             try:
-                better = self.run(problem, subdivided(t, parts)).values[::parts]
+                found.append(self.run(problem, subdivided(t, int(parts))).values[::parts])
             except ServocoreError as error:
                 failed = error
                 continue
-            if last is not None:
+            if len(found) > 1:
+                *_, last, better = found
                 own = solution.values[:, : better.shape[1]]  # what a run adds up comes last
                 doubt, off = (np.abs(better - each).max(axis=0) for each in (last, own))
-                known = (off >= _SURE * doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(better).max(axis=0))
+                # At half the step they err by less than they changed: a larger difference is the error of the run.
+                known = (off >= doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(better).max(axis=0))
                 comparison = Comparison(inputs, solution, better, self.basis, known)
                 if known[: len(inputs)].all():
-                    return comparison
-            last = better
-        if comparison is None:
+                    break
+        if len(found) < 2:
             raise failed
         return comparison
 
@@ -231,9 +218,13 @@ class BetterSolver:
         try:
             return self.compared(problem, solution).estimate
         except ServocoreError as error:
-            names = [quantity.name for quantity in problem.system.inputs]
-            peaks = dict(zip(names, np.abs(solution.values[:, : len(names)]).max(axis=0).tolist(), strict=True))
-            return ErrorEstimate(dict.fromkeys(names), peaks, f"unknown: {error}")
+            return unknown_errors(problem, solution, str(error))
+
+
+def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstimate:
+    """Return the estimate of a solution whose errors are unknown, with the reason."""
+    peaks = {quantity.name: float(np.abs(solution[quantity.name]).max()) for quantity in problem.system.inputs}
+    return ErrorEstimate(dict.fromkeys(peaks), peaks, f"unknown: {why}")
 
 
 def _on_the_grid(better: Solution, solution: Solution) -> Array:
@@ -265,7 +256,7 @@ def stated_branch(
     if comparison is not None:
         warn_of_wrong_inputs(problem, *how, solution, comparison)
         run, better = comparison.solution.values[:, columns], comparison.better[:, columns]
-        allowed = _ELSEWHERE * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
+        allowed = LARGEST_UNWARNED * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
         far = np.abs(run - better) > allowed
         if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
@@ -281,21 +272,13 @@ def stated_branch(
 
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
-    """Compare a solution with better values, at few instants only if that decides; None if there are none."""
+    """Compare a solution with better values, of those that depend on steps at some instants; None if there are none."""
+    every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
+    kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
     try:
-        if better.exact:
-            return better.compared(problem, solution)
-        for count in _COMPARED:
-            every = max(1, (len(solution.t) - 1) // count)
-            kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-            thinned = replace(solution, t=solution.t[kept], values=solution.values[kept])
-            comparison = better.compared(problem, thinned)
-            largest = comparison.estimate.largest
-            if largest is not None and largest < LARGEST_UNWARNED:
-                break
+        return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
     except ServocoreError:
         return None
-    return comparison
 
 
 def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:
@@ -306,6 +289,6 @@ def is_smooth(problem: Problem, formulation: Formulation, method: Method, soluti
     from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
 
     index, values = problem.dae(formulation).index, solution.values
-    if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < _COMPARED[0]:
+    if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < 4:
         return False
     return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= NOTICED * np.ptp(values, axis=0)).all())

@@ -6,8 +6,7 @@ a point that is out of reach, and at a solution where the equations have lost ra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -17,7 +16,7 @@ from servocore.checks.along_motion import jumps, slack_rope
 from servocore.checks.branches import constraint_rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, bisected
 from servocore.checks.motion import Motion
-from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
+from servocore.errors import InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
@@ -53,15 +52,6 @@ def _jump(problem: Problem) -> str:
     t = survey(problem.reference)
     jump = next(jumps(Motion(problem, t, exact_unknowns(problem, t)[0], by_guess=True)), None)
     return f"{problem.system.name}: {jump.what}" if jump else ""
-
-
-@contextmanager
-def causes_explained(problem: Problem) -> Iterator[None]:
-    """Context in which a failure is raised again with its cause."""
-    try:
-        yield
-    except (InconsistentStart, IntegrationFailed) as error:
-        raise explained(problem, error) from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,19 +14,23 @@ from servocore.numerics.compiled_calls import Array
 ROUND_OFF = 1e-9
 """Of a quantity: the relative error of some hundred operations in double precision."""
 
+FEWEST = 100
+"""Intervals of a motion: longer ones hide what happens in between."""
+
 BISECTIONS = 40
 """Halvings after which an interval is as short as round-off of its ends."""
-
-SECTIONS, ROUNDS = 21, 6
-"""Evaluations within an interval, and how often it shrinks to a tenth, to find where a smooth quantity is least."""
 
 
 def least_between(evaluate: Callable[[Array], Array], t: Array, k: int) -> float:
     """Return the time at which a smooth function of times is least, between the instants beside the k-th of `t`."""
-    for _ in range(ROUNDS):
-        t = np.linspace(t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)], SECTIONS)
-        k = int(np.nan_to_num(evaluate(t), nan=np.inf).argmin())
-    return float(t[k])
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    def value(time: float) -> float:
+        return float(np.nan_to_num(evaluate(np.array([time])), nan=np.inf).item())
+
+    ends = t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)]
+    found = minimize_scalar(value, bounds=ends, method="bounded", options={"xatol": ROUND_OFF * (ends[1] - ends[0])})
+    return min(float(t[k]), float(found.x), key=value)
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from servocore.checks.branches import (
     Places,
     ahead,
     coordinate_rows,
-    is_closed_form,
+    guess_is_exact,
     on_one_branch,
 )
-from servocore.checks.findings import Finding
+from servocore.checks.findings import FEWEST, Finding
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
@@ -29,8 +29,6 @@ from servocore.problem import Problem
 from servocore.references.base import subdivided, survey
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
-
-_FEWEST = 100  # intervals of a motion: longer ones hide what happens in between
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class Motion:
     @cached_property
     def direct(self) -> bool:
         """Whether the guess of the model is the answer itself, so that no instant needs its neighbours."""
-        return is_closed_form(self.problem, self.t, self.states) if self.by_guess is None else self.by_guess
+        return guess_is_exact(self.problem, self.t) if self.by_guess is None else self.by_guess
 
     @property
     def q(self) -> Array:
@@ -154,7 +152,7 @@ def enough(t: Array) -> tuple[Array, int]:
 
     Into a number without small divisors: halves and thirds of a path are likely to be singular.
     """
-    parts = -(-_FEWEST // max(len(t) - 1, 1))
+    parts = -(-FEWEST // max(len(t) - 1, 1))
     if parts == 1 or len(t) < 2:
         return t, 1
     while math.gcd(parts, 2 * 3 * 5) > 1:

@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.along_motion import (
-    require_redundant_constraints,
     with_redundant_constraints_as_limits,
 )
 from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
-from servocore.checks.failure_causes import causes_explained
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
@@ -170,10 +168,7 @@ def followed(problem: Problem) -> Problem:
             f" order {problem.array.reference_order}"
         )
     require_feasible(problem)  # first: a limit says more than a singular matrix
-    with causes_explained(problem):
-        motion = prepared_motion(problem)
-    require_redundant_constraints(problem, motion)
-    return replace(problem, follow_branch=not motion.direct)
+    return replace(problem, follow_branch=not prepared_motion(problem).direct)
 
 
 def _variables(

@@ -142,7 +142,7 @@ def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tupl
 
     The residual is infinite for a model whose inversion is no expression.
     """
-    expression, array, system = inversion(resolved.array).expression, resolved.array, resolved.system
+    expression, array, system = inversion(resolved.array).differentiable, resolved.array, resolved.system
     read = _channels(resolved, measured)
     gamma = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1)
     p = ca.SX.sym("p", system.p.numel())

@@ -143,7 +143,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
 
 def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
     """Whether an expression gives the motion from the path: near a place of rest, the guess of its model is exact."""
-    explicit = inversion(resolved.array).expression
+    explicit = inversion(resolved.array).differentiable
     if explicit is None:
         return False
     gamma = np.full((len(rest), resolved.array.reference_order + 1), _SLIGHT)
@@ -182,7 +182,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> _Motion:
     """Return quantities of limits as expressions of gamma and p, without unknowns."""
     array, system = resolved.array, resolved.system
-    formula = cast("ca.Function", inversion(array).expression)
+    formula = cast("ca.Function", inversion(array).differentiable)
     unknowns = formula(system.gamma[:, : array.reference_order + 1], system.p)[0]
     n, variables = len(system.coordinates), array.y.size1()
     entries = [(j, order) for order in (0, 1) for j in range(n)] + [(j, 0) for j in range(n, variables)]

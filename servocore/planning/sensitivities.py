@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.along_motion import require_redundant_constraints
 from servocore.checks.before_run import require_feasible
-from servocore.checks.failure_causes import causes_explained
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity
@@ -153,10 +151,7 @@ def sensitivities(
 
 def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tuple[Array, Array, Array]:
     """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
-    with causes_explained(problem):
-        motion = prepared_motion(problem)
-        states = motion.at(t)
-    require_redundant_constraints(problem, motion)
+    states = prepared_motion(problem).at(t)
     jets = problem.reference.jet(t, problem.array.reference_order)
     (slopes,) = at_instants(_implicit(problem.resolved), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]

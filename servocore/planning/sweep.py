@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from servocore.checks.before_run import require_feasible
-from servocore.checks.failure_causes import causes_explained
 from servocore.checks.motion_limits import limited_values, margins_of
 from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds, run_quantities
@@ -178,8 +177,7 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     problem = swept.problem
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()):
         try:
-            with causes_explained(problem):
-                motion = prepared_motion(problem)
+            motion = prepared_motion(problem)
             if motion.passages:
                 require_feasible(problem)
         except ServocoreError:

@@ -22,7 +22,6 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
@@ -154,14 +153,20 @@ def prepared_motion(problem: Problem) -> Motion:
 
     Raises
     ------
-    IntegrationFailed
-        If its branch cannot be followed, or it jumps.
+    InvalidModel
+        If a constraint that was left out as redundant does not hold.
+    InvalidReference, IntegrationFailed
+        If the path is out of reach, the branch cannot be followed, or the motion jumps, with the cause.
     """
-    motion = motion_of(problem)
-    if problem.resolved.holds(KINKS):
-        from servocore.checks.along_motion import jumps  # noqa: PLC0415 - few models have kinks
+    from servocore.checks.along_motion import jumps, left_out  # noqa: PLC0415 - `solve` needs them for few models
+    from servocore.checks.failure_causes import explained  # noqa: PLC0415
 
+    try:
+        motion = motion_of(problem)
         told(problem.system.name, "", jumps(motion))
+    except IntegrationFailed as error:
+        raise explained(problem, error) from None
+    told(problem.system.name, "", left_out(problem, motion.t, motion.q))
     return motion
 
 
@@ -210,9 +215,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
-        from servocore.checks.along_motion import require_redundant_constraints  # noqa: PLC0415 - `solve` needs none
-        from servocore.checks.failure_causes import explained  # noqa: PLC0415
-        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415
+        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415 - `solve` needs none
 
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
@@ -224,16 +227,8 @@ class ExactInversion:
         self._problem = problem
         self._evaluation = input_evaluation(problem, native)
         self._evaluation.by_expression.prepare(scene.reference)
-        self._motion: Motion | IntegrationFailed
-        try:
-            self._motion = motion = prepared_motion(problem)
-            require_limits(motion)
-            require_redundant_constraints(problem, motion)
-        except IntegrationFailed as error:
-            cause = explained(problem, error)
-            if cause is not error:
-                raise cause from None
-            self._motion = error  # raised by a call, which may give a better reason
+        self._motion = prepared_motion(problem)
+        require_limits(self._motion)
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(channel.name for channel in problem.system.inputs)
 
@@ -259,24 +254,13 @@ class ExactInversion:
         instants = times.reshape(-1)
         if not len(instants):
             return np.empty((*times.shape, len(self.inputs)))
-        motion = self._motion
-        followed = motion if isinstance(motion, Motion) and not motion.direct else None
-        by_expression = self._evaluation.by_expression
-        if followed:
-            results = [*along_path(self._problem, self._evaluation.read, instants, followed.at(instants))]
+        if self._motion.direct:
+            (values,) = self._evaluation(self._problem, instants)
         else:
-            results = by_expression(self._problem, instants)
-        finite = bool(np.isfinite(results[0]).all())
-        if not (finite or followed):
-            results = self._evaluation.completed(self._problem, instants, results)
-            finite = bool(np.isfinite(results[0]).all())
-        name, inputs = self._problem.system.name, results[0].T
-        if finite:
-            require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
-        if isinstance(motion, IntegrationFailed):
-            raise motion  # a wrong sign is a better reason
-        if not finite:
-            require_solved(name, instants, inputs)
+            (values,) = along_path(self._problem, self._evaluation.read, instants, self._motion.at(instants))
+        name, inputs = self._problem.system.name, values.T
+        require_solved(name, instants, inputs)
+        require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
 

@@ -19,12 +19,11 @@ Rate = Callable[[float, Array], Array]
 
 _WATCHED = 60  # steps whose progress is judged together
 _SLOW = 1e-3  # of the whole time: less progress in so many steps is examined
-_NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is evaluated
+_NEAR = 10.0  # ranges of a velocity during these steps: where its force is evaluated
 _MANY = 50_000  # steps ahead: worth the change to an implicit method, if stability alone keeps steps small
 _UNSTABLE = 3.0  # step times rate of decay; accuracy needs less where something oscillates
 _POWERS = 4  # of the Jacobian, to find its fastest rate
 _RESOLVED = 1e-12  # of a state: a change over less is a jump for any integrator
-_SAME = 2.0  # a force that is a hundred times as far away no larger than this does not grow: it jumps
 
 
 def integrated(
@@ -112,8 +111,8 @@ def _is_stiff(rate: Rate, recent: deque[tuple[float, Array]], end: float) -> boo
 def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recent: deque[tuple[float, Array]]) -> None:
     """Raise `IntegrationFailed` if an acceleration jumps across the states of the last steps.
 
-    A force that is steep, but continuous, grows with the distance; one that jumps, as dry friction with the sign of a
-    velocity, is the same near and far. Where it holds a body at rest, the velocity changes its sign at every step.
+    A force that is steep, but continuous, changes on the way from side to side; one that jumps, as dry friction with
+    the sign of a velocity, at one place. Where it holds a body at rest, the velocity changes its sign at every step.
     """
     (began, _), (at, last) = recent[0], recent[-1]
     states, n = np.array([state for _, state in recent]), len(coordinates)
@@ -121,11 +120,11 @@ def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recen
     for k in (*range(n, 2 * n), *range(n)):  # velocities first
         middle = last.copy()
         middle[k] = states[:, k].mean()
-        near, far = (_change(rate, at, middle, k, factor * float(ranges[k])) for factor in (_NEAR, _FAR))
-        worst = int(np.abs(near).argmax())
-        jump = float(abs(near[worst]))
-        same = abs(far[worst]) < _SAME * jump and jump * (at - began) ** (1 if k >= n else 2) > ranges[k]
-        if same and _is_jump(rate, at, middle, k, _NEAR * float(ranges[k]), worst):
+        before, after = (_accelerations(rate, at, middle, k, middle[k] + s * _NEAR * ranges[k]) for s in (-1.0, 1.0))
+        worst = int(np.abs(after - before).argmax())
+        jump = float(abs(after[worst] - before[worst]))
+        matters = jump * (at - began) ** (1 if k >= n else 2) > ranges[k]
+        if matters and _is_jump(rate, at, middle, k, _NEAR * float(ranges[k]), worst):
             quantity, x = (f"the velocity of {coordinates[k - n]}", "v") if k >= n else (coordinates[k], "x")
             where = "sign" if abs(middle[k]) <= _NEAR * ranges[k] else f"passing of {middle[k]:.3g}"
             raise IntegrationFailed(
@@ -146,13 +145,7 @@ def _is_jump(rate: Rate, at: float, state: Array, entry: int, distance: float, w
         value = float(_accelerations(rate, at, state, entry, middle)[which])
         k = 0 if abs(value - values[0]) < abs(values[1] - value) else 1
         places[k], values[k] = middle, value
-    return abs(values[1] - values[0]) > whole / _SAME
-
-
-def _change(rate: Rate, at: float, state: Array, entry: int, distance: float) -> Array:
-    """Return how the accelerations change when an entry of the state goes from one side to the other."""
-    change: Array = _accelerations(rate, at, state, entry, state[entry] + distance)
-    return change - _accelerations(rate, at, state, entry, state[entry] - distance)
+    return abs(values[1] - values[0]) > whole / 2.0
 
 
 def _accelerations(rate: Rate, at: float, state: Array, entry: int, place: float) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,12 +134,7 @@ class CheckedInputs:
         return values
 
     def many(self, t: Array) -> Array:
-        """Return the inputs at times (N,), shape (N, m), checked together, and one by one where that fails."""
-        answers = [self.inputs(time) for time in t.tolist()]
-        with suppress(TypeError, ValueError):
-            values = np.array(answers, dtype=np.float64)
-            if values.shape == (len(t), len(self.system.inputs)) and np.isfinite(values).all():
-                return values
+        """Return the inputs at times (N,), shape (N, m)."""
         return np.array([self(time) for time in t.tolist()]).reshape(len(t), -1)
 
 

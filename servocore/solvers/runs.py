@@ -11,14 +11,15 @@ import numpy as np
 from servocore.checks.between_instants import require_less_than_half_a_turn
 from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
+from servocore.formulations.reduced import Reduced
 from servocore.model.limits import run_quantities
 from servocore.numerics.compiled_calls import Array, at_instants, chained, side_by_side
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
-from servocore.stepping.exact_evaluation import along_path
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns, unknowns_from
 from servocore.stepping.prescribed_initial_values import prescribed_start
-from servocore.stepping.program import Program
+from servocore.stepping.program import Program, program_of
 
 
 def require_derivatives(problem: Problem, order: int, who_needs: str) -> None:
@@ -124,6 +125,24 @@ def solution_of(
     )
     fit_error = problem.reference.fit_error
     return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
+
+
+def of_states(problem: Problem, t: Array, states: Array) -> Array:
+    """Return [x; z] of the reduced form (size, N) at instants, solved for internal states (len x, N)."""
+    array, guess = problem.array, guessed_unknowns(problem, t)
+    guess[array.places(array.states)] = states
+    values: Array = unknowns_from(problem, t, guess)[array.places((*array.states, *array.determined))]
+    return values
+
+
+def solution_of_states(problem: Problem, t: Array, values: Array, route: str, iterations: int = 0) -> Solution:
+    """Return the solution with [x; z] of the reduced form (size, N) at instants."""
+    from servocore.methods.backward_euler import BackwardEuler  # noqa: PLC0415 - a flat scene takes no steps
+
+    program = program_of(problem, Reduced(), BackwardEuler())
+    states = np.zeros((program.state_size, len(t)))
+    states[: len(values)] = values
+    return solution_of(problem, [Run(program, t, states, iterations, iterations)], route)
 
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:

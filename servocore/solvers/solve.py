@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from servocore.checks.before_run import internal_dynamics, require_feasible, require_smooth, warn_before_run
-from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out
+from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out, unknown_errors
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
 from servocore.checks.motion import Motion, passed, poles_passed, unknowns_near
@@ -120,7 +120,7 @@ def solve(
         solution,
         statistics=_checked(problem, route, solution) if checked else solution.statistics,
         advice=advice,
-        estimator=solution.estimator or partial(_error_estimate, problem, route),
+        estimator=solution.estimator or partial(error_estimate, problem, route),
         fit_estimator=partial(_fit_effect, problem, route),
         origin=problem,
         motion=None,
@@ -268,17 +268,14 @@ def chosen_route(
     return (StateSelection if isinstance(formulation, Reduced) else FixedStep)(formulation, method, native)
 
 
-def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
-    """Return the solver that the solutions of a route are compared with, to estimate the errors of inputs."""
+def error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
+    """Return how far the inputs of a solution by a route are from more accurate ones."""
     if isinstance(route, JudgedRoute):
-        return route.better(problem)
+        return route.better(problem).estimate(problem, solution)
     if problem.flat:
-        return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
-    return BetterSolver(None, False, f"no more accurate solver of {problem.system.name} is known for this route")
-
-
-def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
-    return better_solver_of(problem, route).estimate(problem, solution)
+        return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion").estimate(problem, solution)
+    why = f"no more accurate solver of {problem.system.name} is known for this route"
+    return unknown_errors(problem, solution, why)
 
 
 def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:
@@ -293,18 +290,16 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
     path = problem.reference.path if isinstance(problem.reference, TimeAugmented) else problem.reference
     if not isinstance(path, PiecewisePolynomial) or path.refitted is None or not isinstance(route, JudgedRoute):
         return None
-    names = [quantity.name for quantity in problem.system.inputs]
-    inputs = [solution.values[:, : len(names)]]
-    peaks = dict(zip(names, np.abs(inputs[0]).max(axis=0).tolist(), strict=True))
+    fits = [solution]
     try:
         for half in path.refitted():
             reference = half if path is problem.reference else TimeAugmented.of(half)
-            found = route.run(replace(problem, reference=reference), solution.t)
-            inputs.append(found.values[:, : len(names)])
+            fits.append(route.run(replace(problem, reference=reference), solution.t))
     except ServocoreError as error:
-        return ErrorEstimate(dict.fromkeys(names), peaks, f"unknown: {error}")
-    apart = np.ptp(inputs, axis=0).max(axis=0).tolist()
-    return ErrorEstimate(dict(zip(names, apart, strict=True)), peaks, "fits to every second sample")
+        return unknown_errors(problem, solution, str(error))
+    peaks = unknown_errors(problem, solution, "").peaks
+    apart = {name: float(np.ptp([fit[name] for fit in fits], axis=0).max()) for name in peaks}
+    return ErrorEstimate(apart, peaks, "fits to every second sample")
 
 
 def recommended(problem: Problem) -> tuple[Method | Route | None, str]:

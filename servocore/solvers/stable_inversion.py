@@ -22,16 +22,14 @@ from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.collocation import Gauss, RadauIIA
+from servocore.methods.collocation import Gauss
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import subdivided
 from servocore.solution import Solution
 from servocore.solvers.route import JudgedRoute, require_tolerance
-from servocore.solvers.runs import Progress, Run, require_derivatives, solution_of, step_of
-from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
-from servocore.stepping.program import program_of
+from servocore.solvers.runs import Progress, of_states, require_derivatives, solution_of_states, step_of
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
 
 Places = npt.NDArray[np.int64]
@@ -126,7 +124,8 @@ class StableInversion(JudgedRoute):
             parts = 2**halvings
             mesh = subdivided(t, parts)
             states, iterations = _solve_on(bounded, mesh)
-            now = _report(bounded, t, states[:, ::parts], iterations, self)
+            values = of_states(problem, t, states[:, ::parts])
+            now = solution_of_states(problem, t, values, f"{bounded.dae.name}, {self.name}", iterations)
             if progress is not None:
                 progress(halvings + 1, _MOST_HALVINGS)
             if last is not None:
@@ -257,7 +256,7 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.
 
 
 def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
-    """Solve on a mesh of equal intervals; returns [x; z] at the mesh points and the Newton iterations."""
+    """Solve on a mesh of equal intervals; returns x at the mesh points and the Newton iterations."""
     import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
     import scipy.sparse.linalg  # noqa: PLC0415
 
@@ -273,7 +272,7 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
             break
         y, residual, length = _damped(evaluate, y, residual, change)
         if length == 1.0 and np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
-            return _algebraic(bounded, mesh, y[ends]), iteration
+            return y[ends].T, iteration
         if not np.isfinite(residual).all():
             break
     resonance, short = "undamped internal dynamics in resonance with it", "a horizon that is too short"
@@ -341,24 +340,7 @@ def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
     # From one rest to the other along with the path: forward integration as a guess would blow up.
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
-    stage = _algebraic(bounded, nodes, states).T.reshape(count, -1)
+    stage = of_states(bounded.problem, nodes, states.T).T.reshape(count, -1)
     size_x = bounded.dae.x.numel()
     inside = np.hstack([stage[:, :size_x], stage]).ravel()
     return np.concatenate([inside, bounded.right.states])
-
-
-def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
-    """Solve for everything that the states (N, len x) and the reference determine: [x; z], shape (size, N)."""
-    problem, array = bounded.problem, bounded.problem.array
-    start = guessed_unknowns(problem, t)
-    start[array.places(array.states)] = states.T
-    values: Array = unknowns_from(problem, t, start)[array.places((*array.states, *array.determined))]
-    return values
-
-
-def _report(bounded: _Bounded, t: Array, unknowns: Array, iterations: int, route: StableInversion) -> Solution:
-    program = program_of(bounded.problem, Reduced(), RadauIIA(1))
-    states = np.zeros((program.state_size, len(t)))
-    states[: len(unknowns)] = unknowns
-    run = Run(program, t, states, iterations, iterations)
-    return solution_of(bounded.problem, [run], f"{bounded.dae.name}, {route.name}")

@@ -15,8 +15,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
 from servocore.solution import Solution
-from servocore.solvers.runs import Progress, Run, first_state, solution_of, step_of
-from servocore.stepping.exact_evaluation import unknowns_from
+from servocore.solvers.runs import Progress, first_state, of_states, solution_of_states, step_of
 from servocore.stepping.program import program_of
 
 _MOST_STEPS = 100_000
@@ -84,19 +83,13 @@ class Sundials:
             states, _ = integrate(x0, z0, numbers)
         except RuntimeError as error:  # SUNDIALS gives up
             raise IntegrationFailed(f"{problem.name}: SUNDIALS gave up: {str(error).splitlines()[-1]}") from None
-        guess = np.zeros((len(array.unknowns), count + 1))
-        guess[array.places(array.states)] = np.hstack([x0[:, None], states.reshape(size, count, order="F")])
-        guess[array.places(array.determined)] = z0[:, None]
-        unknowns = unknowns_from(problem, times, guess)
-        if not np.isfinite(unknowns).all():
-            k = int(np.isfinite(unknowns).all(axis=0).argmin())
+        values = of_states(problem, times, np.hstack([x0[:, None], states.reshape(size, count, order="F")]))
+        if not np.isfinite(values).all():
+            k = int(np.isfinite(values).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")
-        rows = [*array.places(array.states), *array.places(array.determined)]
-        columns = np.tile(first[:, None], count + 1)
-        columns[: len(rows)] = unknowns[rows]
         if progress is not None:
             progress(count, count)
-        return solution_of(problem, [Run(program, times, columns)], f"{problem.system.name}, reduced, {self.name}")
+        return solution_of_states(problem, times, values, f"{problem.system.name}, reduced, {self.name}")
 
 
 @made_once

@@ -18,7 +18,8 @@ from servocore.structure.derivative_array import DerivativeArray, nominal
 LARGEST_RESIDUAL = 1e-9
 """Residual of the derivative array below which its guess counts as exact."""
 
-_MOST_OPERATIONS = 2500  # of equations that do not decouple; beyond, evaluation takes longer than function calls
+_MOST_OPERATIONS = 6000  # of equations that do not decouple; beyond, to compile takes longer than many solves
+_FEW_OPERATIONS = 2500  # to be differentiated
 _MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
 _MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
 _MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
@@ -51,6 +52,12 @@ class Inversion:
     guess: ca.Function
     expression: ca.Function | None
     _array: DerivativeArray
+
+    @property
+    def differentiable(self) -> ca.Function | None:
+        """The expression if it is short enough to be differentiated; that of longer equations is to be evaluated."""
+        long = self.expression is not None and self.expression.n_instructions() > _FEW_OPERATIONS
+        return None if long else self.expression
 
     @property
     def search(self) -> ca.Function:
@@ -130,8 +137,13 @@ def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[
 
 @made_once
 def diagonal_blocks(array: DerivativeArray) -> tuple[Part, ...]:
-    """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is."""
-    return triangular_blocks(_system_jacobian(array)[1].sparsity())
+    """Return the diagonal blocks of the system Jacobian in block triangular form: all are regular where it is.
+
+    Those that depend on neither unknowns nor path are regular everywhere, as at home, and left out.
+    """
+    (unknowns, reference, _), J = _system_jacobian(array)
+    varying = set(ca.jacobian_sparsity(ca.vertcat(J.nz[:]), ca.veccat(unknowns, reference)).row())
+    return tuple(each for each in triangular_blocks(J.sparsity()) if varying & set(each.entries.ravel().tolist()))
 
 
 def block_determinants(array: DerivativeArray, found: Array, entries: Array | None = None) -> Array:
