@@ -355,8 +355,11 @@ class MechanicalSystem:
         """
         p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
         gamma = ca.horzcat(ca.DM(list(self.home)), ca.DM(self.gamma.size1(), self.gamma.size2() - 1))
-        guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
-        return np.asarray(guess(gamma, p)).ravel(), p
+        return np.asarray(self._compiled_guess(gamma, p)).ravel(), p
+
+    @cached_property
+    def _compiled_guess(self) -> ca.Function:
+        return ca.Function("guess", [self.gamma, self.p], [self.guess])
 
     def dependent_coordinates(self) -> list[int]:
         """Return the coordinates that the servo constraints are solved for.

@@ -23,6 +23,7 @@ Product = Callable[[Array], Array]
 LARGE = 128
 """Rows from which on sparse factors replace singular values."""
 
+_WHOLE = 32  # rows and columns of matrices that are decomposed in less time than their parts are found
 _SWEEPS = 6  # of equilibration
 _WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
 _SUBSPACE = 6  # vectors of Lanczos' method, which starts from a vector that is nearly right
@@ -117,7 +118,9 @@ def filled(matrix: ca.DM) -> Array:
 
 
 def singular_values(matrix: Array) -> Array:
-    """Return the singular values of a matrix, largest first, from those of its independent parts."""
+    """Return the singular values of a matrix, largest first, from those of its independent parts if it is large."""
+    if max(matrix.shape) <= _WHOLE:
+        return np.asarray(np.linalg.svd(matrix, compute_uv=False))
     pattern = ca.Sparsity.triplet(*matrix.shape, *(indices.tolist() for indices in np.nonzero(matrix)))
     parts = [part for part in parts_of(pattern) if len(part.entries)]
     entries = matrix[places_of(pattern)][:, None]

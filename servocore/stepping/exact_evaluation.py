@@ -254,9 +254,9 @@ def along_path(problem: Problem, function: ca.Function, t: Array, *columns: Arra
 def _reads_path(function: ca.Function) -> bool:
     """Whether results of a function of (..., gamma, p) depend on gamma, which costs more than most functions.
 
-    Those of functions that call others do, and a Jacobian's pattern takes seconds where hundreds of parts are solved.
+    Solutions and functions that call others do; the pattern of their Jacobians takes longer than their compilation.
     """
-    if not function.is_a("SXFunction"):
+    if function.n_in() == 2 or not function.is_a("SXFunction"):
         return True
     symbols = function.sx_in()
     return bool(ca.depends_on(ca.veccat(*function.call(symbols)), symbols[-2]))

@@ -190,11 +190,8 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     gamma, p = array.system.gamma[:, : array.reference_order + 1], array.system.p
     givens, (equations, unknowns) = ca.vertcat(ca.vec(gamma), p), _equations(array)
     equations = replace(equations, givens=givens, guess=guess(gamma, p))
-    unrolled = compile_unrolled_solver("sc_array", equations, unknowns)
-    if unrolled is None:
-        return None
-    function = ca.Function("sc_flat_inversion", [gamma, p], unrolled.call([givens]))
-    return function if share * function.n_instructions() <= most else None
+    function = compile_unrolled_solver("sc_flat_inversion", equations, unknowns, [gamma, p])
+    return function if function is not None and share * function.n_instructions() <= most else None
 
 
 def _largest_share(array: DerivativeArray) -> float:
