@@ -29,7 +29,7 @@ from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import system_jacobian, system_jacobian_entries
 
 _SURVEY_POINTS = 201
-_STRIDE = 5  # of these instants between those of a first look
+_STRIDE = 8  # of these instants between those of a first look
 
 
 @dataclass(frozen=True)

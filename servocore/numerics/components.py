@@ -258,23 +258,23 @@ def isomorphic_parts(
     candidates = [part for same in square if len(same) > 1 for part in same]
     if not candidates:
         return []
-    depends = ca.jacobian_sparsity(ca.vertcat(residual, *beside), givens).T
+    every = ca.vertcat(residual, *beside)
+    depends = ca.jacobian_sparsity(every, givens).T
     starts, held, size = depends.colind(), depends.row(), unknowns.numel()
     groups: dict[str, list[tuple[Part, list[int]]]] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
         own = rows, *[columns] * (len(beside) - 1), rows
-        expressions = [vector[some] for vector, some in zip((residual, *beside), own, strict=True)]
         lines = [place * size + k for place, some in enumerate(own) for k in some]
         known = sorted({given for line in lines for given in held[starts[line] : starts[line + 1]]})
         # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
-        groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), []).append((part, known))
+        groups.setdefault(_text(every[lines], [unknowns[columns], givens[known]]), []).append((part, known))
     return [group for group in groups.values() if len(group) > 1]
 
 
-def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:
+def _text(expressions: ca.SX, symbols: list[ca.SX]) -> str:
     """Return expressions of symbols as a text that does not depend on the names of the symbols."""
     renamed = [ca.SX.sym("x", symbol.numel()) for symbol in symbols]
-    results = ca.Function("sc_part", symbols, expressions).call(renamed)
-    text: str = ca.Function("sc_part", renamed, results).serialize()
+    (results,) = ca.substitute([expressions], symbols, renamed)
+    text: str = ca.Function("sc_part", renamed, [results]).serialize()
     return text

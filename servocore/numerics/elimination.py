@@ -7,6 +7,7 @@ systems are solved as expressions: by Cramer's rule, determinants by Laplace's e
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Generic, TypeVar
 
@@ -75,13 +76,9 @@ class KnownValues(ABC, Generic[Value]):
     def linear_solution(self, matrix: ca.SX, right: ca.SX) -> Value:
         """Return the value of matrix^-1 right."""
 
-    def add_explicit(self, symbols: ca.SX, expressions: ca.SX) -> None:
-        """Add a column of unknowns as expressions of symbols that are known."""
-        self.explicit.append((symbols, self.resolved(expressions)[0]))
-
-    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Return `expressions` in terms of symbols with values and of unknowns not solved yet."""
-        return substituted(self.explicit, *expressions)
+    def resolved(self, *expressions: ca.SX, also: Sequence[tuple[ca.SX, ca.SX]] = ()) -> list[ca.SX]:
+        """Return `expressions` in terms of symbols with values and of unknowns not solved yet, `also` substituted."""
+        return substituted([*self.explicit, *also], *expressions)
 
     def final(self, outputs: list[ca.SX]) -> list[Value]:
         """Return the values of outputs once all unknowns are solved, dense."""
@@ -127,7 +124,7 @@ class WrittenOut(KnownValues[ca.SX]):
 
     def linear_solution(self, matrix: ca.SX, right: ca.SX) -> ca.SX:
         """See above."""
-        return symbolic_solution(*self.resolved(matrix, right))
+        return symbolic_solution(matrix, right)
 
     def final(self, outputs: list[ca.SX]) -> list[ca.SX]:
         """See above; NaN where a correction exceeds the tolerance."""

@@ -188,24 +188,24 @@ def _solve(known: KnownValues[Value], system: SquareSystem, givens: Value) -> No
     """Solve a system block by block for values of its givens; isomorphic parts are compiled once."""
     for group in system.alike:
         _solve_isomorphic(known, system, givens, group)
-    if not system.rest[0]:
-        return
-    if system.alike:
-        system = _part(system, *system.rest)
+    if system.rest[0]:
+        _solve_blocks(known, _part(system, *system.rest) if system.alike else system)
+
+
+def _solve_blocks(known: KnownValues[Value], system: SquareSystem) -> None:
+    """Solve a system block by block, whether or not it has independent parts."""
     system, constants = _without_constants(system)
-    for symbol, number in constants:
-        known.add_explicit(symbol, number)
+    known.explicit += constants
     for level in _levels(system, known.written_out):
         single = [block for block in level if len(block[0]) == 1]
         others = [block for block in level if len(block[0]) > 1]
         if len(single) > 1:
-            rows_and_unknowns = ([place for (place,) in places] for places in zip(*single, strict=True))
-            rest = _solve_single(known, _part(system, *rows_and_unknowns))
-            single = [single[k] for k in rest]
+            rows, columns = ([place for (place,) in places] for places in zip(*single, strict=True))
+            single = [single[k] for k in _solve_single(known, system.residual[rows], system.unknowns[columns])]
         for block in chain(single, others):
             if known.written_out and len(block[0]) > _MOST_UNROLLED:
                 raise _TooLargeError
-            _solve_block(known, _part(system, *block))
+            _solve_block(known, system, *block)
 
 
 def _solve_isomorphic(
@@ -216,7 +216,7 @@ def _solve_isomorphic(
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[given])
     arguments = inner.arguments(part.givens)
-    _solve(inner, part, arguments)
+    _solve_blocks(inner, part)
     outputs = [part.unknowns]
     if known.written_out:
         # The residual shares most operations with the solution, but those are looked for in parts only.
@@ -244,8 +244,8 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
         rows, columns = places_of(pattern)
         alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
         held = system.residual[rows[alone].tolist()]
-        slopes = own_slopes(without_jumps(held), system.unknowns)
-        at_zero = ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel()))
+        slopes = ca.vertsplit(own_slopes(without_jumps(held), system.unknowns))
+        at_zero = ca.vertsplit(ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel())))
         explicit: dict[int, tuple[int, ca.SX]] = {}
         for k, (i, j) in enumerate(zip(rows[alone].tolist(), columns[alone].tolist(), strict=True)):
             if slopes[k].is_constant() and at_zero[k].is_constant():
@@ -291,39 +291,38 @@ def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], 
     return [levels[level] for level in sorted(levels)]
 
 
-def _solve_single(known: KnownValues[Value], rows: SquareSystem) -> list[int]:
+def _solve_single(known: KnownValues[Value], residual: ca.SX, unknowns: ca.SX) -> list[int]:
     """Solve rows with one unknown each that are linear in it, all at once; return the others.
 
     Derivatives, substitutions and tests cost as much for one row of equations as for all of them: rows of
     derivative arrays share most operations.
     """
-    unknowns, residual = rows.unknowns, rows.residual
     slopes = own_slopes(residual, unknowns)
     nonlinear = nonlinear_rows(residual, unknowns, slopes)
     linear = [k for k in range(unknowns.numel()) if k not in nonlinear]
     if linear:
-        constant = ca.substitute(residual[linear], unknowns[linear], ca.SX.zeros(len(linear)))
-        slopes, constant = known.resolved(slopes[linear], constant)
-        known.add_explicit(unknowns[linear], -(constant / slopes))
+        unknowns, zeros = unknowns[linear], ca.SX.zeros(len(linear))
+        slopes, constant = known.resolved(slopes[linear], residual[linear], also=[(unknowns, zeros)])
+        known.explicit.append((unknowns, -(constant / slopes)))
         known.linear_blocks += len(linear)
     return sorted(nonlinear)
 
 
-def _solve_block(known: KnownValues[Value], block: SquareSystem) -> None:
-    unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
+def _solve_block(known: KnownValues[Value], system: SquareSystem, rows: list[int], columns: list[int]) -> None:
+    unknowns, residual, size = system.unknowns[columns], system.residual[rows], len(rows)
     jacobian = ca.jacobian(residual, unknowns)
     if not is_linear(residual, unknowns, jacobian):
         known.evaluate_explicit()
-        _solve_nonlinear(known, block)
+        _solve_nonlinear(known, _part(system, rows, columns))
         return
-    constant = ca.substitute(residual, unknowns, ca.SX.zeros(size))
     known.linear_blocks += 1
-    if size <= _EXPLICIT_SIZE:
-        jacobian, constant = known.resolved(jacobian, constant)
-        known.add_explicit(unknowns, -symbolic_solution(jacobian, constant))
-        return
-    known.evaluate_explicit()
-    known.add_values(unknowns, known.linear_solution(jacobian, -constant))
+    if size > _EXPLICIT_SIZE:
+        known.evaluate_explicit()
+    jacobian, constant = known.resolved(jacobian, residual, also=[(unknowns, ca.SX.zeros(size))])
+    if size > _EXPLICIT_SIZE:
+        known.add_values(unknowns, known.linear_solution(jacobian, -constant))
+    else:
+        known.explicit.append((unknowns, -symbolic_solution(jacobian, constant)))
 
 
 def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
@@ -334,8 +333,9 @@ def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
         known.add_values(block.unknowns, _iterated_once(known, block))
     elif isinstance(known, CompiledValues):
         known.add_values(block.unknowns, _iterated(known, block))
-    for symbol, expression in torn:
-        known.add_explicit(symbol, expression)
+    if torn:
+        symbols, expressions = (ca.vertcat(*column) for column in zip(*torn, strict=True))
+        known.explicit.append((symbols, known.resolved(expressions)[0]))
 
 
 def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
@@ -365,7 +365,7 @@ def _iterated_once(known: WrittenOut, block: SquareSystem) -> ca.SX:
     correction = symbolic_solution(jacobian, residual)
     moved = ca.sumsqr(correction / block.unknown_scale)
     (start,) = known.resolved(block.guess)
-    solution, squared = substituted([*known.explicit, (unknowns, start)], better - correction, moved)
+    solution, squared = known.resolved(better - correction, moved, also=[(unknowns, start)])
     known.iterations.append(ca.SX(1))
     known.corrections.append(squared)
     return solution
