@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -20,14 +21,15 @@ from servocore.checks.motion import motion_of
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import at_instants
-from servocore.numerics.components import condition_numbers
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.components import Part, condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import system_jacobian, system_jacobian_entries
 
 _SURVEY_POINTS = 201
+_STRIDE = 8  # of these instants between those of a first look
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,23 @@ def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: 
     )
 
 
+def _largest_conditions(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the condition numbers of a sparse matrix from its entries (nnz, N) at instants, zero where not computed.
+
+    They take most of the analysis of a large system. Along a path they vary smoothly, but for singular instants, which
+    are peaks as well: between the instants of a first look those beside its local maxima are computed.
+    """
+    computed, conditions = np.arange(entries.shape[1]) % _STRIDE == 0, np.zeros(entries.shape[1])
+    conditions[computed] = first = condition_numbers(parts, entries[:, computed])
+    peaks = (first > np.append(0.0, first[:-1])) & (first >= np.append(first[1:], 0.0))
+    left = np.asarray(~np.isfinite(entries).all(axis=0))
+    for peak in _STRIDE * np.flatnonzero(peaks):
+        left[max(peak - _STRIDE, 0) : peak + _STRIDE] = True
+    left &= ~computed
+    conditions[left] = condition_numbers(parts, entries[:, left])
+    return conditions
+
+
 def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     """Return the worst condition of the system Jacobian and, if there is one, why or where the path is singular."""
     array, reference = problem.array, problem.reference
@@ -191,7 +210,7 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
             unknowns = motion.states
             rank_loss = "; ".join(str(each) for each in motion.passages if each.of_constraints)
     entries, parts = system_jacobian_entries(problem.array)
-    conditions = condition_numbers(parts, at_instants(entries, unknowns, jets=jets, p=problem.p)[0])
+    conditions = _largest_conditions(parts, at_instants(entries, unknowns, jets=jets, p=problem.p)[0])
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
         matrix = np.asarray(system_jacobian(problem.array)(unknowns[:, k], jets[k].T, problem.p))

@@ -106,7 +106,7 @@ def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units() -> N
     x, right = ca.SX.sym("x", size), ca.SX.sym("right", size)
     ones = ca.SX.ones(size)
     system = SquareSystem(x, right, ca.mtimes(ca.SX(matrix), x) - right, ca.SX.zeros(size), ones, ones)
-    unrolled = compile_unrolled_solver("sc_flat", system, [x])
+    unrolled = compile_unrolled_solver("sc_flat", system, [x], [right])
     assert unrolled is not None
     expected = np.array([0.3, -1.1, 0.7, 2.0, -0.4])
     np.testing.assert_allclose(np.asarray(unrolled(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)

@@ -110,17 +110,15 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
         instants = zip(*(column.T for column in columns), jets, strict=True)
         each = [call_of(function)(*states, jet.T, p) for *states, jet in instants]
         return tuple(np.column_stack(results) for results in zip(*each, strict=True))
-    along = (True,) * (function.n_in() - 1) + (False,)
-    results = mapped(function, len(jets), along)(*columns, side_by_side(jets), p)
+    results = mapped(function, len(jets))(*columns, side_by_side(jets), np.tile(p[:, None], len(jets)))
     sizes = [(function.size1_out(k), function.size2_out(k) * len(jets)) for k in range(function.n_out())]
     return tuple(result.reshape(size, order="F") for result, size in zip(results, sizes, strict=True))
 
 
 @made_once  # to build these costs more than to evaluate them, and runs of one length follow one another
-def mapped(function: ca.Function, count: int, along: tuple[bool, ...] | None = None) -> Call:
-    """Return a function of `count` instants side by side; `along` marks the arguments that vary, None for all."""
-    shared = [k for k, varies in enumerate(along or ()) if not varies]
-    return Call(function.map(f"{function.name()}_map", "serial", count, shared, []))
+def mapped(function: ca.Function, count: int) -> Call:
+    """Return a function of `count` instants side by side."""
+    return Call(function.map(count))
 
 
 @made_once

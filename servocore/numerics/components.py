@@ -23,6 +23,7 @@ Product = Callable[[Array], Array]
 LARGE = 128
 """Rows from which on sparse factors replace singular values."""
 
+_WHOLE = 32  # rows and columns of matrices that are decomposed in less time than their parts are found
 _SWEEPS = 6  # of equilibration
 _WELL_CONDITIONED = 1e10  # condition of J J^T up to which its factors serve
 _SUBSPACE = 6  # vectors of Lanczos' method, which starts from a vector that is nearly right
@@ -117,7 +118,9 @@ def filled(matrix: ca.DM) -> Array:
 
 
 def singular_values(matrix: Array) -> Array:
-    """Return the singular values of a matrix, largest first, from those of its independent parts."""
+    """Return the singular values of a matrix, largest first, from those of its independent parts if it is large."""
+    if max(matrix.shape) <= _WHOLE:
+        return np.asarray(np.linalg.svd(matrix, compute_uv=False))
     pattern = ca.Sparsity.triplet(*matrix.shape, *(indices.tolist() for indices in np.nonzero(matrix)))
     parts = [part for part in parts_of(pattern) if len(part.entries)]
     entries = matrix[places_of(pattern)][:, None]
@@ -255,23 +258,23 @@ def isomorphic_parts(
     candidates = [part for same in square if len(same) > 1 for part in same]
     if not candidates:
         return []
-    depends = ca.jacobian_sparsity(ca.vertcat(residual, *beside), givens).T
+    every = ca.vertcat(residual, *beside)
+    depends = ca.jacobian_sparsity(every, givens).T
     starts, held, size = depends.colind(), depends.row(), unknowns.numel()
     groups: dict[str, list[tuple[Part, list[int]]]] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
         own = rows, *[columns] * (len(beside) - 1), rows
-        expressions = [vector[some] for vector, some in zip((residual, *beside), own, strict=True)]
         lines = [place * size + k for place, some in enumerate(own) for k in some]
         known = sorted({given for line in lines for given in held[starts[line] : starts[line + 1]]})
         # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
-        groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), []).append((part, known))
+        groups.setdefault(_text(every[lines], [unknowns[columns], givens[known]]), []).append((part, known))
     return [group for group in groups.values() if len(group) > 1]
 
 
-def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:
+def _text(expressions: ca.SX, symbols: list[ca.SX]) -> str:
     """Return expressions of symbols as a text that does not depend on the names of the symbols."""
     renamed = [ca.SX.sym("x", symbol.numel()) for symbol in symbols]
-    results = ca.Function("sc_part", symbols, expressions).call(renamed)
-    text: str = ca.Function("sc_part", renamed, results).serialize()
+    (results,) = ca.substitute([expressions], symbols, renamed)
+    text: str = ca.Function("sc_part", renamed, [results]).serialize()
     return text

@@ -6,7 +6,10 @@ systems are solved as expressions: by Cramer's rule, determinants by Laplace's e
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -14,6 +17,7 @@ import numpy.typing as npt
 
 from servocore.numerics.components import filled
 from servocore.numerics.memoization import made_once
+from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.numerics.step_operations import without_jumps
 
 _LARGEST = 6  # rows to develop determinants of: each one more doubles the minors
@@ -21,91 +25,162 @@ _DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many produ
 _FILL = 0  # a substitution must not leave more entries than it removes
 
 _Columns = int  # their bits
+Value = TypeVar("Value", ca.SX, ca.MX)
 
 
 @dataclass(eq=False)
-class KnownValues:
-    """Symbols with values in a compiled graph, and unknowns that are expressions of these, not yet evaluated.
-
-    Every compiled function takes only the symbols that it needs, so that the cost of a system of many parts is the sum
-    of their costs.
+class KnownValues(ABC, Generic[Value]):
+    """Unknowns solved so far, as expressions of symbols with values.
 
     Attributes
     ----------
-    explicit : dict of int to (casadi.SX, casadi.SX)
-        By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
-    iterations : list of casadi.MX
+    explicit : list of (casadi.SX, casadi.SX)
+        Columns of symbols, and their expressions in symbols with values.
+    iterations : list of casadi.SX or casadi.MX
         Iteration counts of Newton's method.
-    isomorphic_counts : list of casadi.MX
+    isomorphic_counts : list of casadi.SX or casadi.MX
         Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
-    corrections : list of casadi.MX
-        Squared scaled corrections of guesses that should be exact.
+    residuals : list of casadi.SX or casadi.MX
+        Largest scaled residuals of isomorphic parts, shape (1, parts) each.
     linear_blocks : int
         Number of blocks solved without iterations.
-    residuals : list of casadi.MX
-        Largest scaled residuals of isomorphic parts, shape (1, parts) each.
+    written_out : bool
+        Whether all unknowns are expressions, with one Newton iteration in place of many.
     """
 
-    explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
-    iterations: list[ca.MX] = field(default_factory=list)
-    isomorphic_counts: list[ca.MX] = field(default_factory=list)
-    corrections: list[ca.MX] = field(default_factory=list)
+    written_out: ClassVar[bool]
+
+    explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)
+    iterations: list[Value] = field(default_factory=list)
+    isomorphic_counts: list[Value] = field(default_factory=list)
+    residuals: list[Value] = field(default_factory=list)
     linear_blocks: int = 0
-    residuals: list[ca.MX] = field(default_factory=list)
-    _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
-    _places: dict[int, tuple[int, int]] = field(default_factory=dict)
 
-    def add_values(self, symbols: ca.SX, values: ca.MX) -> None:
+    @abstractmethod
+    def arguments(self, givens: ca.SX) -> Value:
+        """Return the values of the givens of a system: the arguments of its solver."""
+
+    @abstractmethod
+    def add_values(self, symbols: ca.SX, values: Value) -> None:
         """Add a column of symbols with their values."""
-        for position, symbol in enumerate(ca.vertsplit(symbols) if symbols.numel() else ()):
-            self._places[symbol.element_hash()] = len(self._pieces), position
-        self._pieces.append((symbols, values))
 
-    def add_explicit(self, symbols: ca.SX, expressions: ca.SX) -> None:
-        """Add a column of unknowns as expressions of symbols that are known."""
-        (resolved,) = self.resolved(expressions)
-        for symbol, expression in zip(ca.vertsplit(symbols), ca.vertsplit(resolved), strict=True):
-            self.explicit[symbol.element_hash()] = symbol, expression
+    @abstractmethod
+    def evaluated(self, name: str, *expressions: ca.SX) -> list[Value]:
+        """Return the values of `expressions` of solved unknowns, by a function of this name if by one."""
 
-    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Return `expressions` in terms of evaluated symbols and of unknowns not solved yet."""
-        pairs = [self.explicit[key] for key in _symbols(expressions) if key in self.explicit]
-        return substituted(pairs, *expressions)
-
+    @abstractmethod
     def evaluate_explicit(self) -> None:
         """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
-        if self.explicit:
-            # All at once in one function: their common subexpressions are computed once.
-            symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit.values(), strict=True))
-            self.explicit = {}
-            self.add_values(symbols, *self.evaluated("sc_explicit", expressions))
 
-    def evaluated(self, name: str, *expressions: ca.SX, common: bool = True) -> list[ca.MX]:
-        """Return the values of `expressions` of evaluated symbols, by one compiled function.
+    @abstractmethod
+    def linear_solution(self, matrix: ca.SX, right: ca.SX) -> Value:
+        """Return the value of matrix^-1 right."""
 
-        With `common`, common subexpressions are computed once.
-        """
-        symbols, values = self.needed(*expressions)
-        results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
-        return results
+    def resolved(self, *expressions: ca.SX, also: Sequence[tuple[ca.SX, ca.SX]] = ()) -> list[ca.SX]:
+        """Return `expressions` in terms of symbols with values and of unknowns not solved yet, `also` substituted."""
+        return substituted([*self.explicit, *also], *expressions)
 
-    def final(self, outputs: list[ca.SX], *, common: bool = True) -> list[ca.MX]:
+    def final(self, outputs: list[ca.SX]) -> list[Value]:
         """Return the values of outputs once all unknowns are solved, dense."""
-        return self.evaluated("sc_finish", *map(ca.densify, self.resolved(*outputs)), common=common)
+        return self.evaluated("sc_finish", *map(ca.densify, outputs))
 
-    def counts(self) -> ca.MX:
+    def counts(self) -> Value:
         """Return the iterations of the slowest block, and the factorizations of all."""
-        most, total = ca.MX(0), ca.MX(self.linear_blocks)
+        most, total = self.evaluated("sc_counts", ca.SX(0), ca.SX(self.linear_blocks))
         for count in self.iterations:
             most, total = ca.fmax(most, count), total + count
         for counts in self.isomorphic_counts:
             most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
         return ca.vertcat(most, total)
 
+
+@dataclass(eq=False)
+class WrittenOut(KnownValues[ca.SX]):
+    """Unknowns as expressions of the givens: a function of them is compiled once all are solved.
+
+    Attributes
+    ----------
+    corrections : list of casadi.SX
+        Squared scaled corrections of guesses that should be exact.
+    """
+
+    written_out = True
+    corrections: list[ca.SX] = field(default_factory=list)
+
+    def arguments(self, givens: ca.SX) -> ca.SX:
+        """See above."""
+        return givens
+
+    def add_values(self, symbols: ca.SX, values: ca.SX) -> None:
+        """See above."""
+        self.explicit.append((symbols, values))
+
+    def evaluated(self, name: str, *expressions: ca.SX) -> list[ca.SX]:  # noqa: ARG002
+        """See above; nothing is evaluated."""
+        return self.resolved(*expressions)
+
+    def evaluate_explicit(self) -> None:
+        """See above; nothing is evaluated."""
+
+    def linear_solution(self, matrix: ca.SX, right: ca.SX) -> ca.SX:
+        """See above."""
+        return symbolic_solution(matrix, right)
+
+    def final(self, outputs: list[ca.SX]) -> list[ca.SX]:
+        """See above; NaN where a correction exceeds the tolerance."""
+        results = super().final(outputs)
+        if not self.corrections:
+            return results
+        # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
+        exact = ca.sum1(ca.vertcat(*self.corrections)) < NEWTON_TOLERANCE**2
+        return [result + ca.if_else(exact, 0.0, np.nan) for result in results]
+
+
+@dataclass(eq=False)
+class CompiledValues(KnownValues[ca.MX]):
+    """Unknowns by compiled functions, each of the symbols that it needs: many parts cost the sum of their costs."""
+
+    written_out = False
+    _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
+    _places: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def arguments(self, givens: ca.SX) -> ca.MX:
+        """See above."""
+        values = ca.MX.sym("givens", givens.numel())
+        self.add_values(givens, values)
+        return values
+
+    def add_values(self, symbols: ca.SX, values: ca.MX) -> None:
+        """See above."""
+        for position, symbol in enumerate(ca.vertsplit(symbols) if symbols.numel() else ()):
+            self._places[symbol.element_hash()] = len(self._pieces), position
+        self._pieces.append((symbols, values))
+
+    def evaluated(self, name: str, *expressions: ca.SX) -> list[ca.MX]:
+        """See above; their common subexpressions are computed once."""
+        resolved = self.resolved(*expressions)
+        symbols, values = self.needed(*resolved)
+        results: list[ca.MX] = ca.Function(name, [symbols], resolved, {"cse": True}).call([values])
+        return results
+
+    def evaluate_explicit(self) -> None:
+        """See above."""
+        if self.explicit:
+            # All at once in one function: their common subexpressions are computed once.
+            symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit, strict=True))
+            self.explicit = []
+            self.add_values(symbols, *self.evaluated("sc_explicit", expressions))
+
+    def linear_solution(self, matrix: ca.SX, right: ca.SX) -> ca.MX:
+        """See above, by a sparse QR factorization."""
+        left, side = self.evaluated("sc_linear", matrix, right)
+        return ca.solve(left, side, "qr")
+
     def needed(self, *expressions: ca.SX) -> tuple[ca.SX, ca.MX]:
         """Return the evaluated symbols in `expressions`, and their values."""
+        keys = (symbol.element_hash() for symbol in ca.symvar(ca.veccat(*expressions)))
         wanted: dict[int, list[int]] = {}
-        for piece, position in sorted(self._places[key] for key in _symbols(expressions) if key in self._places):
+        for piece, position in sorted(self._places[key] for key in keys if key in self._places):
             wanted.setdefault(piece, []).append(position)
         symbols, values = [ca.SX(0, 1)], [ca.MX(0, 1)]
         for piece, positions in wanted.items():
@@ -121,14 +196,9 @@ def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[c
     """Return `expressions` with all pairs of (symbol, replacement) substituted at once."""
     if not pairs:
         return list(expressions)
-    symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
-    results: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
+    symbols, values = zip(*pairs, strict=True)
+    results: list[ca.SX] = ca.substitute(list(expressions), symbols, values)
     return results
-
-
-def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:
-    """Return the hashes of the symbols in expressions."""
-    return [symbol.element_hash() for symbol in ca.symvar(ca.veccat(*expressions))]
 
 
 def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[tuple[ca.SX, ca.SX]]]:

@@ -34,8 +34,8 @@ def time_derivative(expression: ca.SX, *jets: ca.SX) -> ca.SX:
         Symbols, each column the derivative of the one before.
     """
     # Chain rule: each column of a jet has the next one as its rate.
-    terms = (ca.jtimes(expression, ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])) for jet in jets)
-    return sum(terms, ca.SX.zeros(expression.shape))
+    values, rates = (ca.veccat(*[jet[:, some] for jet in jets]) for some in (slice(None, -1), slice(1, None)))
+    return ca.jtimes(expression, values, rates)
 
 
 def as_expression(value: object, what: str) -> ca.SX:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,10 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.numerics.components import Part, isomorphic_parts, places_of
 from servocore.numerics.elimination import (
+    CompiledValues,
     KnownValues,
+    Value,
+    WrittenOut,
     is_linear,
     nonlinear_rows,
     own_slopes,
@@ -91,28 +95,42 @@ class SquareSystem:
         return np.flatnonzero(left[0]).tolist(), np.flatnonzero(left[1]).tolist()
 
 
-def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
+def compile_unrolled_solver(
+    name: str, system: SquareSystem, outputs: list[ca.SX], arguments: list[ca.SX]
+) -> ca.Function | None:
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
     Its results hold where the guess is exact; they are NaN where the iteration corrects it by more than the tolerance.
     An expression avoids the interpreter's function calls, most of the cost of a small block. Common subexpressions are
     looked for in one of isomorphic parts, which takes seconds in a hundred of them.
 
+    Parameters
+    ----------
+    name, system, outputs
+        See `compile_solver`.
+    arguments : list of casadi.SX
+        Symbols of which the givens consist.
+
     Returns
     -------
     casadi.Function or None
-        None if a block is too large to be written out.
+        arguments -> the results of `compile_solver`; None if a block is too large to be written out.
     """
+    known = WrittenOut()
     with suppress(_TooLargeError):
-        function = compile_solver(name, system, outputs, unrolled=True).expand()
-        return _without_repetitions(function) if system.rest[0] else function
+        _solve(known, system, system.givens)
+        *results, residual = known.final([*outputs, _worst(system, system.rest[0])])
+        for others in known.residuals:
+            # A sum that is NaN shows in no maximum.
+            residual = ca.fmax(residual, ca.mmax(others)) + 0.0 * ca.sum2(others)
+        results += [known.counts(), residual]
+        return ca.Function(name, arguments, results, {"cse": bool(system.rest[0])})
     return None
 
 
-def _without_repetitions(function: ca.Function) -> ca.Function:
-    """Return a function of expressions without common subexpressions."""
-    symbols = function.sx_in()
-    return ca.Function(function.name(), symbols, function.call(symbols), {"cse": True})
+def _worst(system: SquareSystem, rows: list[int]) -> ca.SX:
+    """Return the largest scaled residual of some rows."""
+    return largest(system.residual[rows] / system.residual_scale[rows])
 
 
 def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -123,17 +141,15 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
     casadi.Function or None
         None if some block is nonlinear, or too large to be written out.
     """
-    givens = ca.MX.sym("givens", system.givens.numel())
+    known = WrittenOut()
     with suppress(_TooLargeError):
-        known = _solved(system, givens, unrolled=True)
+        _solve(known, system, system.givens)
         if not known.iterations and not known.isomorphic_counts:
-            return ca.Function(name, [givens], known.final(outputs)).expand()
+            return ca.Function(name, [system.givens], known.final(outputs))
     return None
 
 
-def compile_solver(
-    name: str, system: SquareSystem, outputs: list[ca.SX], *, unrolled: bool = False, checked: bool = True
-) -> ca.Function:
+def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, checked: bool = True) -> ca.Function:
     r"""Compile `system` into a function that solves it.
 
     Parameters
@@ -144,8 +160,6 @@ def compile_solver(
         The equations; must be structurally nonsingular.
     outputs : list of casadi.SX
         Expressions of unknowns and givens to return.
-    unrolled : bool
-        See `compile_unrolled_solver`.
     checked : bool
         Whether to return the counts and the residual as well: to evaluate all equations once more takes a third of the
         time of a step. Outputs are NaN where Newton's method fails in any case.
@@ -161,76 +175,61 @@ def compile_solver(
     InvalidModel
         If the equations are structurally singular.
     """
-    givens = ca.MX.sym("givens", system.givens.numel())
-    known = _solved(system, givens, unrolled)
+    known = CompiledValues()
+    givens = known.arguments(system.givens)
+    _solve(known, system, givens)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
-    rows = system.rest[0] if unrolled else list(range(system.unknowns.numel()))
-    worst = largest(system.residual[rows] / system.residual_scale[rows])
-    *results, residual = known.final([*outputs, worst], common=not unrolled)
-    for others in known.residuals:
-        # A sum that is NaN shows in no maximum.
-        residual = ca.fmax(residual, ca.mmax(others)) + 0.0 * ca.sum2(others)
-    if known.corrections:
-        # At the end, outside the critical path. A sum of squares that is NaN is below no tolerance.
-        exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
-        verdict = ca.if_else(exact, 0.0, np.nan)
-        *results, residual = (result + verdict for result in (*results, residual))
+    *results, residual = known.final([*outputs, _worst(system, list(range(system.unknowns.numel())))])
     return ca.Function(name, [givens], [*results, known.counts(), residual])
 
 
-def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
+def _solve(known: KnownValues[Value], system: SquareSystem, givens: Value) -> None:
     """Solve a system block by block for values of its givens; isomorphic parts are compiled once."""
-    known = KnownValues()
-    known.add_values(system.givens, givens)
     for group in system.alike:
-        _solve_isomorphic(known, system, givens, group, unrolled)
-    if not system.rest[0]:
-        return known
-    if system.alike:
-        system = _part(system, *system.rest)
+        _solve_isomorphic(known, system, givens, group)
+    if system.rest[0]:
+        _solve_blocks(known, _part(system, *system.rest) if system.alike else system)
+
+
+def _solve_blocks(known: KnownValues[Value], system: SquareSystem) -> None:
+    """Solve a system block by block, whether or not it has independent parts."""
     system, constants = _without_constants(system)
-    for symbol, number in constants:
-        known.add_explicit(symbol, number)
-    for level in _levels(system, unrolled):
+    known.explicit += constants
+    for level in _levels(system, known.written_out):
         single = [block for block in level if len(block[0]) == 1]
         others = [block for block in level if len(block[0]) > 1]
         if len(single) > 1:
-            rows_and_unknowns = ([place for (place,) in places] for places in zip(*single, strict=True))
-            rest = _solve_single(known, _part(system, *rows_and_unknowns))
-            single = [single[k] for k in rest]
-        for block in (*single, *others):
-            if unrolled and len(block[0]) > _MOST_UNROLLED:
+            rows, columns = ([place for (place,) in places] for places in zip(*single, strict=True))
+            single = [single[k] for k in _solve_single(known, system.residual[rows], system.unknowns[columns])]
+        for block in chain(single, others):
+            if known.written_out and len(block[0]) > _MOST_UNROLLED:
                 raise _TooLargeError
-            _solve_block(known, _part(system, *block), unrolled)
-    return known
+            _solve_block(known, system, *block)
 
 
 def _solve_isomorphic(
-    known: KnownValues, system: SquareSystem, givens: ca.MX, group: list[tuple[Part, list[int]]], unrolled: bool
+    known: KnownValues[Value], system: SquareSystem, givens: Value, group: list[tuple[Part, list[int]]]
 ) -> None:
     """Solve isomorphic parts by one function, mapped."""
-    (first, given), count = group[0], len(group)
+    (first, given), count, inner = group[0], len(group), type(known)()
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[given])
-    part_givens = ca.MX.sym("givens", len(given))
-    inner = _solved(part, part_givens, unrolled)
-    # Of an expression, the residual shares most operations with the solution, but those are looked for in parts only.
-    worst = [largest(part.residual / part.residual_scale)] if unrolled else []
-    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns, *worst))
-    moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.corrections))
-    solve = ca.Function("sc_alike", [part_givens], [inner.counts(), moved, *values])
-    if unrolled:
-        solve = _without_repetitions(solve.expand())
-    counts, squared, solved, *residuals = solve.map(count)(
-        ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
-    )
-    known.residuals += residuals
+    arguments = inner.arguments(part.givens)
+    _solve_blocks(inner, part)
+    outputs = [part.unknowns]
+    if known.written_out:
+        # The residual shares most operations with the solution, but those are looked for in parts only.
+        outputs.append(_worst(part, list(range(len(first.rows)))))
+    results = inner.final(outputs)
+    results.append(inner.counts())
+    solve = ca.Function("sc_alike", [arguments], results, {"cse": known.written_out}).map(count)
+    every = ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
+    solved = solve.call([every])
     columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
-    known.add_values(system.unknowns[columns], ca.vec(solved))
-    known.isomorphic_counts.append(counts)
-    if inner.corrections:
-        known.corrections.append(ca.sum2(squared))
+    known.add_values(system.unknowns[columns], ca.vec(solved[0]))
+    known.residuals += solved[1:-1]
+    known.isomorphic_counts.append(solved[-1])
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -245,8 +244,8 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
         rows, columns = places_of(pattern)
         alone = np.flatnonzero(np.bincount(rows, minlength=system.unknowns.numel())[rows] == 1)
         held = system.residual[rows[alone].tolist()]
-        slopes = own_slopes(without_jumps(held), system.unknowns)
-        at_zero = ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel()))
+        slopes = ca.vertsplit(own_slopes(without_jumps(held), system.unknowns))
+        at_zero = ca.vertsplit(ca.substitute(held, system.unknowns, ca.SX.zeros(system.unknowns.numel())))
         explicit: dict[int, tuple[int, ca.SX]] = {}
         for k, (i, j) in enumerate(zip(rows[alone].tolist(), columns[alone].tolist(), strict=True)):
             if slopes[k].is_constant() and at_zero[k].is_constant():
@@ -292,56 +291,54 @@ def _levels(system: SquareSystem, unrolled: bool) -> list[list[tuple[list[int], 
     return [levels[level] for level in sorted(levels)]
 
 
-def _solve_single(known: KnownValues, rows: SquareSystem) -> list[int]:
+def _solve_single(known: KnownValues[Value], residual: ca.SX, unknowns: ca.SX) -> list[int]:
     """Solve rows with one unknown each that are linear in it, all at once; return the others.
 
     Derivatives, substitutions and tests cost as much for one row of equations as for all of them: rows of
     derivative arrays share most operations.
     """
-    unknowns, residual = rows.unknowns, rows.residual
     slopes = own_slopes(residual, unknowns)
     nonlinear = nonlinear_rows(residual, unknowns, slopes)
     linear = [k for k in range(unknowns.numel()) if k not in nonlinear]
     if linear:
-        constant = ca.substitute(residual[linear], unknowns[linear], ca.SX.zeros(len(linear)))
-        slopes, constant = known.resolved(slopes[linear], constant)
-        known.add_explicit(unknowns[linear], -(constant / slopes))
+        unknowns, zeros = unknowns[linear], ca.SX.zeros(len(linear))
+        slopes, constant = known.resolved(slopes[linear], residual[linear], also=[(unknowns, zeros)])
+        known.explicit.append((unknowns, -(constant / slopes)))
         known.linear_blocks += len(linear)
     return sorted(nonlinear)
 
 
-def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
-    unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
+def _solve_block(known: KnownValues[Value], system: SquareSystem, rows: list[int], columns: list[int]) -> None:
+    unknowns, residual, size = system.unknowns[columns], system.residual[rows], len(rows)
     jacobian = ca.jacobian(residual, unknowns)
     if not is_linear(residual, unknowns, jacobian):
         known.evaluate_explicit()
-        _solve_nonlinear(known, block, unrolled)
+        _solve_nonlinear(known, _part(system, rows, columns))
         return
-    constant = ca.substitute(residual, unknowns, ca.SX.zeros(size))
     known.linear_blocks += 1
-    if size <= _EXPLICIT_SIZE:
-        jacobian, constant = known.resolved(jacobian, constant)
-        known.add_explicit(unknowns, -symbolic_solution(jacobian, constant))
-        return
-    known.evaluate_explicit()
-    if unrolled:
-        (values,) = known.evaluated("sc_linear", symbolic_solution(jacobian, -constant))
+    if size > _EXPLICIT_SIZE:
+        known.evaluate_explicit()
+    jacobian, constant = known.resolved(jacobian, residual, also=[(unknowns, ca.SX.zeros(size))])
+    if size > _EXPLICIT_SIZE:
+        known.add_values(unknowns, known.linear_solution(jacobian, -constant))
     else:
-        matrix, right = known.evaluated("sc_linear", jacobian, -constant)
-        values = ca.solve(matrix, right, "qr")
-    known.add_values(unknowns, values)
+        known.explicit.append((unknowns, -symbolic_solution(jacobian, constant)))
 
 
-def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
+def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
     core, kept_rows, torn = tear(block.unknowns, block.residual)
     block = _part(block, kept_rows, core)
     block = replace(block, residual=substituted(torn, block.residual)[0])
-    known.add_values(block.unknowns, (_iterated_once if unrolled else _iterated)(known, block))
-    for symbol, expression in torn:
-        known.add_explicit(symbol, expression)
+    if isinstance(known, WrittenOut):
+        known.add_values(block.unknowns, _iterated_once(known, block))
+    elif isinstance(known, CompiledValues):
+        known.add_values(block.unknowns, _iterated(known, block))
+    if torn:
+        symbols, expressions = (ca.vertcat(*column) for column in zip(*torn, strict=True))
+        known.explicit.append((symbols, known.resolved(expressions)[0]))
 
 
-def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
+def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
     """Return the solution by Newton's method, NaN if it does not converge."""
     unknown_scale, residual_scale = block.unknown_scale, block.residual_scale
     start, scale = known.evaluated("sc_prepare", block.guess / unknown_scale, unknown_scale)
@@ -359,7 +356,7 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     return root[:size] * scale * verdict
 
 
-def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
+def _iterated_once(known: WrittenOut, block: SquareSystem) -> ca.SX:
     """Return a guess after one Newton iteration; `compile_solver` compares the correction with the tolerance."""
     unknowns = block.unknowns
     better = _with_forces(block)
@@ -367,11 +364,9 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     residual, jacobian = ca.substitute([block.residual, jacobian], [unknowns], [better])
     correction = symbolic_solution(jacobian, residual)
     moved = ca.sumsqr(correction / block.unknown_scale)
-    (start,) = known.evaluated("sc_prepare", block.guess)
-    symbols, values = known.needed(block.residual, block.unknown_scale)
-    iterate = ca.Function("sc_iterate", [symbols, unknowns], [better - correction, moved], {"cse": True})
-    solution, squared = iterate(values, start)
-    known.iterations.append(ca.MX(1))
+    (start,) = known.resolved(block.guess)
+    solution, squared = known.resolved(better - correction, moved, also=[(unknowns, start)])
+    known.iterations.append(ca.SX(1))
     known.corrections.append(squared)
     return solution
 

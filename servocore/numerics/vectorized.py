@@ -96,8 +96,9 @@ class Vectorized:
         parts = []
         for k in range(0, count, _AT_ONCE):
             size = min(_AT_ONCE, count - k)
-            some = (a[:, k : k + size] if along else a for a, along in zip(arguments, self._along, strict=True))
-            results = mapped(self.function, size, self._along)(*some)
+            pairs = zip(arguments, self._along, strict=True)
+            some = (a[:, k : k + size] if along else np.tile(a[:, None], size) for a, along in pairs)
+            results = mapped(self.function, size)(*some)
             parts.append([result.reshape(-1, size, order="F") for result in results])
         return [np.concatenate(of_parts, axis=1) for of_parts in zip(*parts, strict=True)] if parts[1:] else parts[0]
 

@@ -252,9 +252,14 @@ def along_path(problem: Problem, function: ca.Function, t: Array, *columns: Arra
 
 @made_once
 def _reads_path(function: ca.Function) -> bool:
-    """Whether results of a function of (..., gamma, p) depend on gamma, which costs more than most functions."""
-    place = function.n_in() - 2
-    return any(function.jac_sparsity(k, place).nnz() for k in range(function.n_out()))
+    """Whether results of a function of (..., gamma, p) depend on gamma, which costs more than most functions.
+
+    Solutions and functions that call others do; the pattern of their Jacobians takes longer than their compilation.
+    """
+    if function.n_in() == 2 or not function.is_a("SXFunction"):
+        return True
+    symbols = function.sx_in()
+    return bool(ca.depends_on(ca.veccat(*function.call(symbols)), symbols[-2]))
 
 
 def exact_unknowns(problem: Problem, t: Array) -> tuple[Array, bool]:

@@ -146,14 +146,15 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
     for order in range(max(c) + 1):
         keep = [k for k, i in enumerate(active) if c[i] >= order]
         active, current = [active[k] for k in keep], current[keep]
+        if order:
+            current = time_derivative(current, y, gamma)
+            if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
+                later = gamma[-1, 2:]
+                current = ca.substitute(current, later, ca.SX.zeros(later.shape))
         rows += [(i, order) for i in active]
         residual.append(current)
         if ca.n_nodes(current) > _MOST_NODES:
             raise InvalidModel(_too_deep(system, structure, f"those of order {order} are too long expressions"))
-        current = time_derivative(current, y, gamma)
-        if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
-            later = gamma[-1, 2:]
-            current = ca.substitute(current, later, ca.SX.zeros(later.shape))
     equations_of_all_orders = ca.vertcat(*residual)
     return DerivativeArray(
         system=system,

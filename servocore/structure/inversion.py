@@ -168,16 +168,17 @@ def _by_formula(block: Part) -> bool:
 def determinants(array: DerivativeArray) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> determinants of small blocks, and all entries if some are large."""
     (arguments, J), blocks = _system_jacobian(array), diagonal_blocks(array)
-    small = ca.SX.zeros(len(blocks))
+    small, entries = [ca.SX(0)] * len(blocks), ca.vertsplit(J.nz[:]) if blocks else []
     for k, block in enumerate(blocks):
         if _by_formula(block) and len(block.rows) == len(block.columns):
             # To take a block of one entry out of a matrix takes as long as a determinant.
             single = len(block.rows) == len(block.entries) == 1
-            small[k] = J.nz[int(block.entries[0])] if single else ca.det(J[block.rows.tolist(), block.columns.tolist()])
+            small[k] = entries[block.entries[0]] if single else ca.det(J[block.rows.tolist(), block.columns.tolist()])
     others = [] if all(map(_by_formula, blocks)) else [ca.vertcat(J.nz[:])]
-    return ca.Function("sc_blocks", arguments, [small, *others], {"cse": True})
+    return ca.Function("sc_blocks", arguments, [ca.vertcat(*small), *others], {"cse": True})
 
 
+@made_once
 def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
     reference = array.system.gamma[:, : array.reference_order + 1]
     equations = array.signature.equations
@@ -192,29 +193,28 @@ def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Functi
     """
     if array.states:  # they are integrated from step to step
         return None
-    most, share = _MOST_OPERATIONS, _largest_share(array)
-    length = share * ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
+    most = _MOST_OPERATIONS
+    length = ca.Function("sc_length", [], [array.residual], {"allow_free": True}).n_instructions()
     # Common parts of an expression are found once it is complete, which takes most of an analysis of long equations.
-    if length > 2 * most:
+    if _too_long(array, length, 2 * most):
         most = _MOST_EXPLICIT
-        if length > 2 * most or compile_explicit(array) is None:
+        if _too_long(array, length, 2 * most) or compile_explicit(array) is None:
             return None
     gamma, p = array.system.gamma[:, : array.reference_order + 1], array.system.p
     givens, (equations, unknowns) = ca.vertcat(ca.vec(gamma), p), _equations(array)
     equations = replace(equations, givens=givens, guess=guess(gamma, p))
-    unrolled = compile_unrolled_solver("sc_array", equations, unknowns)
-    if unrolled is None:
-        return None
-    function = ca.Function("sc_flat_inversion", [gamma, p], unrolled.call([givens]))
-    return function if share * function.n_instructions() <= most else None
+    function = compile_unrolled_solver("sc_flat_inversion", equations, unknowns, [gamma, p])
+    return None if function is None or _too_long(array, function.n_instructions(), most) else function
 
 
-def _largest_share(array: DerivativeArray) -> float:
-    """Return the share of the largest independent part in the equations, from the numbers of entries."""
+def _too_long(array: DerivativeArray, length: int, most: int) -> bool:
+    """Whether the largest independent part has more operations than `most`, by its share in the entries of all."""
+    if length <= most:
+        return False
     parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
     # One test of exactness joins all parts, so that operations cannot be counted by part.
     entries = [len(part.entries) for part in parts]
-    return max(entries) / sum(entries)
+    return max(entries) / sum(entries) * length > most
 
 
 @made_once
@@ -275,13 +275,10 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
     system = array.system
     n, gamma = len(system.coordinates), system.gamma[:, : array.reference_order + 1]
     # At rest momentum reads G^T lam + B^T u = -bias: linear in the forces, with at least as many rows.
-    at_rest = [ca.substitute(expression, system.v, ca.SX.zeros(n)) for expression in (
-        ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
-    configuration = ca.SX.sym("q", n)
-    matrix, load = ca.substitute(at_rest, [system.q], [configuration])
+    balance = [ca.horzcat(system.G.T, system.input_matrix.T), -system.bias]
+    matrix, load = ca.substitute(balance, [system.q, system.v], [system.guess, ca.SX.zeros(n)])
     normal = ca.mtimes(matrix.T, matrix) + _REGULARIZATION * ca.SX.eye(matrix.size2())
     forces = ca.ldl_solve(ca.mtimes(matrix.T, load), *ca.ldl(normal))
-    held = ca.Function("sc_statics", [configuration, system.p, system.time], [forces], {"cse": True})
-    values = ca.vertcat(system.guess, held(system.guess, system.p, system.time))
-    entries = [values[j] if order == 0 else ca.SX(0) for j, order in array.unknowns]
-    return ca.Function("sc_first_guess", [gamma, system.p], [ca.densify(ca.vertcat(*entries))], {"cse": True})
+    guess = ca.SX.zeros(len(array.unknowns))
+    guess[[k for k, (_, order) in enumerate(array.unknowns) if order == 0]] = ca.vertcat(system.guess, forces)
+    return ca.Function("sc_first_guess", [gamma, system.p], [guess], {"cse": True})
