@@ -33,7 +33,7 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "rev": (2.0 * math.pi, {"rad": 1}),
     "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
 }
-_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)?")
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d,].*)?")
 _FACTOR = re.compile(r"(1|[^\d^]+)\^?(-?\d+)?")
 
 
