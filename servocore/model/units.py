@@ -17,6 +17,10 @@ _PREFIXED: dict[str, tuple[tuple[str, ...], dict[str, int]]] = {
     "J": (("", "k"), {"kg": 1, "m": 2, "s": -2}),
     "W": (("", "k"), {"kg": 1, "m": 2, "s": -3}),
     "A": (("", "m"), {"A": 1}),
+    "V": (("",), {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "Pa": (("",), {"kg": 1, "m": -1, "s": -2}),
+    "Hz": (("",), {"s": -1}),
+    **{base: (("",), {base: 1}) for base in ("K", "mol", "cd")},
     "rad": (("", "m"), {"rad": 1}),
 }
 _UNITS: dict[str, tuple[float, dict[str, int]]] = {
@@ -58,7 +62,7 @@ def in_unit(text: str, unit: str, what: str) -> float:
     if match is None:
         raise InvalidSetting(f"{what} is given as {text!r}, which is no number with a unit, such as '2 {unit}'")
     number, own_unit = float(match[1]), (match[2] or unit).strip()
-    (factor, kind), (own_factor, own_kind) = _dimension(own_unit, what), _dimension(unit, what)
+    (factor, kind), (own_factor, own_kind) = dimension(own_unit, what), dimension(unit, what)
     if kind != own_kind:
         raise InvalidSetting(f"{what} is given in {own_unit}, but its unit is {unit}")
     return number * factor / own_factor
@@ -70,8 +74,21 @@ def unit_of(text: str) -> str:
     return "" if match is None else (match[2] or "").strip()
 
 
-def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
-    """Return factor and powers of a unit in SI units."""
+def dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
+    """Return factor and powers of a unit in SI units.
+
+    Parameters
+    ----------
+    unit : str
+        Such as ``kN.m/s2``; all factors after a slash are divisors.
+    what : str
+        Name of the quantity in messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If a part of it is unknown.
+    """
     factor, powers = 1.0, Counter[str]()
     numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")
     for text, sign in ((numerators, 1), *((denominator, -1) for denominator in denominators)):
