@@ -332,6 +332,9 @@ REFUSALS = {
     ('drum_radius = "125 mm", ', ""): "F is a force: its drive needs drum_radius",
     ("rope_falls = 2", "drum_radius = 1"): "M_w is a torque: its drive has no drum_radius",
     ('["0 rpm", "12 N m"], ', ""): "torque_speed needs two corners or more, at rising speeds from 0 on",
+    ("12 N m", "12,5 N m"): "drives.toml: [M_w]: torque_speed, a torque is given as '12,5 N m', which is no number",
+    ('[["0 rpm", "12 N m"], ["3000 rpm", 11], ["8000 rpm", 9]]', "[[0, 0], [9, 0]]"): "not all with torque 0",
+    (SHEET, ""): "drives.toml has no drive: write a table for each input",
     (SHEET, "F = 3"): "drives.toml: F is no drive: write a table [F]",
 }
 

@@ -17,7 +17,7 @@ import numpy as np
 from servocore.checks.findings import ROUND_OFF, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
-from servocore.model.limits import Expression, Limit, Named, RunQuantity, reported_quantities
+from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -330,8 +330,7 @@ def require_reported(problem: Problem, solution: Solution) -> None:
     The exact motion keeps it by then; a step that errs may not.
     """
     for limit in problem.motion_limits:
-        name = limit.expression.name if isinstance(limit.expression, Named | RunQuantity) else ""
-        if not limit.rate and name in solution:
-            broken = first_broken(solution.route, limit, solution.t, solution[name])
+        if not limit.rate and limit.reported in solution:
+            broken = first_broken(solution.route, limit, solution.t, solution[limit.reported])
             if broken is not None:
                 raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")

@@ -21,9 +21,12 @@ def per_time(unit: str, order: int) -> str:
 
 
 def base_units(unit: str) -> dict[str, int] | None:
-    """Return the exponents of SI base units; None for a unit with unknown parts, or a multiple of these."""
+    """Return the exponents of SI base units; None for a unit with unknown parts, or one that is a multiple of these.
+
+    All factors after the slash are divisors: ``N/m.s`` is N/(m s).
+    """
     try:
-        factor, exponents = dimension(unit, unit)
+        factor, exponents = dimension(unit or "1", "a unit")
     except InvalidSetting:
         return None
     return exponents if factor == 1.0 else None

@@ -125,10 +125,11 @@ class Drive:
         except (TypeError, ValueError):
             given = described(self.torque_speed)
             raise InvalidModel(f"torque_speed needs pairs of a speed and a torque, not {given}") from None
-        rising = all(a[0] < b[0] for a, b in pairwise(corners))
+        rising = all(a[0] < b[0] for a, b in pairwise(corners)) and any(torque for _, torque in corners)
         if corners and not (len(corners) > 1 and corners[0][0] == 0.0 and rising):
             raise InvalidModel(
-                "torque_speed needs two corners or more, at rising speeds from 0 on: ((0, 60), (150, 40))"
+                "torque_speed needs two corners or more, at rising speeds from 0 on, not all with torque 0:"
+                " ((0, 60), (150, 40))"
             )
         object.__setattr__(self, "torque_speed", corners)
 

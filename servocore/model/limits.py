@@ -89,6 +89,11 @@ class Limit:
         """What a whole run adds up, if the limit is on that."""
         return self.expression if isinstance(self.expression, RunQuantity) else None
 
+    @property
+    def reported(self) -> str:
+        """Name of the reported quantity that it bounds, or whose rate; empty if it bounds another expression."""
+        return self.expression.name if isinstance(self.expression, Named | RunQuantity) else ""
+
     def with_unit(self, value: float) -> str:
         """Return a value of the quantity as a text, in the unit in which the limit was given.
 

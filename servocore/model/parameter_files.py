@@ -139,8 +139,10 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
         the message names file, input and value.
     """
     path, known = Path(path), [each.name for each in fields(Drive)]
-    drives = {}
-    for name, data in read_table(path).items():
+    drives, table = {}, read_table(path)
+    if not table:
+        raise InvalidModel(f"{path} has no drive: write a table for each input, [M_b] with lines such as ratio = 42.1")
+    for name, data in table.items():
         if not isinstance(data, Mapping):
             raise InvalidModel(f"{path}: {name} is no drive: write a table [{name}] with lines such as ratio = 42.1")
         if wrong := [key for key in data if key not in known]:

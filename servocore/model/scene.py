@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
 from servocore.model.effects import NO_EFFECTS, Effects
-from servocore.model.limits import RATE, Bounds, Limit, Named, RunQuantity, limit_named
+from servocore.model.limits import RATE, Bounds, Limit, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -328,13 +328,8 @@ class Scene:
         """
         model = self.model()
         new_limits = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
-        same = {
-            limit.expression.name + RATE * limit.rate: limit
-            for limit in self.limits
-            if isinstance(limit.expression, Named | RunQuantity)
-        }
-        replaced = [limit for name, limit in same.items() if name in bounds]
-        return replace(self, limits=(*(limit for limit in self.limits if limit not in replaced), *new_limits))
+        kept = (e for e in self.limits if not e.reported or e.reported + RATE * e.rate not in bounds)
+        return replace(self, limits=(*kept, *new_limits))
 
     def parameter_values(self) -> dict[str, float]:
         """All parameters by name.

@@ -21,9 +21,7 @@ _PREFIXED: dict[str, tuple[tuple[str, ...], dict[str, int]]] = {
     "Pa": (("", "k", "M"), {"kg": 1, "m": -1, "s": -2}),
     "V": (("", "m", "k"), {"kg": 1, "m": 2, "s": -3, "A": -1}),
     "Hz": (("", "k"), {"s": -1}),
-    "K": (("",), {"K": 1}),
-    "mol": (("",), {"mol": 1}),
-    "cd": (("",), {"cd": 1}),
+    **{base: (("",), {base: 1}) for base in ("K", "mol", "cd")},
 }
 _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
@@ -39,7 +37,7 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "rev": (2.0 * math.pi, {"rad": 1}),
     "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
 }
-_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)?")
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d,].*)?")
 _FACTOR = re.compile(r"(1|[^\d^]+)\^?(-?\d+)?")
 
 
@@ -79,7 +77,17 @@ def unit_of(text: str) -> str:
 def dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
     """Return factor and powers of a unit in SI base units, the radian among them.
 
-    All factors after a slash are divisors: ``N/m.s`` is N/(m s).
+    Parameters
+    ----------
+    unit : str
+        Such as ``kN.m/s2``; all factors after a slash are divisors.
+    what : str
+        Name of the quantity in messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If a part of it is unknown.
     """
     factor, powers = 1.0, Counter[str]()
     numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")

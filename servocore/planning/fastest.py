@@ -260,7 +260,7 @@ def planned(
         If no start leads to one, with the status of the solver from each.
     """
     half, whole = (Transcription(task, count, scale) for count in (intervals // 2, intervals))
-    free = np.zeros((len(task.upper), half.intervals * CHECKS)), np.full(len(task.totals), EXCESS)
+    free = np.zeros((len(task.upper), half.intervals * CHECKS)), np.full(len(task.most), EXCESS)
     failures = []
     for doubled in (True, False):  # half as many intervals may be too few
         for name, start in begun:
@@ -287,7 +287,7 @@ def _tightened(program: Transcription, found: Outcome, progress: Callable[[str],
     task, m = program.task, CHECKS
     finer = max(_FINER, -(-_FINEST // (program.intervals * m)))
     narrowed = np.zeros((len(task.upper), program.intervals * m))
-    less = np.full(len(task.totals), EXCESS)
+    less = np.full(len(task.most), EXCESS)
     law, iterations, begun = found.law.refined(), found.iterations, found.rounds
     for rounds in range(begun, begun + _ROUNDS):
         outcome = program.solve(law, narrowed, less, progress)

@@ -64,14 +64,15 @@ class Rows:
     limits : tuple of Limit
         One a row.
     inner : Inner
-        (gamma (m, order + 1), unknowns, p) -> rows, equations, integrands of `totals`, and the rows as quantities with
-        their units.
+        (gamma (m, order + 1), unknowns, p) -> rows, equations, integrands, and the rows as quantities with their units.
     order : int
         Highest derivative of the path in gamma.
     lower : ndarray, shape (rows,)
         -1, or -inf where there is no lower bound.
     moving : tuple of bool
         Whether each may depend on more than the place.
+    most : ndarray, shape (integrands,)
+        Upper bounds of the integrals of the integrands over the time: limits of what a run adds up, a side each.
     """
 
     limits: tuple[Limit, ...]
@@ -79,6 +80,7 @@ class Rows:
     order: int
     lower: Array
     moving: tuple[bool, ...]
+    most: Array
 
     def at(self, jets: Array, p: Array) -> list[Array]:
         """Return rows, integrands, and rows as quantities, at instants: (rows, N) of jets (N, order + 1, m)."""
@@ -199,26 +201,29 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
 def _compile_rows(
     resolved: ResolvedSystem,
     local: tuple[Limit, ...],
-    totals: tuple[Limit, ...],
+    of_run: tuple[Limit, ...],
     rest: tuple[float, ...],
     p: tuple[float, ...],
 ) -> Rows:
-    system, limits = resolved.system, (*local, *totals)
+    system, limits = resolved.system, (*local, *of_run)
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     by_formula = _is_explicit(resolved, np.array(rest), np.array(p))
     unknowns, equations, values, start, order = (_explicit if by_formula else _lifted)(resolved, limits, smooth)
     order = max(order, *(highest_derivative(value, system.gamma) for value in values))
-    own, integrands = values[: len(local)], values[len(local) :]
+    own, sides = values[: len(local)], []
+    for limit, value in zip(of_run, values[len(local) :], strict=True):
+        sides += _integrals(limit, value)
 
     def rows_of(rows: Sequence[ca.SX], lower: Sequence[float]) -> Rows:
-        results = [ca.vertcat(ca.SX(0, 1), *each) for each in (rows, [equations], integrands, own)]
+        results = [ca.vertcat(ca.SX(0, 1), *each) for each in (rows, [equations], [each for each, _ in sides], own)]
         given = [system.gamma[:, : order + 1], unknowns, system.p]
         function = ca.Function("sc_local_rows", given, [ca.densify(each) for each in results], {"cse": True})
         G, symbols = (ca.MX.sym(name, *each.shape) for name, each in (("gamma", given[0]), ("p", system.p)))
         begun = ca.Function("sc_start", [G, symbols], [start(G[:, : start.size2_in(0)], symbols)])
         moving = tuple(not by_formula or highest_derivative(value, system.gamma) > 0 for value in own)
-        return Rows(local, Inner(function, begun), order, np.array(lower), moving)
+        most = np.array([bound for _, bound in sides])
+        return Rows(local, Inner(function, begun), order, np.array(lower), moving, most)
 
     here = rows_of(own, []).at_rest(np.array([rest]), np.array(p))[0][:, 0]
     rows = [_row(*each) for each in zip(local, own, here.tolist(), tips[: len(local)], strict=True)]
@@ -236,6 +241,20 @@ def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, flo
         return (value / high) ** 2, -np.inf
     scale = abs(bound) or abs(here - bound) or 1.0
     return 1.0 + sign * (value - bound) / scale, -np.inf
+
+
+def _integrals(limit: Limit, integrand: ca.SX) -> list[tuple[ca.SX, float]]:
+    """Return both sides of a limit of what a run adds up: integrands, and upper bounds of their integrals.
+
+    A mean square below its bound is an integral of their difference below zero.
+    """
+    found, rms = [], bool(limit.over_run and limit.over_run.rms)
+    for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
+        bound = float(np.copysign(side**2, side)) if rms else side
+        if np.isfinite(bound):
+            scale = sign * (abs(bound) or 1.0)
+            found.append(((integrand - bound) / scale, 0.0) if rms else (integrand / scale, bound / scale))
+    return found
 
 
 def _has_tip(resolved: ResolvedSystem, limit: Limit) -> bool:

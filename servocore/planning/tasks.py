@@ -20,7 +20,7 @@ from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Inner, Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
 from servocore.planning.time_laws import law_between, peaks, polynomial_path, shortest, smooth_polynomial
-from servocore.planning.transcription import Task, Total, totals_of
+from servocore.planning.transcription import Task
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
 from servocore.references.bspline import pieces_of
@@ -147,15 +147,13 @@ def _task(
 ) -> Task:
     """Stack the limits of all corners, on the path gamma of chains; `away` are rows of obstacles, of a free path."""
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    expressions, lower, symbols, equations, begun = [], list[Array](), [], [], []
-    totals = list[tuple[ca.SX, Total]]()
+    expressions, lower, symbols, equations, begun, integrands = [], list[Array](), [], [], [], []
     for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if away is None else np.arange(len(rows.limits))
         symbols.append(ca.SX.sym("inner", rows.inner.size))
-        values, zero, integrands, _ = rows.inner.local(gamma[:, : rows.order + 1], symbols[-1], corner.p)
+        values, zero, added, _ = rows.inner.local(gamma[:, : rows.order + 1], symbols[-1], corner.p)
         equations.append(zero)
-        for k, limit in enumerate(corner.run_limits):
-            totals += [(integrands[k] / total.scale, total) for total in totals_of(limit)]
+        integrands.append(added)
         begun.append(rows.inner.start(of_jets(given)[:, : rows.order + 1], corner.p))
         expressions.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
@@ -165,13 +163,13 @@ def _task(
     bounds, way = np.concatenate(lower), float(np.linalg.norm(ends[1] - ends[0]))
     sizes = peaks(smooth_polynomial(length), length)[:, None] * np.full(ends.shape[1], way)
     sizes[0] = np.maximum(np.abs(ends).max(axis=0), way)
-    stacked = [ca.vertcat(*expressions), ca.vertcat(*equations), ca.vertcat(ca.SX(0, 1), *[each for each, _ in totals])]
+    stacked = [ca.vertcat(*each) for each in (expressions, equations, integrands)]
     local = ca.Function(
         "sc_local_rows", [jets, ca.vertcat(*symbols)], [ca.densify(each) for each in stacked], {"cse": True}
     )
     return Task(
         inner=Inner(local, ca.Function("sc_inner", [given], [ca.vertcat(*begun)])),
-        totals=tuple(total for _, total in totals),
+        most=np.concatenate([rows.most for rows in every]),
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
         upper=np.full(len(bounds), 1.0 - _ROOM),
         start=ends[0],

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.planning.integrator_chains import Law, advanced
 from servocore.planning.limit_rows import Inner
@@ -36,24 +34,6 @@ CHECKS = 3
 """Points of an interval at which the program keeps the limits."""
 
 
-class Total(NamedTuple):
-    """An upper bound of an integral over the law, divided by `scale`, or of a mean over its time."""
-
-    mean: bool
-    scale: float
-    most: float
-
-
-def totals_of(limit: Limit) -> list[Total]:
-    """Return both sides of a limit of what a run adds up; a lower one has a negative scale."""
-    found, rms = [], bool(limit.over_run and limit.over_run.rms)
-    for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
-        bound = float(np.copysign(side**2, side)) if rms else side
-        if np.isfinite(bound):
-            found.append(Total(rms, sign * (abs(bound) or 1.0), sign * bound / (abs(bound) or 1.0)))
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """Requirements on a law, independent of the grid.
@@ -61,7 +41,7 @@ class Task:
     Attributes
     ----------
     inner : Inner
-        (jets of the chains (C, orders), unknowns) -> rows, between their bounds, equations, integrands of `totals`.
+        (jets of the chains (C, orders), unknowns) -> rows, between their bounds, equations, integrands.
     lower, upper : ndarray, shape (rows,)
         Bounds.
     start, end : ndarray, shape (C,)
@@ -72,8 +52,8 @@ class Task:
         Largest derivatives of a polynomial law of duration one.
     forward : bool
         Whether no chain turns back.
-    totals : tuple of Total
-        What is bounded of the law as a whole.
+    most : ndarray, shape (integrands,)
+        Upper bounds of the integrals of the integrands over the time.
     """
 
     inner: Inner
@@ -84,7 +64,7 @@ class Task:
     length: int
     peaks: Array
     forward: bool
-    totals: tuple[Total, ...] = ()
+    most: Array
 
     @property
     def orders(self) -> int:
@@ -96,7 +76,7 @@ class Task:
         return _at_each(self.inner.start, jets)[0]
 
     def values(self, jets: Array) -> tuple[Array, Array]:
-        """Return the rows (rows, n) of jets (C, K + 2, n), and the integrands of the totals."""
+        """Return the rows (rows, n) of jets (C, K + 2, n), and the integrands."""
         rows, _, integrands = _at_each(self.inner.solved, jets[:, : self.orders])
         return rows, integrands
 
@@ -112,12 +92,12 @@ class Task:
         return sizes, np.where(largest > 0.0, largest, 1.0)
 
     def over_all(self, integrands: Array, duration: float) -> Array:
-        """Return by how much totals (totals,) are beyond their bounds, from integrands (totals, intervals, points).
+        """Return by how much integrals are beyond their bounds, from integrands (integrals, intervals, points).
 
         All intervals are equally long, and points are evenly from start to end of each.
         """
         means = np.trapezoid(integrands, dx=1.0 / (integrands.shape[2] - 1)).mean(axis=1)
-        over = [mean * (1.0 if e.mean else duration) - e.most for e, mean in zip(self.totals, means, strict=True)]
+        over = duration * means - self.most
         return np.where(np.isfinite(over), over, np.inf)
 
     def excess(self, values: Array) -> Array:
@@ -174,15 +154,15 @@ class Transcription:
             On this grid.
         tightened : ndarray, shape (rows, N * CHECKS)
             By how much bounds are narrowed.
-        less : ndarray, shape (totals,)
-            By how much those of totals are.
+        less : ndarray, shape (integrands,)
+            By how much those of integrals are.
         progress : callable
             Called with a text on the progress.
         """
         progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
         defects = np.zeros(self.intervals * (self.task.length * len(self.task.start) + CHECKS * self.task.inner.size))
-        most = np.array([each.most for each in self.task.totals]) - less
+        most = self.task.most - less
         low = np.append((self.task.lower[:, None] + tightened).ravel(order="F"), np.full(len(most), -np.inf))
         high = np.append((self.task.upper[:, None] - tightened).ravel(order="F"), most)
         result = self._solver(
@@ -238,7 +218,7 @@ def _program(
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
     defect = (end[:, :K] - arrived) / ca.SX(scales[:K].T)
     step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
-    rows, equations, size, added = [], [], task.inner.size, ca.SX.zeros(len(task.totals))
+    rows, equations, size, added = [], [], task.inner.size, ca.SX.zeros(len(task.most))
     inner = ca.SX.sym("inner", size * CHECKS)
     unknown_sizes, equation_sizes = (ca.DM(each[:, None]) for each in (of_unknowns, of_equations))
     for k in range(CHECKS):
@@ -256,10 +236,9 @@ def _program(
     steps = step.map(intervals)(*arguments)
     held, local_rows, parts = local.map(intervals)(*arguments, inside)
     # By the trapezoidal rule: the last instant rests, and so does the first.
-    times = ca.vertcat(*[ca.MX(1.0) if each.mean else theta * scale for each in task.totals])
-    totals = ca.sum2(parts) / intervals * times if task.totals else ca.MX(0, 1)
+    integrals = ca.sum2(parts) * (theta * (scale / intervals))
     return {
         "x": ca.vertcat(ca.vec(knots), theta, ca.vec(inside)),
         "f": ca.log(theta),
-        "g": ca.vertcat(ca.vec(steps), ca.vec(held), ca.vec(local_rows), totals),
+        "g": ca.vertcat(ca.vec(steps), ca.vec(held), ca.vec(local_rows), integrals),
     }

@@ -142,14 +142,14 @@ def bounded(rate: Rates, t: Array, reference: Reference, coefficients: tuple[flo
     reference : Reference
         The path, whose motion begins and ends that of the right-hand side.
     coefficients : (float, float, float)
-        Of acceleration, rate and coordinate at rest: of non-minimum phase where the first is negative.
+        Of acceleration, rate and coordinate at rest: of non-minimum phase where the first or the last is negative.
 
     Returns
     -------
     ndarray, shape (2, N)
     """
     inertia, damping, stiffness = coefficients
-    if inertia > 0.0:
+    if inertia > 0.0 and stiffness >= 0.0:
         return forward(rate, t, reference.start_time, 2)
     matrix = np.array([[0.0, 1.0], [-stiffness / inertia, -damping / inertia]])
     return two_sided(rate, t, reference.start_time, reference.end_time, matrix)

@@ -29,7 +29,7 @@ then of non-minimum phase, and `exact` is the solution that stays bounded for al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -46,7 +46,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_ode import backward, forward
+from servocore.scenes.internal_ode import backward, bounded, forward
 
 PARAMETERS = Parameters(
     Parameter("car_mass", 1.0, "kg", 1e-3, 1e9, "m_1"),
@@ -158,10 +158,13 @@ def internal_motion(t: Array, reference: Reference, parameters: Mapping[str, flo
     def drive(time: float) -> float:
         return push * float(reference.jet(time, 2)[2, 0])
 
+    def rate(time: Array | float, state: Array) -> Array:
+        forced = push * reference.jet(time, 2)[..., 2, 0]
+        return np.array([state[1], (forced - d * state[1] - k * state[0]) / inertia])
+
     if inertia:
-        position, speed = _second_order(t, reference, (inertia, d, k), drive)
-        forced = push * reference.jet(t, 2)[:, 2, 0]
-        return position, (forced - d * speed - k * position) / inertia
+        states = bounded(rate, t, reference, (inertia, d, k))
+        return states[0], rate(t, states)[1]
     forces = push * reference.jet(t, 4)[:, 2:, 0].T
     if d:
         integrate, limit = (forward, reference.start_time) if k >= 0.0 else (backward, reference.end_time)
@@ -171,28 +174,6 @@ def internal_motion(t: Array, reference: Reference, parameters: Mapping[str, flo
     if not k:
         raise InvalidModel("mass on car: without inclination, spring and damper the path does not determine s")
     return forces[0] / k, forces[2] / k
-
-
-def _second_order(
-    t: Array, reference: Reference, coefficients: tuple[float, float, float], drive: Callable[[float], float]
-) -> tuple[Array, Array]:
-    """Bounded solution of inertia s'' + d s' + k s = drive, as s and s' of shape (N,)."""
-    inertia, d, k = coefficients
-    start, end = reference.start_time, reference.end_time
-    if k >= 0.0:
-
-        def rate(time: float, state: Array) -> Array:
-            return np.array([state[1], (drive(time) - d * state[1] - k * state[0]) / inertia])
-
-        position, speed = forward(rate, t, start, 2)
-        return position, speed
-    # Real roots of opposite sign: two modes, each integrated in the direction in which it decays.
-    dominant = -(d + math.sqrt(d**2 - 4.0 * inertia * k)) / 2.0
-    stable, unstable = dominant / inertia, k / dominant
-    (decaying,) = forward(lambda time, z: stable * z + drive(time) / inertia, t, start, 1)
-    (growing,) = backward(lambda time, z: unstable * z + drive(time) / inertia, t, end, 1)
-    gap = unstable - stable
-    return (growing - decaying) / gap, (unstable * growing - stable * decaying) / gap
 
 
 def mass_on_car() -> Scene:

@@ -17,7 +17,7 @@ from servocore.errors import InvalidModel, InvalidSetting, require_kind, require
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.drawing import picture_of
-from servocore.model.limits import Named, RunQuantity, run_quantities
+from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
@@ -303,13 +303,13 @@ def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], l
     """Return the limits of reported quantities, and those of the path alone."""
     of_motion = [
         {
-            "output": names.index(limit.expression.name),
+            "output": names.index(limit.reported),
             "low": _finite(limit.bound),
             "high": _finite(limit.upper),
             "rate": limit.rate,
         }
         for limit in problem.limits
-        if isinstance(limit.expression, Named | RunQuantity) and limit.expression.name in names
+        if limit.reported in names
     ]
     of_path = [{"quantity": limit.quantity, "reason": limit.reason} for limit in problem.limits if limit.of_path]
     return of_motion, of_path
