@@ -339,6 +339,12 @@ def test_units_of_derivatives(unit: str, order: int, expected: str, exponents: d
     assert base_units(expected) == exponents
 
 
+def test_derived_units_are_their_products_and_quotients() -> None:
+    assert all(base_units(each) == {each: 1} for each in ("m", "s", "kg", "rad", "A", "K", "mol", "cd"))
+    derived = {"N": "kg.m/s2", "J": "N.m", "W": "J/s", "Pa": "N/m2", "V": "W/A", "Hz": "1/s"}
+    assert {each: base_units(each) for each in derived} == {each: base_units(of) for each, of in derived.items()}
+
+
 def test_a_universal_library_holds_each_slice_on_a_page_of_its_own() -> None:
     header = b"\xcf\xfa\xed\xfe" + (0x01000007).to_bytes(4, "little") + (3).to_bytes(4, "little")
     slices = [header + bytes(100), header.replace(b"\x07", b"\x0c") + b"x" * 20000]
