@@ -52,10 +52,7 @@ def unnamed():
 """
 
 
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CFLAGS", "-O0")
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.mark.usefixtures("compiler")
