@@ -21,7 +21,8 @@ import pytest
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
 FURTHER = Path(__file__).with_name("further_cases.txt")
-"""Cases beside the first of their functions, of little cost, that run lines which few others of `--quick` run."""
+"""Cases beside the first of their functions, of little cost, that run lines which few others of `--quick` run;
+functions of which each case claims something of its own, as refusals do."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
 A_MOMENT = 0.3
@@ -78,13 +79,14 @@ def budget_of(item: pytest.Item) -> float:
 def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
     """Return of every test function the first case that is not listed as slow, and those that are listed besides.
 
-    What prepares something for seconds is left out.
+    A function that is listed there without a case is listed with all. What prepares something for seconds is left out.
     """
     slow, further = listed(SLOW), listed(FURTHER)
     first: dict[str, pytest.Item] = {}
     for item in items:
         if item.nodeid not in slow and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            first.setdefault(item.nodeid if item.nodeid in further else function_of(item.nodeid), item)
+            listed_too = further & {item.nodeid, function_of(item.nodeid)}
+            first.setdefault(item.nodeid if listed_too else function_of(item.nodeid), item)
     return list(first.values())
 
 

@@ -52,10 +52,7 @@ def unnamed():
 """
 
 
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CFLAGS", "-O0")
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 @pytest.mark.usefixtures("compiler")
@@ -337,6 +334,12 @@ def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
 def test_units_of_derivatives(unit: str, order: int, expected: str, exponents: dict[str, int] | None) -> None:
     assert per_time(unit, order) == expected
     assert base_units(expected) == exponents
+
+
+def test_derived_units_are_their_products_and_quotients() -> None:
+    assert all(base_units(each) == {each: 1} for each in ("m", "s", "kg", "rad", "A", "K", "mol", "cd"))
+    derived = {"N": "kg.m/s2", "J": "N.m", "W": "J/s", "Pa": "N/m2", "V": "W/A", "Hz": "1/s"}
+    assert {each: base_units(each) for each in derived} == {each: base_units(of) for each, of in derived.items()}
 
 
 def test_a_universal_library_holds_each_slice_on_a_page_of_its_own() -> None:

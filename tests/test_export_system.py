@@ -151,9 +151,8 @@ def test_a_tension_is_watched_in_every_model(model: str) -> None:
 # Command line --------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_writes_plant_and_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CFLAGS", "-O0")
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_plant_and_trajectory() -> None:
     write("path.csv", path_to_csv(present(path_of("rotary_crane"))))
     common = ("--targets", "host", "--fmi", "2")
     said = run("export", "cars", "--plant", "-o", "plant.fmu", *common).output

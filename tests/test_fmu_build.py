@@ -110,6 +110,11 @@ def test_the_archive_holds_what_is_needed_and_nothing_else() -> None:
     assert fmu_file().stat().st_size < 3_000_000
 
 
+def test_its_state_may_be_copied_and_serialized() -> None:
+    told = present(ET.fromstring(members(fmu_file())["modelDescription.xml"]).find("CoSimulation")).attrib
+    assert told["canGetAndSetFMUstate"] == told["canSerializeFMUstate"] == "true"
+
+
 def test_all_variables_have_units_with_their_dimension() -> None:
     description = ET.fromstring(members(fmu_file())["modelDescription.xml"])
     defined = {each.get("name"): each.find("BaseUnit") for each in description.iter("Unit")}

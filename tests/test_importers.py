@@ -112,6 +112,7 @@ def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str,
     crane = factory()
     options: dict[str, Any] = {"posture": posture, form: ["load"]}
     scene = sc.scenes.from_file(tmp_path / "crane.xml", outputs, crane.reference, **options)
+    assert [each.name for each in scene.model().observables if each.tension] == (form == "ropes") * ["load.tension"]
     times = np.linspace(crane.reference.start_time, crane.reference.end_time, 41)
     ours, exact = sc.ExactInversion(scene)(times), crane.exact(times)
     for column, each in zip(ours.T, crane.model().inputs, strict=True):

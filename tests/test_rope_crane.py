@@ -54,7 +54,8 @@ def test_motions_converge_with_the_square_of_the_number_of_elements(inputs: sc.S
 
 
 def test_while_hoisting_energy_changes_by_the_work_of_the_inputs(inputs: sc.Solution) -> None:
-    found = simulated(crane(4, **HEAVY), inputs)
+    found, start = simulated(crane(4, **HEAVY), inputs), at_rest(crane(4, **HEAVY))
+    assert [found[name][0] for name in "xyzsl"] == pytest.approx([start[name] for name in "xyzsl"])
     change = found["energy"] - found["energy"][0]
     assert np.ptp(change) > 1000.0
     assert np.abs(change - found["work"]).max() < 1e-10 * np.abs(found["energy"]).max()

@@ -186,6 +186,19 @@ def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn
     assert found.parts[-1]["places"] == [found.tracked]
 
 
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "passive_joint_arm"])  # tracks a sum of angles
+def test_what_follows_the_path_is_drawn_on_it(name: str) -> None:
+    scene = sc.scenes.REGISTRY[name]()
+    system, solution = scene.model(), sc.solve(scene, step=scene.reference.duration / 200)
+    found = picture_of(system, [each for each, _ in observed(system)], scene.drawing)
+    place = ca.Function("place", [found.reported, system.p], [found.coordinates])
+    values = [solution[each.name] for each, _ in observed(system)]
+    points = np.asarray(place(np.array(values), system.parameters.values()))
+    axes = {1: [0], 2: [0, 2], 3: [0, 1, 2]}[len(system.outputs)]  # of outputs: along, upwards, across if there is more
+    for axis, output in zip(axes, system.outputs, strict=True):
+        np.testing.assert_allclose(points[3 * present(found.tracked) + axis], solution[output.name], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "effect"),
     [("rotary_crane", "flexible bridge"), ("overhead_crane", "hook"), ("gantry_crane", "flexible bridge")],
