@@ -29,8 +29,6 @@ SHARED_MODULES = {
     "servocore.cli.kinds",
     "servocore.cli.options",
     "servocore.cli.run_summary",
-    "servocore.export.system",
-    "servocore.export.targets",
     "servocore.files",
     "servocore.planning.durations",
 }
@@ -107,6 +105,8 @@ def test_crane_fmu_uses_public_names_of_servocore_only() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         for name in used_names(node)
         if name not in SHARED_MODULES.union(sc.__all__) and not name.startswith("__")
+        # an FMU around an exported model, and a system of them, are packed from its parts
+        if not (path.parent.name == "build" and name.startswith("servocore.export."))
     ]
     assert strangers == []
 

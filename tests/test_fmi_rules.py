@@ -292,6 +292,7 @@ icon = "icon.png"
 documentation = "page.html"
 [annotations."com.acme"]
 order = "17"
+line = "3"
 [defaults]
 """
 

@@ -113,8 +113,8 @@ def export_plant(
     path: str | Path,
     options: PlantOptions | None = None,
     *,
-    fmi: int = 3,
     model: str | None = None,
+    fmi: int = 3,
     targets: str | None = None,
     host: HostRules | None = None,
     about: About | None = None,
@@ -130,17 +130,9 @@ def export_plant(
         The file.
     options : PlantOptions, optional
         Differences of the plant from the scene's model.
-    fmi : int, optional
-        As of `export_fmu`.
     model : str, optional
         Model of the scene; when not given the first without constraints, or its smallest.
-    targets : str, optional
-        As of `export_fmu`.
-    host : HostRules, optional
-        As of `export_fmu`.
-    about : About, optional
-        As of `export_fmu`.
-    progress : callable, optional
+    fmi, targets, host, about, progress : optional
         As of `export_fmu`.
 
     Returns
@@ -167,8 +159,8 @@ def export_trajectory(
     path: str | Path,
     options: TrajectoryOptions | None = None,
     *,
-    fmi: int = 3,
     model: str | None = None,
+    fmi: int = 3,
     targets: str | None = None,
     host: HostRules | None = None,
     about: About | None = None,
@@ -184,17 +176,9 @@ def export_trajectory(
         The file.
     options : TrajectoryOptions, optional
         The path in place of it.
-    fmi : int, optional
-        As of `export_fmu`.
     model : str, optional
         Model of the scene, which determines the number of derivatives; its smallest when not given.
-    targets : str, optional
-        As of `export_fmu`.
-    host : HostRules, optional
-        As of `export_fmu`.
-    about : About, optional
-        As of `export_fmu`.
-    progress : callable, optional
+    fmi, targets, host, about, progress : optional
         As of `export_fmu`.
 
     Returns
