@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from servocore.certificate.causes import jumps_of, motion_statements
 from servocore.certificate.equations import Box
-from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
+from servocore.certificate.instants import ErrorBound, compared, tube_of
+from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import LIMIT, Claim, Statement, Verdict, claims_of, statements_of
 from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
@@ -185,24 +186,22 @@ def certify(
         require_kind(problem, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
     else:
         problem = Problem.of(scene_or_solution, model)
-    path, proof, bounds, jumps = problem.reference, None, dict[str, ErrorBound](), tuple[float, ...]()
+    path, bounds, jumps = problem.reference, dict[str, ErrorBound](), tuple[float, ...]()
+    proof: Proof | None = None
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
     wanted = [k for k in (*problem.limits, *extra) if not k.at_instants_only]
     boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
     if not problem.flat:
-        text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
-        if solution is not None and solution.error.largest is not None:
-            text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-        statements = [Statement("one motion", "undecided", text)]
-        statements += [at_states(problem, solution)] if solution is not None else []
+        proof, statements = near_states(problem, solution, tolerance, bool(boxed))
     elif path.max_order < problem.array.reference_order + rates:
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
         statements = [Statement("one motion", "refuted", text)]
     else:
-        proof = Proof(problem, boxed, tolerance, rates)
+        proof, statements = Proof(problem, boxed, tolerance, rates), []
+    if proof is not None:
         jumps = jumps_of(proof)
         claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
-        statements = motion_statements(proof)
+        statements += motion_statements(proof)
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, claims = statements + of_instants, spikes + claims

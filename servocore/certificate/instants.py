@@ -7,16 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, magnitude, model_of
-from servocore.certificate.equations import equations_of, given_models, radii
+from servocore.certificate.chebyshev import arithmetic, magnitude
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import Claim, Statement, Verdict, walk_of_limits
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array
-from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
-from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _SPLINE, _BESIDE = 5, 1e-6  # degree; D, of a peak
@@ -61,7 +58,7 @@ def compared(
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     calm = ~proof.jumping[np.searchsorted(proof.end[:-1], t, side="right")]
     t = t[calm]
-    unknowns = unknowns_at(proof, t, places)
+    unknowns = proof.at(proof.enclosures[:, places], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
     apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
     least, most = apart - radius, apart + radius
@@ -85,58 +82,10 @@ def compared(
     return bounds, found, claims
 
 
-def unknowns_at(proof: Proof, t: Array, places: Sequence[int]) -> Model:
-    """Return some unknowns at times (N,), polynomials in the parameters: one box each; infinite radii if not proved."""
-    numbers = np.searchsorted(proof.end[:-1], t, side="right")
-    a, b = proof.begin[numbers], proof.end[numbers]
-    position = (2.0 * t - a - b) / (b - a)
-    found = proof.enclosures[:, places][..., numbers]
-    basis = np.polynomial.chebyshev.chebvander(np.clip(position, -1.0, 1.0), proof.ring.degrees[0])
-    shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
-    # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
-    late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
-    noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped), 1).sum(axis=0) * late
-    radius = np.where(np.abs(position) > 1.0 + 1e-9, np.inf, found[-1] + noise)
-    return model_of(np.einsum("nd,dpkn->pkn", basis, shaped), radius)
-
-
 def tube_of(proof: Proof, t: Array, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the least and the largest values of quantities at times, shape (quantities, N) each."""
     ring, equations = arithmetic((0, *proof.ring.degrees[1:])), proof.equations
     walk = walk_of_limits(equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
-    given = given_models(proof.problem, equations.array, ring, np.array([t, t]), proof.boxed)
-    unknowns = unknowns_at(proof, t, range(len(proof.peaks)))
-    low, high = ring.span(walk(ring, np.concatenate([unknowns, given], axis=1)))
+    low, high = ring.span(walk(ring, proof.at(proof.enclosures, t)))
     known = np.isfinite(low) & np.isfinite(high)
     return np.where(known, low, -np.inf), np.where(known, high, np.inf)
-
-
-@np.errstate(all="ignore")
-def at_states(problem: Problem, solution: Solution) -> Statement:
-    """State that the algebraic equations have one regular solution at each instant, at the computed states.
-
-    These are the reported coordinates and their rates, by a spline through them.
-    """
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
-
-    what, t = "one regular solution of the algebraic equations at the computed states", solution.t
-    equations, ring = equations_of(problem.resolved, False), arithmetic((0,))
-    array, guess, degree = equations.array, guessed_unknowns(problem, t), min(_SPLINE, len(t) - 1)
-    for k, (j, order) in enumerate(array.unknowns):
-        if j < len(problem.system.coordinates) and order <= degree:
-            curve = make_interp_spline(t, solution[array.names[j].removeprefix("q.")], k=degree)
-            guess[k] = curve.derivative(order)(t)
-    found = unknowns_from(problem, t, guess)
-    x, states = found[array.places(array.determined)], found[array.places(array.states)]
-    given = given_models(problem, array, ring, np.array([t, t]), {})
-    given = np.concatenate([given, ring.constant(states)], axis=1)
-    sizes = np.maximum(np.nanmax(np.abs(x), axis=1, keepdims=True), 1e-12)
-    D = np.tile(_BESIDE * sizes, len(t))
-    rho, *_ = radii(equations, ring, np.nan_to_num(x)[None], given, D, sizes)
-    lost = np.flatnonzero(~((rho <= D)[equations.curved].all(axis=0) & np.isfinite(x + rho).all(axis=0)))
-    if len(lost):
-        return Statement(what, "undecided", f"not proved at t = {t[lost[0]]:.6g} s", float(t[lost[0]]))
-    places = equations.inputs
-    reported = np.stack([solution[each.name] for each in problem.system.inputs])
-    off = ((np.abs(reported - x[places]) + rho[places]) / sizes[places]).max()
-    return Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")

@@ -13,13 +13,16 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
+from servocore.certificate.chebyshev import Model, arithmetic, model_of
 from servocore.certificate.equations import Box, equations_of, given_models, radii
+from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
+from servocore.references.base import Reference
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.inversion import Inversion, inversion
 
@@ -38,6 +41,13 @@ _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations tha
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
 _CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
+
+
+def grid_of(path: Reference, count: int) -> Array:
+    """Return the ends of so many intervals of a path, in s: each piece of it has one at the least."""
+    counts = np.maximum(np.ceil(count * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
+    grids = [np.linspace(a, b, n + 1) for (a, b), n in zip(pairwise(path.joints), counts, strict=True)]
+    return np.unique(np.concatenate(grids))
 
 
 class Proof:
@@ -94,10 +104,8 @@ class Proof:
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         machine_code(self.equations.array).best(1)
         path = problem.reference
-        count = np.maximum(np.ceil(_FIRST * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
-        grids = [np.linspace(a, b, n + 1) for (a, b), n in zip(pairwise(path.joints), count, strict=True)]
         margin = _OUTSIDE * path.duration
-        grid = np.unique(np.concatenate([[path.start_time - margin], *grids, [path.end_time + margin]]))
+        grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
         self.fresh, self.followed, self.tested, self.switches = (np.full(n, k == 0) for k in range(4))
@@ -115,7 +123,7 @@ class Proof:
         That is 1e-6 of its nominal magnitude within the duration of the path, and of an input 1e-6 of the largest one.
         """
         array, duration, inputs = self.equations.array, self.problem.reference.duration, self.equations.inputs
-        least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.unknowns])
+        least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.determined])
         largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
@@ -245,6 +253,20 @@ class Proof:
         nothing = self.ring.constant(np.zeros(self.D.shape))
         nothing[-1] = np.inf
         return np.concatenate([np.where(self.proved, self.x, nothing), self.given], axis=1)
+
+    def at(self, models: Model, t: Array) -> Model:
+        """Return models on all intervals at times (N,), polynomials in the parameters; infinite radii elsewhere."""
+        numbers = np.searchsorted(self.end[:-1], t, side="right")
+        a, b = self.begin[numbers], self.end[numbers]
+        position = (2.0 * t - a - b) / (b - a)
+        found = models[..., numbers]
+        basis = chebyshev.chebvander(np.clip(position, -1.0, 1.0), self.ring.degrees[0])
+        shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
+        # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
+        late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
+        noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped), 1).sum(axis=0) * late
+        radius = np.where(np.abs(position) > 1.0 + 1e-9, np.inf, found[-1] + noise)
+        return model_of(np.einsum("nd,dpkn->pkn", basis, shaped), radius)
 
     # Joints ---------------------------------------------------------------------------------------------------------
 

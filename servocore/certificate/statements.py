@@ -10,8 +10,9 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
+from servocore.certificate.chebyshev import Arithmetic, Model
 from servocore.certificate.equations import Equations
+from servocore.certificate.programs import UNIT, norm
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
