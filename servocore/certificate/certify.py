@@ -12,13 +12,23 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import jumps_of, motion_statements
+from servocore.certificate.chebyshev import arithmetic
 from servocore.certificate.equations import Box
-from servocore.certificate.instants import ErrorBound, compared, tube_of
 from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import LIMIT, Claim, Statement, Verdict, claims_of, statements_of
+from servocore.certificate.statements import (
+    LIMIT,
+    Claim,
+    ErrorBound,
+    Statement,
+    Verdict,
+    claims_of,
+    compared,
+    statements_of,
+    walk_of_limits,
+)  # fmt: skip
 from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
-from servocore.model.limits import Bounds, limit_named, reported_quantities
+from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -101,10 +111,13 @@ class Certificate:
             not proved.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
-        if self._proof is None:
+        if (proof := self._proof) is None:
             return {}
-        names = list(reported_quantities(self._proof.problem.system))
-        return dict(zip(names, np.stack(tube_of(self._proof, times, names), axis=-1), strict=True))
+        names, ring = list(reported_quantities(proof.problem.system)), arithmetic((0, *proof.ring.degrees[1:]))
+        walk = walk_of_limits(proof.equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
+        bounds = np.stack(ring.span(walk(ring, proof.at(proof.enclosures, times))), axis=-1)
+        unknown = ~np.isfinite(bounds).all(axis=-1, keepdims=True)
+        return dict(zip(names, np.where(unknown, [-np.inf, np.inf], bounds), strict=True))
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Plot the enclosures of quantities over time: both bounds.

@@ -94,6 +94,11 @@ class Arithmetic(Products):
         noise = 8 * (len(a) + 7) * UNIT * norm(a[:-1])
         return [model_of(_applied(matrix, a[:-1]), a[-1] + noise) for matrix in self.halves[k]]
 
+    def ends(self, a: Model) -> tuple[Array, Array]:
+        """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
+        c = a[:-1].reshape(self.degrees[0] + 1, -1, *a.shape[1:])
+        return np.tensordot((-1.0) ** np.arange(len(c)), c, 1), c.sum(axis=0)
+
     def constant(self, values: Array) -> Model:
         """Return models of constants, shape (count, boxes)."""
         a = np.zeros((self.orders.shape[1] + 1, *values.shape))
@@ -229,10 +234,8 @@ class Arithmetic(Products):
         return b
 
 
-@made_once
-def arithmetic(degrees: tuple[int, ...]) -> Arithmetic:
-    """Return the operations for degrees in time and parameters, with their matrices."""
-    return Arithmetic(degrees)
+arithmetic = made_once(Arithmetic)
+"""Return the operations for degrees in time and parameters, with their matrices."""
 
 
 def _applied(matrix: Array, c: Array) -> Array:

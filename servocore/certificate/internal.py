@@ -101,7 +101,7 @@ class InternalProof(Proof):
         """Return the first states of the motion: given ones, those at rest, or computed ones."""
         array, own = self.problem.array, guessed_unknowns(self.problem, self.begin[:1])[:, 0]
         names = [array.names[j].removeprefix("q.") + "_dot" * order for j, order in array.states]
-        own, begun = own[array.places(array.states)], _early(s)[:, 0]
+        own, begun = own[array.places(array.states)], self.ring.ends(s)[0][0, :, 0]
         near = (np.abs(begun - own) <= _REST * norm(s[:-1]).max(axis=1)).all()
         if near and self.begin[0] == self.problem.reference.start_time:
             begun = own
@@ -190,7 +190,8 @@ class InternalProof(Proof):
         mu = np.linalg.eigvalsh((M + M.conj().swapaxes(1, 2)) / 2.0)[:, -1]
         mu += np.linalg.norm(varied, axis=(1, 2)) * _OFF + _ROUNDED * worst**2 * np.linalg.norm(J[0], axis=(1, 2))
         defect = magnitude(summed(derivative(self.ring.derivatives[0], s) * (2.0 / width), f, -1.0))
-        jumps = np.abs(_early(s) - np.column_stack([start, s[:-1, :, :-1].sum(axis=0)]))
+        (early,), (late,) = self.ring.ends(s)
+        jumps = np.abs(early - np.column_stack([start, late[:, :-1]]))
         jumps += (2.0 * len(s)) ** 2 * UNIT * sizes[:, None]
         defect, jumps = (np.linalg.norm(np.abs(inverse) @ each, axis=0) * _OFF for each in (defect, jumps))
         e, largest, growth = 0.0, np.empty(len(width)), np.exp(mu * width) * _OFF
@@ -212,8 +213,3 @@ class InternalProof(Proof):
         self.x, self.given = model_of(x[:, : self._count], rho), self._given(s)
         self.relative = (rho / self.peaks)[self.equations.inputs].max(axis=0)
         self.joints = self._joints()
-
-
-def _early(s: Model) -> Array:
-    """Return polynomials at the begins of their intervals."""
-    return np.tensordot((-1.0) ** np.arange(len(s) - 1), s[:-1], 1)

@@ -272,10 +272,8 @@ class Proof:
 
     def _joints(self) -> list[str]:
         """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
-        c, rho, D = self.x[:-1], self.x[-1], self.D
-        shaped = c.reshape(_DEGREE + 1, -1, *c.shape[1:])
-        early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
-        noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
+        (early, late), size, rho, D = self.ring.ends(self.x), norm(self.x[:-1]), self.x[-1], self.D
+        noise = 2.0 * (_DEGREE + 2) * UNIT * (size[:, :-1] + size[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
         fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
         fits |= self.equations.free[:, None]
