@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import Model, arithmetic, model_of
-from servocore.certificate.equations import Box, equations_of, given_models, radii
+from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
 from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
@@ -40,6 +40,7 @@ _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
+_FEW = 64  # unknowns in one block
 _CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
 
 
@@ -114,6 +115,8 @@ class Proof:
         self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
         while len(self.begin) <= _MOST and (self._refined() or self._followed()):
             pass
+        if self.proved.all() and len(self.peaks) <= _FEW and not self.boxed:
+            self._test_whole((self.relative > tolerance) & ~self.jumping)
         self.joints = self._joints()
 
     @cached_property
@@ -156,8 +159,8 @@ class Proof:
             self._answer(fresh)
             self._halve(fresh & self._coarse())
         fresh = self.solved & ~self.tested
-        self._test(fresh)
-        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0))
+        self._test(fresh, self.equations)
+        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), self.equations)
         halved = self._too_wide()
         if self.switches.sum() > _SWITCHING:
             halved &= ~self.switches
@@ -224,7 +227,17 @@ class Proof:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask) -> None:
+    def _test_whole(self, some: Mask) -> None:
+        """Test intervals with all unknowns as one block, which counts where it proves more."""
+        if some.any():
+            names = "x", "D", "failed", "relative"
+            before = {name: getattr(self, name).copy() for name in names}
+            self._test(some, in_one_block(self.equations))
+            worse = self.relative > before["relative"]
+            for name, old in before.items():
+                getattr(self, name)[..., worse] = old[..., worse]
+
+    def _test(self, some: Mask, equations: Equations) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump.
@@ -233,18 +246,18 @@ class Proof:
             return
         model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
         D = _REACH * peaks * 0.5 ** self.depth[some]
-        D[self.equations.switching] = _TIGHT * peaks[self.equations.switching]
+        D[equations.switching] = _TIGHT * peaks[equations.switching]
         x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
         for left in reversed(range(_CENTRED)):
-            rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, peaks)
+            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
             if not left or not switches.any():
                 break
             x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
-        within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        within &= ~switches | (rho <= _STEADY * peaks)[self.equations.steady].all(axis=0)
-        relative = (rho / peaks)[self.equations.inputs].max(axis=0, initial=0.0)
+        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
+        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
         self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
-        self.relative[some] = np.where(within, relative, np.inf)
+        self.relative[some] = relative
         self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
 
     @cached_property
