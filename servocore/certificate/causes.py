@@ -48,12 +48,13 @@ def _impulse(proof: Proof) -> Statement | None:
     """
     array, settled = proof.equations.array, np.flatnonzero(proof.proved | ~proof.within)
     known, place = proof.solved, {unknown: k for k, unknown in enumerate(array.unknowns)}
+    early, late = (each[0] for each in proof.ring.ends(proof.x))
     for a, b in pairwise([] if proof.boxed else settled.tolist()):
         gap = proof.begin[b] - proof.end[a]
         explicable = not (proof.switches[a + 1] and known[[a, a + 1, b]].all())
         if explicable or not 0.0 < gap < _SHORT * proof.problem.reference.duration:
             continue
-        left, right = proof.x[:-1, :, a].sum(axis=0), (-1.0) ** np.arange(len(proof.x) - 1) @ proof.x[:-1, :, b]
+        left, right = late[:, a], early[:, b]
         for k in proof.equations.motion:
             j, derivative = array.unknowns[k]
             rate = place[j, derivative + 1]

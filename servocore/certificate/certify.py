@@ -12,12 +12,23 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import jumps_of, motion_statements
+from servocore.certificate.chebyshev import arithmetic
 from servocore.certificate.equations import Box
-from servocore.certificate.instants import ErrorBound, at_states, compared, tube_of
+from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import LIMIT, Claim, Statement, Verdict, claims_of, statements_of
+from servocore.certificate.statements import (
+    LIMIT,
+    Claim,
+    ErrorBound,
+    Statement,
+    Verdict,
+    claims_of,
+    compared,
+    statements_of,
+    walk_of_limits,
+)  # fmt: skip
 from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
-from servocore.model.limits import Bounds, limit_named, reported_quantities
+from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -100,10 +111,13 @@ class Certificate:
             not proved.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
-        if self._proof is None:
+        if (proof := self._proof) is None:
             return {}
-        names = list(reported_quantities(self._proof.problem.system))
-        return dict(zip(names, np.stack(tube_of(self._proof, times, names), axis=-1), strict=True))
+        names, ring = list(reported_quantities(proof.problem.system)), arithmetic((0, *proof.ring.degrees[1:]))
+        walk = walk_of_limits(proof.equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
+        bounds = np.stack(ring.span(walk(ring, proof.at(proof.enclosures, times))), axis=-1)
+        unknown = ~np.isfinite(bounds).all(axis=-1, keepdims=True)
+        return dict(zip(names, np.where(unknown, [-np.inf, np.inf], bounds), strict=True))
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Plot the enclosures of quantities over time: both bounds.
@@ -185,24 +199,22 @@ def certify(
         require_kind(problem, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
     else:
         problem = Problem.of(scene_or_solution, model)
-    path, proof, bounds, jumps = problem.reference, None, dict[str, ErrorBound](), tuple[float, ...]()
+    path, bounds, jumps = problem.reference, dict[str, ErrorBound](), tuple[float, ...]()
+    proof: Proof | None = None
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
     wanted = [k for k in (*problem.limits, *extra) if not k.at_instants_only]
     boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
     if not problem.flat:
-        text = "the states of the internal dynamics come from an integration, whose error is estimated and not proved"
-        if solution is not None and solution.error.largest is not None:
-            text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-        statements = [Statement("one motion", "undecided", text)]
-        statements += [at_states(problem, solution)] if solution is not None else []
+        proof, statements = near_states(problem, solution, tolerance, bool(boxed))
     elif path.max_order < problem.array.reference_order + rates:
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
         statements = [Statement("one motion", "refuted", text)]
     else:
-        proof = Proof(problem, boxed, tolerance, rates)
+        proof, statements = Proof(problem, boxed, tolerance, rates), []
+    if proof is not None:
         jumps = jumps_of(proof)
         claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
-        statements = motion_statements(proof)
+        statements += motion_statements(proof)
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, claims = statements + of_instants, spikes + claims

@@ -23,8 +23,6 @@ from servocore.certificate.programs import TIMES, UNIT, UP, Products, carry_out,
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 
-__all__ = ["UNIT", "Arithmetic", "Model", "arithmetic", "bounded", "magnitude", "model_of", "norm"]
-
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
 _NARROW = 1e-8  # radius
@@ -96,6 +94,11 @@ class Arithmetic(Products):
         noise = 8 * (len(a) + 7) * UNIT * norm(a[:-1])
         return [model_of(_applied(matrix, a[:-1]), a[-1] + noise) for matrix in self.halves[k]]
 
+    def ends(self, a: Model) -> tuple[Array, Array]:
+        """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
+        c = a[:-1].reshape(self.degrees[0] + 1, -1, *a.shape[1:])
+        return np.tensordot((-1.0) ** np.arange(len(c)), c, 1), c.sum(axis=0)
+
     def constant(self, values: Array) -> Model:
         """Return models of constants, shape (count, boxes)."""
         a = np.zeros((self.orders.shape[1] + 1, *values.shape))
@@ -125,7 +128,7 @@ class Arithmetic(Products):
         """Return a times b."""
         places = np.stack([a, b, a]).reshape(3, len(a), -1)
         carry_out(_PRODUCT, self, places)
-        return places[2].reshape(a.shape)
+        return np.asarray(places[2].reshape(a.shape))
 
     # Interpolated and bounded afterwards ----------------------------------------------------------------------------
 
@@ -199,7 +202,7 @@ class Arithmetic(Products):
             value, e = self._middle(y)
             off = off + np.abs(value - begin) + e
             for matrix in self.derivatives:
-                slope, change = _derivative(matrix, p), _derivative(matrix, y)
+                slope, change = derivative(matrix, p), derivative(matrix, y)
                 off = off + magnitude(summed(change, self.product(slope, other), -sign))
         return off
 
@@ -231,10 +234,8 @@ class Arithmetic(Products):
         return b
 
 
-@made_once
-def arithmetic(degrees: tuple[int, ...]) -> Arithmetic:
-    """Return the operations for degrees in time and parameters, with their matrices."""
-    return Arithmetic(degrees)
+arithmetic = made_once(Arithmetic)
+"""Return the operations for degrees in time and parameters, with their matrices."""
 
 
 def _applied(matrix: Array, c: Array) -> Array:
@@ -242,7 +243,7 @@ def _applied(matrix: Array, c: Array) -> Array:
     return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
 
 
-def _derivative(matrix: Array, a: Model) -> Model:
+def derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
     (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
     return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)

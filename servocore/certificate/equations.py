@@ -18,14 +18,15 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of, norm
-from servocore.certificate.programs import UP
+from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
+from servocore.certificate.programs import UP, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -56,6 +57,8 @@ class Equations:
         The system.
     raised : bool
         Whether the array is differentiated once more, for rates.
+    varied : bool
+        Whether the derivatives of the unknowns by the states are unknowns too, column by column behind the others.
 
     Attributes
     ----------
@@ -67,6 +70,8 @@ class Equations:
         Of operations that are constant between jumps.
     residual, jacobian : Walk
         Of the equations, and of the entries of their Jacobian; arguments are the symbols and the steps.
+    flow : Walk
+        If varied: of the rates of the states and their derivatives by the states, column by column.
     motion, switching, inputs : list of int
         Unknowns that are coordinates and velocities: they cannot jump; that the steps depend on; and that are inputs.
     steady, curved : ndarray of bool
@@ -81,18 +86,24 @@ class Equations:
         Places of entries of the Jacobian within the diagonal blocks, row by row, and among its own entries.
     begins, unknowns : ndarray of int
         Of I - Y J: where its rows begin among its entries, and the columns of these.
-    added, factors : ndarray of bool, list of ndarray of int
-        Which of the entries are sums, and of the other ones, products, the places of their factors in Y and in J.
     test, newton : Walk
-        From the entries of Y and of J to those of I - Y J that are sums, and from those of Y and of r to Y r.
+        From the entries of Y and of J to those of I - Y J, and from those of Y and of r to Y r.
     """
 
-    def __init__(self, resolved: ResolvedSystem, raised: bool) -> None:
+    def __init__(self, resolved: ResolvedSystem, raised: bool, varied: bool = False) -> None:
         array = self.array = differentiated_once_more(resolved.array) if raised else resolved.array
         x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
         residual, names, steps = _without_steps(array.residual)
+        if varied:
+            s = array.column(array.states)
+            V = ca.SX.sym("V", x.numel(), s.numel())
+            rates = array.column(tuple((j, order + 1) for j, order in array.states))
+            slopes, change = (ca.mtimes(ca.jacobian(f, x), V) + ca.jacobian(f, s) for f in (rates, residual))
+            x, residual = ca.vertcat(x, ca.vec(V)), ca.vertcat(residual, ca.vec(change))
         self.symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), array.column(array.states))
         # CasADi counts entries by columns: matrices are transposed.
+        if varied:
+            self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
         every, J = ca.vertcat(self.symbols, names), ca.jacobian(residual, x).T
         self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
         self.jacobian = Walk(J.nz[:], every)
@@ -104,12 +115,20 @@ class Equations:
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
-        self.free = ~self.curved | [each not in resolved.array.unknowns for each in array.determined]
-        self._find_blocks(J.sparsity())
+        self.free = ~self.curved
+        self.free[: len(array.determined)] |= [each not in resolved.array.unknowns for each in array.determined]
+        self._pattern = J.sparsity()
+        _, rows, columns, bounds, *_ = self._pattern.T.btf()
+        self._find_blocks(rows, columns, bounds)
 
-    def _find_blocks(self, pattern: ca.Sparsity) -> None:
-        size = pattern.size1()
-        _, rows, columns, bounds, *_ = pattern.T.btf()
+    def in_one_block(self) -> Equations:
+        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
+        found = copy(self)
+        found._find_blocks(self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
+        return found
+
+    def _find_blocks(self, rows: list[int], columns: list[int], bounds: list[int]) -> None:
+        pattern, size = self._pattern, len(rows)
         self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
         permuted, entry = pattern.sub(columns, rows)
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
@@ -117,16 +136,9 @@ class Equations:
         inside = np.array(whole.get_nz(places.tolist()))
         self.inside, self.own = inside[inside >= 0], np.array(entry)[inside >= 0]
         Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(entry)), ("r", size)))
-        # Products are those of the transposed matrices: of entries, of ones, and with the numbers of the entries.
-        numbers = (1, 1), (1, ca.DM(range(whole.nnz()))), (ca.DM(entry), 1)
-        products = [ca.mtimes(ca.SX(permuted, j), ca.SX(whole, y)) for j, y in ((J[entry], Y), *numbers)]
-        off, pattern = ca.SX.eye(size) - products[0], products[0].sparsity()
-        self.begins, self.unknowns = np.array(pattern.colind()[:-1]), np.array(pattern.row())
-        terms, *factors = (np.array(ca.DM(each).nz[:], dtype=np.intp).ravel() for each in products[1:])
-        self.added = (terms > 1) | (np.array(pattern.get_col()) == self.unknowns)
-        self.factors = [each[~self.added] for each in factors]
-        added = off.nz[np.flatnonzero(self.added).tolist()]
-        self.test = Walk(added, ca.vertcat(Y, J))
+        off = ca.SX.eye(size) - ca.mtimes(ca.SX(permuted, J[entry]), ca.SX(whole, Y))  # of the transposed matrices
+        self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
+        self.test = Walk(off.nz[:], ca.vertcat(Y, J))
         self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
 
     def around(self, unknown: int) -> list[int]:
@@ -135,8 +147,8 @@ class Equations:
         return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
-equations_of = made_once(Equations)
-"""Return the equations of a system, prepared once."""
+equations_of, in_one_block = made_once(Equations), made_once(Equations.in_one_block)
+"""Return the equations of a system, and the same in one block, prepared once."""
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -236,10 +248,8 @@ def radii(
     Y = _inverses(equations, coarse, coarse.values(J[:, equations.own]))
     inverse = np.insert(Y, terms, np.zeros((len(x) - terms, 1, 1)), axis=0)
     newton = equations.newton(ring, np.concatenate([inverse, residual], axis=1))
-    added, (left, right) = equations.added, equations.factors
-    A, Z = np.empty((len(added), x.shape[2])), np.maximum(magnitude(newton), _LEAST * sizes[equations.columns])
-    A[added] = magnitude(equations.test(coarse, np.concatenate([Y, J], axis=1)))
-    A[~added] = magnitude(Y)[left] * magnitude(J)[right] * UP
+    A = magnitude(equations.test(coarse, np.concatenate([Y, J], axis=1)))
+    Z = np.maximum(magnitude(newton), _LEAST * sizes[equations.columns])
     rho, holds = _fixed(equations, A, Z)
     first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
     proved, order = holds.all(axis=0), np.argsort(equations.columns)

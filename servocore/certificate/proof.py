@@ -13,13 +13,16 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
-from servocore.certificate.equations import Box, equations_of, given_models, radii
+from servocore.certificate.chebyshev import Model, arithmetic, model_of
+from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
+from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
+from servocore.references.base import Reference
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.inversion import Inversion, inversion
 
@@ -37,7 +40,15 @@ _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
+_FEW = 64  # unknowns in one block
 _CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
+
+
+def grid_of(path: Reference, count: int) -> Array:
+    """Return the ends of so many intervals of a path, in s: each piece of it has one at the least."""
+    counts = np.maximum(np.ceil(count * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
+    grids = [np.linspace(a, b, n + 1) for (a, b), n in zip(pairwise(path.joints), counts, strict=True)]
+    return np.unique(np.concatenate(grids))
 
 
 class Proof:
@@ -94,10 +105,8 @@ class Proof:
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         machine_code(self.equations.array).best(1)
         path = problem.reference
-        count = np.maximum(np.ceil(_FIRST * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
-        grids = [np.linspace(a, b, n + 1) for (a, b), n in zip(pairwise(path.joints), count, strict=True)]
         margin = _OUTSIDE * path.duration
-        grid = np.unique(np.concatenate([[path.start_time - margin], *grids, [path.end_time + margin]]))
+        grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
         self.fresh, self.followed, self.tested, self.switches = (np.full(n, k == 0) for k in range(4))
@@ -106,6 +115,8 @@ class Proof:
         self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
         while len(self.begin) <= _MOST and (self._refined() or self._followed()):
             pass
+        if self.proved.all() and len(self.peaks) <= _FEW and not self.boxed:
+            self._test_whole((self.relative > tolerance) & ~self.jumping)
         self.joints = self._joints()
 
     @cached_property
@@ -115,7 +126,7 @@ class Proof:
         That is 1e-6 of its nominal magnitude within the duration of the path, and of an input 1e-6 of the largest one.
         """
         array, duration, inputs = self.equations.array, self.problem.reference.duration, self.equations.inputs
-        least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.unknowns])
+        least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.determined])
         largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
@@ -148,8 +159,8 @@ class Proof:
             self._answer(fresh)
             self._halve(fresh & self._coarse())
         fresh = self.solved & ~self.tested
-        self._test(fresh)
-        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0))
+        self._test(fresh, self.equations)
+        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), self.equations)
         halved = self._too_wide()
         if self.switches.sum() > _SWITCHING:
             halved &= ~self.switches
@@ -216,7 +227,17 @@ class Proof:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask) -> None:
+    def _test_whole(self, some: Mask) -> None:
+        """Test intervals with all unknowns as one block, which counts where it proves more."""
+        if some.any():
+            names = "x", "D", "failed", "relative"
+            before = {name: getattr(self, name).copy() for name in names}
+            self._test(some, in_one_block(self.equations))
+            worse = self.relative > before["relative"]
+            for name, old in before.items():
+                getattr(self, name)[..., worse] = old[..., worse]
+
+    def _test(self, some: Mask, equations: Equations) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump.
@@ -225,18 +246,18 @@ class Proof:
             return
         model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
         D = _REACH * peaks * 0.5 ** self.depth[some]
-        D[self.equations.switching] = _TIGHT * peaks[self.equations.switching]
+        D[equations.switching] = _TIGHT * peaks[equations.switching]
         x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
         for left in reversed(range(_CENTRED)):
-            rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, peaks)
+            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
             if not left or not switches.any():
                 break
             x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
-        within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        within &= ~switches | (rho <= _STEADY * peaks)[self.equations.steady].all(axis=0)
-        relative = (rho / peaks)[self.equations.inputs].max(axis=0, initial=0.0)
+        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
+        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
         self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
-        self.relative[some] = np.where(within, relative, np.inf)
+        self.relative[some] = relative
         self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
 
     @cached_property
@@ -246,14 +267,26 @@ class Proof:
         nothing[-1] = np.inf
         return np.concatenate([np.where(self.proved, self.x, nothing), self.given], axis=1)
 
+    def at(self, models: Model, t: Array) -> Model:
+        """Return models on all intervals at times (N,), polynomials in the parameters; infinite radii elsewhere."""
+        numbers = np.searchsorted(self.end[:-1], t, side="right")
+        a, b = self.begin[numbers], self.end[numbers]
+        position = (2.0 * t - a - b) / (b - a)
+        found = models[..., numbers]
+        basis = chebyshev.chebvander(np.clip(position, -1.0, 1.0), self.ring.degrees[0])
+        shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
+        # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
+        late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
+        noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped), 1).sum(axis=0) * late
+        radius = np.where(np.abs(position) > 1.0 + 1e-9, np.inf, found[-1] + noise)
+        return model_of(np.einsum("nd,dpkn->pkn", basis, shaped), radius)
+
     # Joints ---------------------------------------------------------------------------------------------------------
 
     def _joints(self) -> list[str]:
         """Return how neighbours meet, by coefficients in the parameters (terms, unknowns, joints) at their ends."""
-        c, rho, D = self.x[:-1], self.x[-1], self.D
-        shaped = c.reshape(_DEGREE + 1, -1, *c.shape[1:])
-        early, late = np.tensordot((-1.0) ** np.arange(_DEGREE + 1), shaped, 1), shaped.sum(axis=0)
-        noise = 2.0 * (_DEGREE + 2) * UNIT * (norm(c)[:, :-1] + norm(c)[:, 1:])
+        (early, late), size, rho, D = self.ring.ends(self.x), norm(self.x[:-1]), self.x[-1], self.D
+        noise = 2.0 * (_DEGREE + 2) * UNIT * (size[:, :-1] + size[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
         fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
         fits |= self.equations.free[:, None]

@@ -1,4 +1,4 @@
-"""Statements about a proved motion: quantities stay within bounds, by enclosures on boxes that are halved."""
+"""Statements about a proved motion: bounds of quantities, by enclosures on boxes that are halved, and of errors."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, norm
+from servocore.certificate.chebyshev import Arithmetic, Model, magnitude
 from servocore.certificate.equations import Equations
+from servocore.certificate.programs import UNIT, norm
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
@@ -20,6 +21,8 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
+from servocore.references.base import time_grid
+from servocore.solution import Solution
 from servocore.structure.derivative_array import in_variables
 
 Verdict = Literal["proved", "refuted", "undecided"]
@@ -31,6 +34,9 @@ _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches
 _HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
 _HALVED_RUNS = 4  # how often intervals are halved for integrals
 _POSITIVE = 1e-300  # a pivot that is not zero
+_SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
+_UNSHOWN = "the instants do not show it"
+_FLOOR = 1e-6  # of the largest input: one that is less may be round-off
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,31 @@ class Statement:
 
     def __str__(self) -> str:
         return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
+
+
+@dataclass(frozen=True)
+class ErrorBound:
+    """A bound of the error of an input.
+
+    Attributes
+    ----------
+    at_instants, between : float
+        In the unit of the input: at the instants that are reported, and of the enclosure at any time.
+    peak : float
+        Largest magnitude of the input, in its unit.
+    unit : str
+        Of all three.
+    """
+
+    at_instants: float
+    between: float
+    peak: float
+    unit: str
+
+    @property
+    def relative(self) -> float:
+        """The bound at instants as a share of the peak."""
+        return self.at_instants / self.peak if self.peak else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,3 +296,42 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
     total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
     return np.array([total - off, total + off])
+
+
+# At instants -------------------------------------------------------------------------------------------------------
+
+
+def compared(
+    proof: Proof, solution: Solution | None, tolerance: float
+) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
+    """Bound errors of inputs, at the instants of a solution or of a default run, and state the consequence.
+
+    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
+    equations switch inputs have no value to compare with.
+    """
+    inputs, places = proof.problem.system.inputs, proof.equations.inputs
+    t = time_grid(proof.problem.reference, None) if solution is None else solution.t
+    calm = ~proof.jumping[np.searchsorted(proof.end[:-1], t, side="right")]
+    t = t[calm]
+    unknowns = proof.at(proof.enclosures[:, places], t)
+    middle, radius = unknowns[0], magnitude(unknowns[1:])
+    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
+    least, most = apart - radius, apart + radius
+    peaks = np.abs(middle).max(axis=1)
+    peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
+    between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
+    bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
+    for k, each in enumerate(inputs):
+        peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
+        bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
+        spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
+        claims += [] if proof.boxed else [Claim(what, spike)]
+    if solution is not None:
+        low, high = least / peaks[:, None], most / peaks[:, None]
+        verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"
+        verdict = "proved" if (high <= tolerance).all() else verdict
+        place, at = np.unravel_index(int(high.argmax()), high.shape)
+        text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
+        what = f"inputs within {tolerance:g} of their peaks"
+        found.append(Statement(what, verdict, text, float(t[at])))
+    return bounds, found, claims
