@@ -191,7 +191,7 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
         if motion.problem.follow_branch:  # through places where angles are not defined
             values[k] = np.unwrap(values[k])
             continue
-        unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN) | motion.far
+        unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN)
         if channel.name in names:
             rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
             unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
