@@ -188,16 +188,13 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
     for k, channel in enumerate(program.channels):
         if not channel.wraps:
             continue
-        if motion.problem.follow_branch:  # through places where angles are not defined
-            values[k] = np.unwrap(values[k])
-            continue
-        unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN) | motion.far
+        unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN)
         if channel.name in names:
             rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
             unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
-        elif not unclear.any() and (np.abs(np.diff(values[k])) < np.pi).all():
-            continue
-        values[k] = _followed(motion, program, k, values[k], unclear)
+        # A branch that is followed may pass places where angles are not defined.
+        clear = motion.problem.follow_branch or not unclear.any()
+        values[k] = np.unwrap(values[k]) if clear else _followed(motion, program, k, values[k], unclear)
 
 
 def _followed(motion: Motion, program: Program, channel: int, angle: Array, unclear: npt.NDArray[np.bool_]) -> Array:

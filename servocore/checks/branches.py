@@ -251,21 +251,21 @@ class Branch:
 
 def on_one_branch(
     problem: Problem, t: Array, states: Array, known: Array | None = None
-) -> tuple[Array, str, tuple[Passage, ...], npt.NDArray[np.bool_]]:
-    """Return answers on the branch of the first, how that is known, the singularities passed, and what is `far`.
+) -> tuple[Array, str, tuple[Passage, ...]]:
+    """Return answers on the branch of the first, how that is known, and the singularities passed.
 
     `known` are the determinants of the answers that are given, where they are known.
     """
     branch = Branch.of(problem, states)
     kept = _with_a_beginning(branch, t, states)
-    incomplete, far = kept is not states, _far(branch, t, kept)
+    incomplete = kept is not states
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     # A drum that unwinds kilometres of rope turns thousands of times between two instants: nothing follows that, and
     # nothing has to where the guess of the model is the motion, unless the sign of a determinant shows another branch.
-    waiting, replaced = sorted({*np.flatnonzero(far).tolist(), *changes}, reverse=True), False
+    waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
     if len(waiting) > _MOST_FOLLOWED and not changes and guess_is_exact(problem, t):
-        return states, CLOSED_FORM, (), far
+        return states, CLOSED_FORM, ()
     while waiting:
         k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])
@@ -276,7 +276,7 @@ def on_one_branch(
             except IntegrationFailed:
                 if replaced or changes or not guess_is_exact(problem, t):
                     raise
-                return states, CLOSED_FORM, (), far
+                return states, CLOSED_FORM, ()
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
         if (off[:, 0] <= _SLIGHT * branch.scale).all():
@@ -285,7 +285,7 @@ def on_one_branch(
         kept[:, k + 1], replaced = reached, True
         if k + 2 < len(t) and (not waiting or waiting[-1] != k + 1):
             waiting.append(k + 1)
-    return kept, FOLLOWED if replaced or incomplete else CONTINUOUS, tuple(passages), far
+    return kept, FOLLOWED if replaced or incomplete else CONTINUOUS, tuple(passages)
 
 
 def guess_is_exact(problem: Problem, t: Array) -> bool:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.branches import (
     CLOSED_FORM,
@@ -47,8 +46,6 @@ class Motion:
         How it is known to be one motion; empty where internal dynamics were integrated.
     passages : tuple of Passage
         Singularities that it passes.
-    far : ndarray of bool, shape (N - 1,)
-        Intervals over which derivatives disagree.
     values : ndarray, shape (channels, N), or None
         Observed quantities, where they are known.
     by_guess : bool or None
@@ -60,7 +57,6 @@ class Motion:
     states: Array
     branch: str = ""
     passages: tuple[Passage, ...] = ()
-    far: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     values: Array | None = None
     by_guess: bool | None = None
 
@@ -132,9 +128,9 @@ def motion_of(
         states, by_expression = exact_unknowns(problem, t)
     if len(t) < 2 or len(states) != len(problem.array.unknowns):
         return Motion(problem, t, states, by_guess=True)
-    kept, how, passages, far = on_one_branch(problem, t, states, known)
+    kept, how, passages = on_one_branch(problem, t, states, known)
     by_guess = False if how == FOLLOWED else True if by_expression or how == CLOSED_FORM else None
-    return Motion(problem, t, kept, how, passages, far, by_guess=by_guess)
+    return Motion(problem, t, kept, how, passages, by_guess=by_guess)
 
 
 def passed(motion: Motion) -> Iterator[Finding]:

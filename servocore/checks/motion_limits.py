@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.checks.findings import ROUND_OFF, least_between
+from servocore.checks.findings import ROUND_OFF, bisected, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
@@ -71,10 +71,10 @@ def first_broken(
     if evaluate is not None and np.isfinite(value):
         when = least_between(lambda at: margin_within(limit, evaluate(at), size), t, worst)
         value = float(evaluate(np.array([when]))[0])
-        good = float(t[k - 1]) if k else first
-        while good < (middle := (good + first) / 2.0) < first and first - good > ROUND_OFF * float(np.ptp(t)):
-            kept = margin_within(limit, evaluate(np.array([middle])), size)[0] >= 0.0
-            good, first = (middle, first) if kept else (good, middle)
+        if k:
+            _, first = bisected(
+                lambda at: bool(margin_within(limit, evaluate(np.array([at])), size)[0] >= 0.0), float(t[k - 1]), first
+            )
     why = f" {limit.reason}:" if limit.reason else ""
     if not np.isfinite(value):
         return first, f"{name}: at t = {first:.6g} s{why} {limit.quantity} is not finite, and has a limit"

@@ -61,14 +61,13 @@ class Pointwise(JudgedRoute):
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        kept, followed = slice(None), problem.follow_branch
+        parts, followed = 1, problem.follow_branch
         program = program_of(problem, self.formulation, native=bool(self.native) and followed)
         if followed:
             done = self._looked_at(problem, run_steps(problem, program, times, progress))
         else:
             times, parts = enough(times)
-            kept = slice(None, None, parts)
-            done = self._at_every_instant(problem, program, times, progress, kept)
+            done = self._at_every_instant(problem, program, times, progress)
         try:
             motion = motion_of(problem, times, done.states, block_determinants(problem.array, *done.observed[2:]))
         except IntegrationFailed as error:
@@ -83,9 +82,7 @@ class Pointwise(JudgedRoute):
         motion = replace(motion, values=done.observed[0])
         continuous_angles(motion, program, done.observed[0])
         solution = solution_of(problem, [done], motion=motion, branch=FOLLOWED if followed else motion.branch)
-        if len(solution.t) == len(solution.t[kept]):
-            return solution
-        return replace(solution, t=solution.t[kept], values=solution.values[kept])
+        return replace(solution, t=solution.t[::parts], values=solution.values[::parts]) if parts > 1 else solution
 
     @staticmethod
     def _looked_at(problem: Problem, run: Run) -> Run:
@@ -97,13 +94,8 @@ class Pointwise(JudgedRoute):
         """Return the exact inversion again, from guesses beside the answers."""
         return BetterSolver(_perturbed, True, "the exact inversion, solved again,")
 
-    def _at_every_instant(
-        self, problem: Problem, program: Program, times: Array, progress: Progress | None, kept: slice
-    ) -> Run:
-        """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking`.
-
-        The counts are those of the instants that are kept.
-        """
+    def _at_every_instant(self, problem: Problem, program: Program, times: Array, progress: Progress | None) -> Run:
+        """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking`."""
         require_derivatives(problem, program.start_order, f"{program.name} needs")
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
@@ -121,7 +113,7 @@ class Pointwise(JudgedRoute):
         good = np.isfinite(residuals[0])
         if not good.all():
             states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
-        iterations, factorizations = counts[:, kept].sum(axis=1).round()
+        iterations, factorizations = counts.sum(axis=1).round()
         worst = float(np.max(residuals[0, good], initial=0.0))
         return Run(program, times, states, int(iterations), int(factorizations), worst, tuple(looked))
 

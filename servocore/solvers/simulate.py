@@ -19,7 +19,7 @@ from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solution import Solution, Statistics
+from servocore.solution import NO_STATISTICS, Solution
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import integrated
 from servocore.solvers.input_functions import CheckedInputs, GivenInputs, Inputs, interpolated, rising_times
@@ -221,11 +221,10 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, 
     deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
-    statistics = Statistics(
+    statistics = replace(
+        NO_STATISTICS,
         steps=steps,
-        newton_iterations=0,
         factorizations=evaluations,
-        worst_residual=0.0,
         servo_violation=float(deviation.max()),
         servo_rate_violation=float(rate_deviation.max()),
         constraint_violation=float(violations[2].max()),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,8 +34,6 @@ from servocore.solvers.runs import Progress, of_states, require_derivatives, sol
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
 
 Places = npt.NDArray[np.int64]
-_Triplets = tuple[Array, tuple[Places, Places]]
-"""Values with their rows and columns."""
 
 _MOST_HALVINGS = 8
 _MOST_ITERATIONS = 30
@@ -257,17 +256,15 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.
 
 def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     """Solve on a mesh of equal intervals; returns x at the mesh points and the Newton iterations."""
-    import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
-    import scipy.sparse.linalg  # noqa: PLC0415
+    import scipy.sparse.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
 
     evaluate, assemble, ends = _collocation(bounded, mesh)
     y = _quasi_static(bounded, mesh)
     residual = evaluate(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
-        matrix = scipy.sparse.csc_array(assemble(y), shape=(len(y), len(y)))
         try:
             # A chain of blocks and a few boundary rows: sparse LU fills in little.
-            change = scipy.sparse.linalg.splu(matrix).solve(-residual)
+            change = scipy.sparse.linalg.splu(assemble(y)).solve(-residual)
         except RuntimeError:  # exactly singular
             break
         y, residual, length = _damped(evaluate, y, residual, change)
@@ -293,13 +290,13 @@ def _damped(evaluate: Callable[[Array], Array], y: Array, residual: Array, chang
         length /= 2.0
 
 
-def _collocation(
-    bounded: _Bounded, mesh: Array
-) -> tuple[Callable[[Array], Array], Callable[[Array], _Triplets], Places]:
+def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], Array], Callable[[Array], Any], Places]:
     """Return residual and Jacobian of the whole horizon, and the places of x at the mesh points.
 
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
+    import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
+
     problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
     one, one_jacobian, (rows, columns) = _interval(problem.resolved, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
@@ -309,25 +306,21 @@ def _collocation(
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
     starts = width * np.arange(count)
     take = starts[:, None] + np.arange(width + size_x)
-    # The boundary conditions take the first len x rows.
-    global_rows = (height * np.arange(count)[:, None] + rows).ravel() + size_x
-    global_columns = (starts[:, None] + columns).ravel()
+    places = (height * np.arange(count)[:, None] + rows).ravel(), (starts[:, None] + columns).ravel()
     L, R, b = bounded.conditions
     total = width * count + size_x
-    dense = [(L, np.arange(size_x)), (R, np.arange(total - size_x, total))]
+    # The boundary conditions take the first len x rows.
+    parts = L, np.zeros((size_x, total - 2 * size_x)), R
+    boundary = scipy.sparse.csc_array(np.hstack(parts))
 
     def evaluate(y: Array) -> Array:
         (inside,) = residuals(y[take].T, *constant)
         return np.concatenate([L @ y[:size_x] + R @ y[-size_x:] - b, inside.ravel(order="F")])
 
-    def assemble(y: Array) -> _Triplets:
-        (inside,) = jacobians(y[take].T, *constant)
-        data, i, j = [inside.ravel(order="F")], [global_rows], [global_columns]
-        for matrix, places in dense:
-            data.append(matrix.ravel())
-            i.append(np.repeat(np.arange(size_x), size_x))
-            j.append(np.tile(places, size_x))
-        return np.concatenate(data), (np.concatenate(i), np.concatenate(j))
+    def assemble(y: Array) -> Any:
+        (values,) = jacobians(y[take].T, *constant)
+        inside = scipy.sparse.csc_array((values.ravel(order="F"), places), (height * count, total))
+        return scipy.sparse.vstack([boundary, inside], format="csc")
 
     ends = (width * np.arange(count + 1))[:, None] + np.arange(size_x)
     return evaluate, assemble, ends
