@@ -36,10 +36,8 @@ class KnownValues(ABC, Generic[Value]):
     ----------
     explicit : list of (casadi.SX, casadi.SX)
         Columns of symbols, and their expressions in symbols with values.
-    iterations : list of casadi.SX or casadi.MX
-        Iteration counts of Newton's method.
-    isomorphic_counts : list of casadi.SX or casadi.MX
-        Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
+    iterated : list of casadi.SX or casadi.MX
+        Counts of blocks and of isomorphic parts with iterations, as `counts` returns them, in columns.
     residuals : list of casadi.SX or casadi.MX
         Largest scaled residuals of isomorphic parts, shape (1, parts) each.
     linear_blocks : int
@@ -51,8 +49,7 @@ class KnownValues(ABC, Generic[Value]):
     written_out: ClassVar[bool]
 
     explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)
-    iterations: list[Value] = field(default_factory=list)
-    isomorphic_counts: list[Value] = field(default_factory=list)
+    iterated: list[Value] = field(default_factory=list)
     residuals: list[Value] = field(default_factory=list)
     linear_blocks: int = 0
 
@@ -86,12 +83,8 @@ class KnownValues(ABC, Generic[Value]):
 
     def counts(self) -> Value:
         """Return the iterations of the slowest block, and the factorizations of all."""
-        most, total = self.evaluated("sc_counts", ca.SX(0), ca.SX(self.linear_blocks))
-        for count in self.iterations:
-            most, total = ca.fmax(most, count), total + count
-        for counts in self.isomorphic_counts:
-            most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
-        return ca.vertcat(most, total)
+        every = ca.horzcat(ca.DM([0, self.linear_blocks]), *self.iterated)
+        return ca.vertcat(ca.mmax(every[0, :]), ca.sum2(every[1, :]))
 
 
 @dataclass(eq=False)

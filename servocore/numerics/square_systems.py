@@ -96,7 +96,7 @@ class SquareSystem:
 
 
 def compile_unrolled_solver(
-    name: str, system: SquareSystem, outputs: list[ca.SX], arguments: list[ca.SX]
+    name: str, system: SquareSystem, outputs: list[ca.SX], arguments: list[ca.SX], *, explicit: bool = False
 ) -> ca.Function | None:
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
@@ -110,15 +110,21 @@ def compile_unrolled_solver(
         See `compile_solver`.
     arguments : list of casadi.SX
         Symbols of which the givens consist.
+    explicit : bool
+        Whether to write out only systems that need no iterations, whatever the guess: of linear blocks.
 
     Returns
     -------
     casadi.Function or None
-        arguments -> the results of `compile_solver`; None if a block is too large to be written out.
+        arguments -> the results of `compile_solver`, of an explicit one the outputs alone; None if a block is too large
+        to be written out, or would need iterations.
     """
     known = WrittenOut()
     with suppress(_TooLargeError):
         _solve(known, system, system.givens)
+        if explicit:
+            results = known.final(outputs)
+            return None if known.iterated else ca.Function(name, arguments, results, {"cse": True})
         *results, residual = known.final([*outputs, _worst(system, system.rest[0])])
         for others in known.residuals:
             # A sum that is NaN shows in no maximum.
@@ -131,22 +137,6 @@ def compile_unrolled_solver(
 def _worst(system: SquareSystem, rows: list[int]) -> ca.SX:
     """Return the largest scaled residual of some rows."""
     return largest(system.residual[rows] / system.residual_scale[rows])
-
-
-def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
-    """Compile the solution of a system that needs no iterations: givens -> outputs, as one expression.
-
-    Returns
-    -------
-    casadi.Function or None
-        None if some block is nonlinear, or too large to be written out.
-    """
-    known = WrittenOut()
-    with suppress(_TooLargeError):
-        _solve(known, system, system.givens)
-        if not known.iterations and not known.isomorphic_counts:
-            return ca.Function(name, [system.givens], known.final(outputs))
-    return None
 
 
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, checked: bool = True) -> ca.Function:
@@ -229,7 +219,7 @@ def _solve_isomorphic(
     columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
     known.add_values(system.unknowns[columns], ca.vec(solved[0]))
     known.residuals += solved[1:-1]
-    known.isomorphic_counts.append(solved[-1])
+    known.iterated.append(solved[-1])
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -350,7 +340,7 @@ def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
     newton = compile_newton(x, symbols, ca.vertcat(equations, ca.exp(-clock / TICK)), data, block.tolerance)
     root = newton(ca.vertcat(start, 0), values)
     ticks = root[size] / TICK
-    known.iterations.append(ticks)
+    known.iterated.append(ca.vertcat(ticks, ticks))
     # A count at the limit is a failure: NaN instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
@@ -366,7 +356,7 @@ def _iterated_once(known: WrittenOut, block: SquareSystem) -> ca.SX:
     moved = ca.sumsqr(correction / block.unknown_scale)
     (start,) = known.resolved(block.guess)
     solution, squared = known.resolved(better - correction, moved, also=[(unknowns, start)])
-    known.iterations.append(ca.SX(1))
+    known.iterated.append(ca.SX([1, 1]))
     known.corrections.append(squared)
     return solution
 
