@@ -165,8 +165,8 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, che
     InvalidModel
         If the equations are structurally singular.
     """
-    known = CompiledValues()
-    givens = known.arguments(system.givens)
+    known, givens = CompiledValues(), ca.MX.sym("givens", system.givens.numel())
+    known.add_values(system.givens, givens)
     _solve(known, system, givens)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
@@ -186,14 +186,15 @@ def _solve_blocks(known: KnownValues[Value], system: SquareSystem) -> None:
     """Solve a system block by block, whether or not it has independent parts."""
     system, constants = _without_constants(system)
     known.explicit += constants
-    for level in _levels(system, known.written_out):
+    unrolled = isinstance(known, WrittenOut)
+    for level in _levels(system, unrolled):
         single = [block for block in level if len(block[0]) == 1]
         others = [block for block in level if len(block[0]) > 1]
         if len(single) > 1:
             rows, columns = ([place for (place,) in places] for places in zip(*single, strict=True))
             single = [single[k] for k in _solve_single(known, system.residual[rows], system.unknowns[columns])]
         for block in chain(single, others):
-            if known.written_out and len(block[0]) > _MOST_UNROLLED:
+            if unrolled and len(block[0]) > _MOST_UNROLLED:
                 raise _TooLargeError
             _solve_block(known, system, *block)
 
@@ -205,15 +206,16 @@ def _solve_isomorphic(
     (first, given), count, inner = group[0], len(group), type(known)()
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[given])
-    arguments = inner.arguments(part.givens)
+    arguments = type(givens).sym("givens", len(given))
+    inner.add_values(part.givens, arguments)
     _solve_blocks(inner, part)
     outputs = [part.unknowns]
-    if known.written_out:
+    if isinstance(known, WrittenOut):
         # The residual shares most operations with the solution, but those are looked for in parts only.
         outputs.append(_worst(part, list(range(len(first.rows)))))
     results = inner.final(outputs)
     results.append(inner.counts())
-    solve = ca.Function("sc_alike", [arguments], results, {"cse": known.written_out}).map(count)
+    solve = ca.Function("sc_alike", [arguments], results, {"cse": isinstance(known, WrittenOut)}).map(count)
     every = ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
     solved = solve.call([every])
     columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
@@ -302,16 +304,15 @@ def _solve_block(known: KnownValues[Value], system: SquareSystem, rows: list[int
     unknowns, residual, size = system.unknowns[columns], system.residual[rows], len(rows)
     jacobian = ca.jacobian(residual, unknowns)
     if not is_linear(residual, unknowns, jacobian):
-        known.evaluate_explicit()
         _solve_nonlinear(known, _part(system, rows, columns))
         return
     known.linear_blocks += 1
+    at_zero = (unknowns, ca.SX.zeros(size))
     if size > _EXPLICIT_SIZE:
-        known.evaluate_explicit()
-    jacobian, constant = known.resolved(jacobian, residual, also=[(unknowns, ca.SX.zeros(size))])
-    if size > _EXPLICIT_SIZE:
+        (constant,) = substituted([at_zero], residual)
         known.add_values(unknowns, known.linear_solution(jacobian, -constant))
     else:
+        jacobian, constant = known.resolved(jacobian, residual, also=[at_zero])
         known.explicit.append((unknowns, -symbolic_solution(jacobian, constant)))
 
 
@@ -330,6 +331,7 @@ def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
 
 def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
     """Return the solution by Newton's method, NaN if it does not converge."""
+    known.evaluate_explicit()
     unknown_scale, residual_scale = block.unknown_scale, block.residual_scale
     start, scale = known.evaluated("sc_prepare", block.guess / unknown_scale, unknown_scale)
     size = block.unknowns.numel()
