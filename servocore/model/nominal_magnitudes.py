@@ -88,6 +88,8 @@ def _followed(rows: Array, extent: Array) -> Array:
     for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)):
         if len(part.entries):
             matrix = rows[np.ix_(part.rows, part.columns)]
-            inverse = np.linalg.pinv(matrix, _NEGLIGIBLE * largest / np.linalg.norm(matrix, 2))
+            left, values, right = np.linalg.svd(matrix, full_matrices=False)
+            kept = values > _NEGLIGIBLE * largest
+            inverse = right[kept].T / values[kept] @ left[:, kept].T
             followed[part.columns] = np.abs(inverse * extent[part.rows]).max(axis=1)
     return followed

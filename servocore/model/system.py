@@ -353,13 +353,15 @@ class MechanicalSystem:
         q, p : ndarray
             The configuration, shape (n,), and the parameter values, shape (n_p,), in the units of the model.
         """
-        p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
+        if p is None:
+            return self._guess_at_home.copy(), np.array(self.home_parameters, dtype=np.float64)
         gamma = ca.horzcat(ca.DM(list(self.home)), ca.DM(self.gamma.size1(), self.gamma.size2() - 1))
-        return np.asarray(self._compiled_guess(gamma, p)).ravel(), p
+        guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
+        return np.asarray(guess(gamma, p)).ravel(), p
 
-    @cached_property  # asked for by every step of an analysis
-    def _compiled_guess(self) -> ca.Function:
-        return ca.Function("guess", [self.gamma, self.p], [self.guess])
+    @cached_property  # every part of an analysis starts from it
+    def _guess_at_home(self) -> Array:
+        return self.home_configuration(np.array(self.home_parameters, dtype=np.float64))[0]
 
     def dependent_coordinates(self) -> list[int]:
         """Return the coordinates that the servo constraints are solved for.

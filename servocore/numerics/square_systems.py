@@ -123,8 +123,7 @@ def compile_unrolled_solver(
     with suppress(_TooLargeError):
         _solve(known, system, system.givens)
         if explicit:
-            results = known.final(outputs)
-            return None if known.iterated else ca.Function(name, arguments, results, {"cse": True})
+            return None if known.iterated else ca.Function(name, arguments, known.final(outputs), {"cse": True})
         *results, residual = known.final([*outputs, _worst(system, system.rest[0])])
         for others in known.residuals:
             # A sum that is NaN shows in no maximum.
