@@ -183,14 +183,11 @@ def _largest_conditions(parts: Sequence[Part], entries: Array) -> Array:
     They take most of the analysis of a large system. Along a path they vary smoothly, but for singular instants, which
     are peaks as well: between the instants of a first look those beside its local maxima are computed.
     """
-    computed, conditions = np.arange(entries.shape[1]) % _STRIDE == 0, np.zeros(entries.shape[1])
-    conditions[computed] = first = condition_numbers(parts, entries[:, computed])
-    peaks = (first > np.append(0.0, first[:-1])) & (first >= np.append(first[1:], 0.0))
-    left = np.asarray(~np.isfinite(entries).all(axis=0))
-    for peak in _STRIDE * np.flatnonzero(peaks):
-        left[max(peak - _STRIDE, 0) : peak + _STRIDE] = True
-    left &= ~computed
-    conditions[left] = condition_numbers(parts, entries[:, left])
+    conditions, first = np.zeros(entries.shape[1]), condition_numbers(parts, entries[:, ::_STRIDE])
+    peaks = np.flatnonzero((first > np.append(0.0, first[:-1])) & (first >= np.append(first[1:], 0.0)))
+    beside = np.abs(np.arange(len(conditions))[:, None] - _STRIDE * peaks).min(axis=1, initial=_STRIDE) < _STRIDE
+    left = np.asarray(beside | ~np.isfinite(entries).all(axis=0))
+    conditions[::_STRIDE], conditions[left] = first, condition_numbers(parts, entries[:, left])
     return conditions
 
 

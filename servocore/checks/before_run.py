@@ -78,10 +78,9 @@ def internal_dynamics(problem: Problem) -> InternalDynamics:
 @made_once
 def _linearized(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
     # Imported where there are any: a flat problem has no internal dynamics.
-    from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearization  # noqa: PLC0415
+    from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium  # noqa: PLC0415
 
-    linear = linearization(resolved.array)
-    eigenvalues = internal_equilibrium(linear, np.array(p), np.array(resolved.system.home)).eigenvalues
+    eigenvalues = internal_equilibrium(resolved.array, np.array(p), np.array(resolved.system.home)).eigenvalues
     return InternalDynamics(_classified(eigenvalues, DAMPED), eigenvalues)
 
 

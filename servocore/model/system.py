@@ -359,7 +359,7 @@ class MechanicalSystem:
         guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
         return np.asarray(guess(gamma, p)).ravel(), p
 
-    @cached_property
+    @cached_property  # every part of an analysis starts from it
     def _guess_at_home(self) -> Array:
         return self.home_configuration(np.array(self.home_parameters, dtype=np.float64))[0]
 

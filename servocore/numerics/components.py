@@ -263,12 +263,12 @@ def isomorphic_parts(
     starts, held, size = depends.colind(), depends.row(), unknowns.numel()
     groups: dict[str, list[tuple[Part, list[int]]]] = {}
     for part in candidates:
-        rows, columns = part.rows.tolist(), part.columns.tolist()
-        own = rows, *[columns] * (len(beside) - 1), rows
-        lines = [place * size + k for place, some in enumerate(own) for k in some]
+        own = part.rows, *[part.columns] * (len(beside) - 1), part.rows
+        lines = [place * size + k for place, some in enumerate(own) for k in some.tolist()]
         known = sorted({given for line in lines for given in held[starts[line] : starts[line + 1]]})
         # Two parts are isomorphic if CasADi serializes them to the same text, names of symbols aside.
-        groups.setdefault(_text(every[lines], [unknowns[columns], givens[known]]), []).append((part, known))
+        symbols = [unknowns[part.columns.tolist()], givens[known]]
+        groups.setdefault(_text(every[lines], symbols), []).append((part, known))
     return [group for group in groups.values() if len(group) > 1]
 
 

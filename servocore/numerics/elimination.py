@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -36,29 +36,18 @@ class KnownValues(ABC, Generic[Value]):
     ----------
     explicit : list of (casadi.SX, casadi.SX)
         Columns of symbols, and their expressions in symbols with values.
-    iterations : list of casadi.SX or casadi.MX
-        Iteration counts of Newton's method.
-    isomorphic_counts : list of casadi.SX or casadi.MX
-        Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
+    iterated : list of casadi.SX or casadi.MX
+        Counts of blocks and of isomorphic parts with iterations, as `counts` returns them, in columns.
     residuals : list of casadi.SX or casadi.MX
         Largest scaled residuals of isomorphic parts, shape (1, parts) each.
     linear_blocks : int
         Number of blocks solved without iterations.
-    written_out : bool
-        Whether all unknowns are expressions, with one Newton iteration in place of many.
     """
 
-    written_out: ClassVar[bool]
-
     explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)
-    iterations: list[Value] = field(default_factory=list)
-    isomorphic_counts: list[Value] = field(default_factory=list)
+    iterated: list[Value] = field(default_factory=list)
     residuals: list[Value] = field(default_factory=list)
     linear_blocks: int = 0
-
-    @abstractmethod
-    def arguments(self, givens: ca.SX) -> Value:
-        """Return the values of the givens of a system: the arguments of its solver."""
 
     @abstractmethod
     def add_values(self, symbols: ca.SX, values: Value) -> None:
@@ -67,10 +56,6 @@ class KnownValues(ABC, Generic[Value]):
     @abstractmethod
     def evaluated(self, name: str, *expressions: ca.SX) -> list[Value]:
         """Return the values of `expressions` of solved unknowns, by a function of this name if by one."""
-
-    @abstractmethod
-    def evaluate_explicit(self) -> None:
-        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
 
     @abstractmethod
     def linear_solution(self, matrix: ca.SX, right: ca.SX) -> Value:
@@ -86,12 +71,8 @@ class KnownValues(ABC, Generic[Value]):
 
     def counts(self) -> Value:
         """Return the iterations of the slowest block, and the factorizations of all."""
-        most, total = self.evaluated("sc_counts", ca.SX(0), ca.SX(self.linear_blocks))
-        for count in self.iterations:
-            most, total = ca.fmax(most, count), total + count
-        for counts in self.isomorphic_counts:
-            most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
-        return ca.vertcat(most, total)
+        every = ca.horzcat(ca.DM([0, self.linear_blocks]), *self.iterated)
+        return ca.vertcat(ca.mmax(every[0, :]), ca.sum2(every[1, :]))
 
 
 @dataclass(eq=False)
@@ -104,12 +85,7 @@ class WrittenOut(KnownValues[ca.SX]):
         Squared scaled corrections of guesses that should be exact.
     """
 
-    written_out = True
     corrections: list[ca.SX] = field(default_factory=list)
-
-    def arguments(self, givens: ca.SX) -> ca.SX:
-        """See above."""
-        return givens
 
     def add_values(self, symbols: ca.SX, values: ca.SX) -> None:
         """See above."""
@@ -119,12 +95,9 @@ class WrittenOut(KnownValues[ca.SX]):
         """See above; nothing is evaluated."""
         return self.resolved(*expressions)
 
-    def evaluate_explicit(self) -> None:
-        """See above; nothing is evaluated."""
-
     def linear_solution(self, matrix: ca.SX, right: ca.SX) -> ca.SX:
         """See above."""
-        return symbolic_solution(matrix, right)
+        return symbolic_solution(*self.resolved(matrix, right))
 
     def final(self, outputs: list[ca.SX]) -> list[ca.SX]:
         """See above; NaN where a correction exceeds the tolerance."""
@@ -140,15 +113,8 @@ class WrittenOut(KnownValues[ca.SX]):
 class CompiledValues(KnownValues[ca.MX]):
     """Unknowns by compiled functions, each of the symbols that it needs: many parts cost the sum of their costs."""
 
-    written_out = False
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
-
-    def arguments(self, givens: ca.SX) -> ca.MX:
-        """See above."""
-        values = ca.MX.sym("givens", givens.numel())
-        self.add_values(givens, values)
-        return values
 
     def add_values(self, symbols: ca.SX, values: ca.MX) -> None:
         """See above."""
@@ -164,7 +130,7 @@ class CompiledValues(KnownValues[ca.MX]):
         return results
 
     def evaluate_explicit(self) -> None:
-        """See above."""
+        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
         if self.explicit:
             # All at once in one function: their common subexpressions are computed once.
             symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit, strict=True))
@@ -173,6 +139,7 @@ class CompiledValues(KnownValues[ca.MX]):
 
     def linear_solution(self, matrix: ca.SX, right: ca.SX) -> ca.MX:
         """See above, by a sparse QR factorization."""
+        self.evaluate_explicit()
         left, side = self.evaluated("sc_linear", matrix, right)
         return ca.solve(left, side, "qr")
 

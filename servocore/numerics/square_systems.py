@@ -96,7 +96,7 @@ class SquareSystem:
 
 
 def compile_unrolled_solver(
-    name: str, system: SquareSystem, outputs: list[ca.SX], arguments: list[ca.SX]
+    name: str, system: SquareSystem, outputs: list[ca.SX], arguments: list[ca.SX], *, explicit: bool = False
 ) -> ca.Function | None:
     """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
@@ -110,15 +110,20 @@ def compile_unrolled_solver(
         See `compile_solver`.
     arguments : list of casadi.SX
         Symbols of which the givens consist.
+    explicit : bool
+        Whether to write out only systems that need no iterations, whatever the guess: of linear blocks.
 
     Returns
     -------
     casadi.Function or None
-        arguments -> the results of `compile_solver`; None if a block is too large to be written out.
+        arguments -> the results of `compile_solver`, of an explicit one the outputs alone; None if a block is too large
+        to be written out, or would need iterations.
     """
     known = WrittenOut()
     with suppress(_TooLargeError):
         _solve(known, system, system.givens)
+        if explicit:
+            return None if known.iterated else ca.Function(name, arguments, known.final(outputs), {"cse": True})
         *results, residual = known.final([*outputs, _worst(system, system.rest[0])])
         for others in known.residuals:
             # A sum that is NaN shows in no maximum.
@@ -131,22 +136,6 @@ def compile_unrolled_solver(
 def _worst(system: SquareSystem, rows: list[int]) -> ca.SX:
     """Return the largest scaled residual of some rows."""
     return largest(system.residual[rows] / system.residual_scale[rows])
-
-
-def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
-    """Compile the solution of a system that needs no iterations: givens -> outputs, as one expression.
-
-    Returns
-    -------
-    casadi.Function or None
-        None if some block is nonlinear, or too large to be written out.
-    """
-    known = WrittenOut()
-    with suppress(_TooLargeError):
-        _solve(known, system, system.givens)
-        if not known.iterations and not known.isomorphic_counts:
-            return ca.Function(name, [system.givens], known.final(outputs))
-    return None
 
 
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, checked: bool = True) -> ca.Function:
@@ -175,8 +164,8 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, che
     InvalidModel
         If the equations are structurally singular.
     """
-    known = CompiledValues()
-    givens = known.arguments(system.givens)
+    known, givens = CompiledValues(), ca.MX.sym("givens", system.givens.numel())
+    known.add_values(system.givens, givens)
     _solve(known, system, givens)
     if not checked:
         return ca.Function(name, [givens], known.final(outputs))
@@ -196,14 +185,15 @@ def _solve_blocks(known: KnownValues[Value], system: SquareSystem) -> None:
     """Solve a system block by block, whether or not it has independent parts."""
     system, constants = _without_constants(system)
     known.explicit += constants
-    for level in _levels(system, known.written_out):
+    unrolled = isinstance(known, WrittenOut)
+    for level in _levels(system, unrolled):
         single = [block for block in level if len(block[0]) == 1]
         others = [block for block in level if len(block[0]) > 1]
         if len(single) > 1:
             rows, columns = ([place for (place,) in places] for places in zip(*single, strict=True))
             single = [single[k] for k in _solve_single(known, system.residual[rows], system.unknowns[columns])]
         for block in chain(single, others):
-            if known.written_out and len(block[0]) > _MOST_UNROLLED:
+            if unrolled and len(block[0]) > _MOST_UNROLLED:
                 raise _TooLargeError
             _solve_block(known, system, *block)
 
@@ -215,21 +205,22 @@ def _solve_isomorphic(
     (first, given), count, inner = group[0], len(group), type(known)()
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[given])
-    arguments = inner.arguments(part.givens)
+    arguments = type(givens).sym("givens", len(given))
+    inner.add_values(part.givens, arguments)
     _solve_blocks(inner, part)
     outputs = [part.unknowns]
-    if known.written_out:
+    if isinstance(known, WrittenOut):
         # The residual shares most operations with the solution, but those are looked for in parts only.
         outputs.append(_worst(part, list(range(len(first.rows)))))
     results = inner.final(outputs)
     results.append(inner.counts())
-    solve = ca.Function("sc_alike", [arguments], results, {"cse": known.written_out}).map(count)
+    solve = ca.Function("sc_alike", [arguments], results, {"cse": isinstance(known, WrittenOut)}).map(count)
     every = ca.reshape(givens[[k for _, places in group for k in places]], len(given), count)
     solved = solve.call([every])
     columns = [column for isomorphic, _ in group for column in isomorphic.columns.tolist()]
     known.add_values(system.unknowns[columns], ca.vec(solved[0]))
     known.residuals += solved[1:-1]
-    known.isomorphic_counts.append(solved[-1])
+    known.iterated.append(solved[-1])
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -312,16 +303,15 @@ def _solve_block(known: KnownValues[Value], system: SquareSystem, rows: list[int
     unknowns, residual, size = system.unknowns[columns], system.residual[rows], len(rows)
     jacobian = ca.jacobian(residual, unknowns)
     if not is_linear(residual, unknowns, jacobian):
-        known.evaluate_explicit()
         _solve_nonlinear(known, _part(system, rows, columns))
         return
     known.linear_blocks += 1
+    at_zero = (unknowns, ca.SX.zeros(size))
     if size > _EXPLICIT_SIZE:
-        known.evaluate_explicit()
-    jacobian, constant = known.resolved(jacobian, residual, also=[(unknowns, ca.SX.zeros(size))])
-    if size > _EXPLICIT_SIZE:
+        (constant,) = substituted([at_zero], residual)
         known.add_values(unknowns, known.linear_solution(jacobian, -constant))
     else:
+        jacobian, constant = known.resolved(jacobian, residual, also=[at_zero])
         known.explicit.append((unknowns, -symbolic_solution(jacobian, constant)))
 
 
@@ -340,6 +330,7 @@ def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
 
 def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
     """Return the solution by Newton's method, NaN if it does not converge."""
+    known.evaluate_explicit()
     unknown_scale, residual_scale = block.unknown_scale, block.residual_scale
     start, scale = known.evaluated("sc_prepare", block.guess / unknown_scale, unknown_scale)
     size = block.unknowns.numel()
@@ -350,7 +341,7 @@ def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
     newton = compile_newton(x, symbols, ca.vertcat(equations, ca.exp(-clock / TICK)), data, block.tolerance)
     root = newton(ca.vertcat(start, 0), values)
     ticks = root[size] / TICK
-    known.iterations.append(ticks)
+    known.iterated.append(ca.vertcat(ticks, ticks))
     # A count at the limit is a failure: NaN instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
@@ -366,7 +357,7 @@ def _iterated_once(known: WrittenOut, block: SquareSystem) -> ca.SX:
     moved = ca.sumsqr(correction / block.unknown_scale)
     (start,) = known.resolved(block.guess)
     solution, squared = known.resolved(better - correction, moved, also=[(unknowns, start)])
-    known.iterations.append(ca.SX(1))
+    known.iterated.append(ca.SX([1, 1]))
     known.corrections.append(squared)
     return solution
 

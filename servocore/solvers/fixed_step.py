@@ -142,7 +142,9 @@ class StateSelection(Stepped):
         while at < count:
             part, complete = advance_chunk(problem, program, times[at : at + length + 1], step, state, length)
             array = program.array
-            values = _array_values(array, part.states)
+            # States begin with [x; z] of the reduced form.
+            entries = (*array.states, *array.determined)
+            values = part.states[[entries.index(unknown) for unknown in array.unknowns]]
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
             if better is None and not complete:
                 better = _best_states(problem, array, times[at + good], values[:, good])
@@ -155,23 +157,11 @@ class StateSelection(Stepped):
                 restarted_at = at
                 formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
                 program = program_of(problem, formulation, self.method, self.native, len(times))
-                state = _restarted(problem, program, float(times[at]), step, values[:, good])
+                gamma = problem.reference.jet(times[at] + step * np.array(program.start_instants), program.start_order)
+                state = call_of(program.restart)(values[:, good], side_by_side(gamma), step, problem.p)[0]
             if progress is not None:
                 progress(at, count)
         return solution_of(problem, segments)
-
-
-def _restarted(problem: Problem, program: Program, time: float, step: float, values: Array) -> Array:
-    """Return the state of a program at a time where all unknowns of the derivative array are known."""
-    instants = time + step * np.array(program.start_instants)
-    gamma = problem.reference.jet(instants, program.start_order)
-    return call_of(program.restart)(values, side_by_side(gamma), step, problem.p)[0]
-
-
-def _array_values(array: DerivativeArray, states: Array) -> Array:
-    """Unknowns of the derivative array (unknowns, N), from states that begin with [x; z] of the reduced form."""
-    entries = (*array.states, *array.determined)
-    return states[[entries.index(unknown) for unknown in array.unknowns]]
 
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
@@ -286,8 +276,10 @@ class ToTolerance(Stepped):
                 peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
                 change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
                 ratio = None if last_change is None else last_change / np.maximum(change, 1e-300)
-                # Richardson: with order p the difference of two runs is (2^p - 1) times the error of the finer one.
-                estimate = change / (2.0 ** _observed_order(ratio, order) - 1.0)
+                # Richardson: with order p the difference of two runs is (2^p - 1) times the error of the finer one. The
+                # order is that observed, and one while only one difference is known.
+                observed = 1.0 if ratio is None else np.clip(np.log2(np.maximum(ratio, 1e-300)), 0.5, max(1, order))
+                estimate = change / (2.0**observed - 1.0)
                 unmet, relative = estimate > control.allowed(peaks), estimate / np.maximum(peaks, 1e-300)
                 if not unmet.any():
                     summary = replace(fine.statistics, error_estimate=float(relative.max()))
@@ -298,14 +290,6 @@ class ToTolerance(Stepped):
                 last_change = change
             coarse = fine
         raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
-
-
-def _observed_order(ratio: Array | None, order: int) -> Array | float:
-    """Order by which a difference of two runs is turned into an error; cautious while only one is known."""
-    if ratio is None:
-        return 1.0
-    clipped: Array = np.clip(np.log2(np.maximum(ratio, 1e-300)), 0.5, max(1, order))
-    return clipped
 
 
 def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:

@@ -31,7 +31,7 @@ from servocore.references.base import subdivided
 from servocore.solution import Solution
 from servocore.solvers.route import JudgedRoute, require_tolerance
 from servocore.solvers.runs import Progress, of_states, require_derivatives, solution_of_states, step_of
-from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
+from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium
 
 Places = npt.NDArray[np.int64]
 
@@ -188,8 +188,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
                 f"a stable inversion needs a path that is at rest at its ends or periodic, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
             )
-    linear = linearization(problem.array)
-    left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
+    left, right = (internal_equilibrium(problem.array, problem.p, jet[0]) for jet in ends)
     bounded = _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
     _require_as_many_conditions_as_states(bounded)
     return bounded

@@ -31,7 +31,7 @@ from servocore.structure.signature import (
     SecondOrderEquations,
     Signature,
     is_regular,
-    jacobian_at_probes,
+    jacobians,
     signature,
     without_vanishing,
 )
@@ -164,7 +164,7 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
         rows=tuple(rows),
         residual=equations_of_all_orders,
         reference_order=highest_derivative(equations_of_all_orders, gamma),
-        states=choose_states(structure, jacobian_at_probes(structure)[0]) if structure.degrees_of_freedom else (),
+        states=choose_states(structure, jacobians(structure)[0]) if structure.degrees_of_freedom else (),
     )
 
 

@@ -12,7 +12,7 @@ from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import Part, parts_of, triangular_blocks
 from servocore.numerics.memoization import made_once
-from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
+from servocore.numerics.square_systems import SquareSystem, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 
 LARGEST_RESIDUAL = 1e-9
@@ -223,15 +223,10 @@ def compile_explicit(array: DerivativeArray) -> ca.Function | None:
 
     The states are those of the internal dynamics, in their order.
     """
-    formula = compile_formula("sc_explicit", *_equations(array))
-    if formula is None:
-        return None
-    gamma = ca.SX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
-    p, states = ca.SX.sym("p", array.system.p.numel()), ca.SX.sym("states", len(array.states))
-    guess = ca.SX.zeros(len(array.unknowns))
-    guess[array.places(array.states)] = states
-    unknowns = formula(ca.vertcat(ca.vec(gamma), p, guess))
-    return ca.Function("sc_explicit", [gamma, p, states], [ca.densify(unknowns)], {"cse": True})
+    system, (equations, unknowns) = array.system, _equations(array)
+    states = equations.givens[-len(array.unknowns) :][array.places(array.states)]
+    arguments = [system.gamma[:, : array.reference_order + 1], system.p, states]
+    return compile_unrolled_solver("sc_explicit", equations, unknowns, arguments, explicit=True)
 
 
 @made_once

@@ -31,9 +31,8 @@ from servocore.structure.signature import (
     SecondOrderEquations,
     Signature,
     is_regular,
-    jacobian_at,
-    jacobian_at_probes,
     jacobian_function,
+    jacobians,
     lost_rank,
     probe_points,
     signature,
@@ -160,7 +159,7 @@ def _combination(structure: Signature) -> _Combination:
             if not obstacle:
                 return combination
             refusal = obstacle
-    lost = lost_rank(structure, jacobian_at_probes(structure)[0])
+    lost = lost_rank(structure, jacobians(structure)[0])
     raise InvalidModel(f"{structure.equations.name}: the system Jacobian is singular everywhere: {lost}; {refusal}")
 
 
@@ -170,10 +169,10 @@ def _dependent_rows(structure: Signature, home: Point) -> Iterator[list[int]]:
     Rows that are independent at home are taken first.
     """
     c = structure.equation_offsets
-    matrices = [equilibrated(J) for J in jacobian_at_probes(structure) if np.isfinite(J).all()]
+    matrices = [equilibrated(J) for J in jacobians(structure) if np.isfinite(J).all()]
     if not matrices:
         raise InvalidModel(f"{structure.equations.name}: the equations have no finite values near home")
-    (at_home,) = jacobian_at(jacobian_function(structure), [home])
+    (at_home,) = jacobians(structure, [home])
     rows: list[int] = []
     for offset in sorted(set(c), reverse=True):
         rows_of_offset = [i for i in range(len(c)) if c[i] == offset]

@@ -259,20 +259,16 @@ def _points(equations: SecondOrderEquations, distance: float, p: Array | None, d
     return points
 
 
-def jacobian_at_probes(structure: Signature, p: Array | None = None) -> list[Array]:
-    """Return the system Jacobian at points without symmetry near the system's home, without round-off."""
+def jacobians(structure: Signature, points: list[Point] | None = None) -> list[Array]:
+    """Return the system Jacobian at points, by default those of `probe_points`, zero where an entry is round-off."""
     function = jacobian_function(structure)
-    return jacobian_at(function, probe_points(structure.equations, function, p))
+    points = probe_points(structure.equations, function) if points is None else points
+    return [filled(ca.DM(function.sparsity_out(0), entries)) for entries in _entries_at(function, points)]
 
 
 def jacobian_function(structure: Signature) -> ca.Function:
     """Compile (y, gamma, p) -> system Jacobian."""
     return ca.Function("sc_system_jacobian", structure.equations.arguments, [structure.jacobian])
-
-
-def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
-    """Return the system Jacobian at points, zero where an entry is round-off."""
-    return [filled(ca.DM(function.sparsity_out(0), entries)) for entries in _entries_at(function, points)]
 
 
 def _entries_at(function: ca.Function, points: list[Point]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import Inversion, inversion
+from servocore.structure.inversion import inversion
 
 DAMPED = 1e-9
 """Relative real part of an eigenvalue below which it counts as zero."""
@@ -40,49 +40,31 @@ class Equilibrium:
     unstable: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Linearization:
-    """Compiled linearization of internal dynamics.
-
-    Attributes
-    ----------
-    array : DerivativeArray
-        With states.
-    inversion : Inversion
-        Of that array.
-    terms : Call
-        (unknowns, gamma, p) -> derivatives of the residual by the determined unknowns and by the states.
-    """
-
-    array: DerivativeArray
-    inversion: Inversion
-    terms: Call
-
-    def at(self, values: Array, gamma: Array, p: Array) -> Array:
-        """Return the derivatives of all unknowns by the states, shape (unknowns, states); NaN where singular."""
-        internal, others = self.array.places(self.array.states), self.array.places(self.array.determined)
-        by_rest, by_states = (term.reshape(len(others), -1, order="F") for term in self.terms(values, gamma, p))
-        result = np.full((len(values), len(internal)), np.nan)
-        result[internal] = np.eye(len(internal))
-        with contextlib.suppress(np.linalg.LinAlgError):
-            # Implicit function theorem: R(z(x), x) = 0 gives dz/dx = -(dR/dz)^-1 dR/dx.
-            result[others] = -np.linalg.solve(by_rest, by_states)
-        return result
+def _by_states(array: DerivativeArray, values: Array, gamma: Array, p: Array) -> Array:
+    """Return the derivatives of all unknowns by the states, shape (unknowns, states); NaN where singular."""
+    internal, others = array.places(array.states), array.places(array.determined)
+    by_rest, by_states = (term.reshape(len(others), -1, order="F") for term in _terms(array)(values, gamma, p))
+    result = np.full((len(values), len(internal)), np.nan)
+    result[internal] = np.eye(len(internal))
+    with contextlib.suppress(np.linalg.LinAlgError):
+        # Implicit function theorem: R(z(x), x) = 0 gives dz/dx = -(dR/dz)^-1 dR/dx.
+        result[others] = -np.linalg.solve(by_rest, by_states)
+    return result
 
 
 @made_once
-def linearization(array: DerivativeArray) -> Linearization:
-    """Compile the linearization of internal dynamics."""
+def _terms(array: DerivativeArray) -> Call:
+    """Compile (unknowns, gamma, p) -> derivatives of the residual by the determined unknowns and by the states."""
     reference = array.system.gamma[:, : array.reference_order + 1]
     arguments = [array.column(array.unknowns), reference, array.system.p]
     wanted = array.column(array.determined), array.column(array.states)
     matrices = [ca.densify(ca.jacobian(array.residual, unknowns)) for unknowns in wanted]
-    return Linearization(array, inversion(array), Call(ca.Function("sc_terms", arguments, matrices)))
+    return Call(ca.Function("sc_terms", arguments, matrices))
 
 
-def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equilibrium:
+def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equilibrium:
     """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
-    array, inverse = linear.array, linear.inversion
+    inverse = inversion(array)
     gamma = np.zeros((array.system.gamma.size1(), array.reference_order + 1))
     gamma[:, 0] = output
     rates, states = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
@@ -90,7 +72,7 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
     A = np.zeros((len(states), len(states)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
         values = search(gamma, p, guess)[0]
-        A, rate = linear.at(values, gamma, p)[rates], values[rates]
+        A, rate = _by_states(array, values, gamma, p)[rates], values[rates]
         if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
         guess = values
