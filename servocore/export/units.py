@@ -7,6 +7,7 @@ import re
 from servocore.errors import InvalidSetting
 from servocore.model.units import dimension
 
+
 def per_time(unit: str, order: int) -> str:
     """Return the unit of a derivative by time: ``m`` becomes ``m/s``, ``m/s2``; ``N.m/s`` becomes ``N.m/s2``."""
     if order == 0:
