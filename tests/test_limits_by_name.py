@@ -17,7 +17,7 @@ from present import present
 from thinned import thinned
 
 import servocore as sc
-from servocore.model.units import in_unit
+from servocore.numerics.units import in_unit
 from servocore.rotationless import GROUND, Assembly, PointMass, distance, rope
 
 SAID = re.compile(

@@ -23,7 +23,7 @@ from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.model.drives import Drive
 from servocore.model.parameter_files import read_parameters
-from servocore.model.units import unit_of
+from servocore.numerics.units import unit_of
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
