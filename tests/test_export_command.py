@@ -53,8 +53,7 @@ def unnamed():
 
 
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def _empty_folder(empty_folder: None, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ARG001 - a fixture
     monkeypatch.setenv("CFLAGS", "-O0")
 
 
