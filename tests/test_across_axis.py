@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import CommandLine, write
 
 import servocore as sc
 from crane_fmu.cli.commands import app as crane_app
@@ -67,29 +67,22 @@ COMMANDS = [
 LINES = {"crane-fmu": CommandLine(crane_app, "crane-fmu"), "servocore": CommandLine(app, "servocore")}
 
 
+@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_command_with_a_path_refuses_one_through_the_axis_in_the_same_sentence(
-    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "path.csv").write_text(sc.path_to_csv(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
+def test_every_command_with_a_path_refuses_one_through_the_axis_in_the_same_sentence(command: list[str]) -> None:
+    write("path.csv", sc.path_to_csv(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
     name, *words = ("rotary_crane" if word == "SCENE" else word for word in command)
     line = LINES[name]
     line.assert_refused(line(*words, "--reference", "path.csv"), "at t = 10 s the trolley reaches the slewing axis")
-    assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
+    assert [each.name for each in Path().iterdir()] == ["path.csv"]
 
 
-@pytest.mark.usefixtures("compiler")
+@pytest.mark.usefixtures("compiler", "empty_folder")
 @pytest.mark.parametrize("command", [each for each in COMMANDS if "SCENE" in each], ids=" ".join)
-def test_a_scene_that_can_pass_the_axis_is_not_refused(
-    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_that_can_pass_the_axis_is_not_refused(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CFLAGS", "-O0")
-    (tmp_path / "path.csv").write_text(sc.path_to_csv(STRAIGHT))
-    (tmp_path / "passing.py").write_text(
-        "import servocore as sc\n\ndef crane():\n    return sc.scenes.rotary_crane(across_axis=True)\n"
-    )
+    write("path.csv", sc.path_to_csv(STRAIGHT))
+    write("passing.py", "import servocore as sc\n\ndef crane():\n    return sc.scenes.rotary_crane(across_axis=True)\n")
     name, *words = ("passing:crane" if word == "SCENE" else word for word in command)
     done = LINES[name](*words, "--reference", "path.csv")
     assert done.exit_code == 0, done.output
