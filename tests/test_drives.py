@@ -35,7 +35,7 @@ from servocore.problem import Problem
 from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.exact_inversion import prepared_motion
 
-line = CommandLine(app, "servocore")
+line, ARM = CommandLine(app, "servocore"), Path(__file__).parent / "mechanisms" / "arm.urdf"
 SHEET = """
 F = {ratio = 25, drum_radius = "125 mm", motor_inertia = "4 kg cm^2", viscous = 2e-4, coulomb = 0.02}
 [M_w]
@@ -319,6 +319,15 @@ def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch:
     write("drives.toml", SHEET)
     write("identified.toml", found.parameter_file())
     assert not line("drives", "overhead_crane", "--drives", "drives.toml", "--parameters", "identified.toml").exit_code
+
+
+@pytest.mark.usefixtures("empty_folder")
+@pytest.mark.parametrize("command", ["import", "drives"])
+def test_drives_of_a_robot_file_have_the_names_of_its_inputs(command: str) -> None:
+    write("drives.toml", "[elbow.torque]\nratio = 100")
+    result = line(command, ARM, "--drives", "drives.toml")
+    assert result.exit_code == 0, result.stderr
+    assert "elbow.torque" in result.stdout
 
 
 REFUSALS = {

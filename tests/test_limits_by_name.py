@@ -5,19 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 
 import casadi as ca
 import numpy as np
 import pytest
 import scipy.interpolate
+from command_lines import write
 from outside.writing import coordinates, lagrange
 from present import present
 from thinned import thinned
 
 import servocore as sc
-from servocore.model.units import in_unit
+from servocore.numerics.units import in_unit
 from servocore.rotationless import GROUND, Assembly, PointMass, distance, rope
 
 SAID = re.compile(
@@ -400,6 +400,7 @@ class TestPoles:
         assert float(found["worst"]) == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.usefixtures("empty_folder")
 class TestWhatIsLeft:
     """A solution tells how much its limits leave, and how long its law must take at least."""
 
@@ -420,20 +421,15 @@ class TestWhatIsLeft:
         assert sc.solve(CRANE).margins == {}
 
     @pytest.mark.parametrize("text", ["F = true", "F = [1, 2, 3]", "s = 1979-05-27", "F ="])
-    def test_a_file_of_limits_that_holds_something_else_is_refused(self, text: str, tmp_path: Path) -> None:
-        file = tmp_path / "limits.toml"
-        file.write_text(text)
+    def test_a_file_of_limits_that_holds_something_else_is_refused(self, text: str) -> None:
         with pytest.raises(sc.InvalidModel, match=r"limits\.toml"):
-            sc.read_limits(file)
+            sc.read_limits(write("limits.toml", text))
 
     @pytest.mark.parametrize("text", ["s = 9\ns.rate = 1.2", "s.rate = 1.2\ns = 9"])
-    def test_a_limit_beside_one_of_its_rate_is_told_how_to_be_written(self, text: str, tmp_path: Path) -> None:
-        file = tmp_path / "limits.toml"
-        file.write_text(text)
+    def test_a_limit_beside_one_of_its_rate_is_told_how_to_be_written(self, text: str) -> None:
         with pytest.raises(sc.InvalidModel, match=r'then written "s.rate" = 1.2, in quotation marks'):
-            sc.read_limits(file)
-        file.write_text(text.replace("s.rate", '"s.rate"'))
-        assert sc.read_limits(file) == {"s": 9, "s.rate": 1.2}
+            sc.read_limits(write("limits.toml", text))
+        assert sc.read_limits(write("limits.toml", text.replace("s.rate", '"s.rate"'))) == {"s": 9, "s.rate": 1.2}
 
     @pytest.mark.parametrize("name", ["swing", "M_b", "phi"])
     def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name: str) -> None:

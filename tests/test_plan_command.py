@@ -88,7 +88,7 @@ def test_a_plan_is_played_on_a_live_page_as_it_was_planned() -> None:
 def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:
     result = run("sensitivities", "overhead_crane", "--wrt", "load_mass", "-o", "s.csv", "--plot", "s.svg")
     assert result.exit_code == 0
-    assert "\n load_mass  " in result.stdout
+    assert "\nload_mass  " in result.stdout
     assert "x drift" in result.stdout
     table = read("s.csv")
     assert list(table) == ["time", *(f"{each}/load_mass" for each in ("F", "M_w", "x drift", "z drift"))]

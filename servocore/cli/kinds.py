@@ -13,7 +13,7 @@ import click
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_table
-from servocore.model.units import in_unit
+from servocore.numerics.units import in_unit
 
 if TYPE_CHECKING:
     ParamType = click.ParamType[Any]

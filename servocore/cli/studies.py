@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rich.box
-import rich.table
 
 from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
@@ -25,7 +23,7 @@ from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.model.drives import Drive
 from servocore.model.parameter_files import read_parameters
-from servocore.model.units import unit_of
+from servocore.numerics.units import unit_of
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
@@ -180,17 +178,15 @@ def show_sensitivities(subject: Subject, path: GivenPath, by: ByParameters, rows
         found = sensitivities(moved, tuple(dict.fromkeys(by.wrt)) or None, step=rows.step, model=subject.model)
         contents = results.picture(lambda pictures: pictures.sensitivities_figure(found))
     write_together(contents if results.output is None else {**contents, results.output: found.table()})
-    table_console().print(_table(found), "Largest effect of one per cent more of a parameter.")
+    table = f"{_effects_of_one_per_cent(found)}\nLargest effect of one per cent more of a parameter."
+    table_console().print(table, markup=False, highlight=False, soft_wrap=True)
 
 
-def _table(result: Sensitivities) -> rich.table.Table:
-    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("parameter")
-    for each in result.quantities:
-        table.add_column(each.name, justify="right")
+def _effects_of_one_per_cent(result: Sensitivities) -> str:
+    """Return the largest effect of one per cent more of each parameter on each quantity, as a table."""
+    rows = [("parameter", *(each.name for each in result.quantities))]
     for name, size in zip(result.parameters, result.sizes, strict=True):
         changes = [result[each.name, name] * size / 100.0 for each in result.quantities]
         largest = [change[np.abs(change).argmax()] for change in changes]
-        shown = [f"{value:.3g} {of.unit}" for value, of in zip(largest, result.quantities, strict=True)]
-        table.add_row(name, *shown)
-    return table
+        rows.append((name, *(f"{x:.3g} {of.unit}" for x, of in zip(largest, result.quantities, strict=True))))
+    return aligned(rows)

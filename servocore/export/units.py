@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from servocore.errors import InvalidSetting
-from servocore.model.units import dimension
+from servocore.numerics.units import dimension
 
 
 def per_time(unit: str, order: int) -> str:

@@ -72,7 +72,6 @@ def excitation(
     limits: Mapping[str, Bounds | None] | None = None,
     *,
     duration: float = 20.0,
-    effects: Sequence[str] = (),
     believed: Mapping[str, float] | float = UNCERTAINTY,
     seed: int = 0,
 ) -> tuple[Reference, ExcitationReport]:
@@ -92,8 +91,6 @@ def excitation(
         More limits than the scene has, as `Scene.with_limits` takes them; the inputs need some.
     duration : float
         In s.
-    effects : sequence of str
-        Effects that the model has beside those of the scene.
     believed : mapping of str to float, or float
         See `identify`.
     seed : int
@@ -119,7 +116,7 @@ def excitation(
     require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
     if not 4 * _WINDOW <= duration < np.inf:
         raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
-    extended = within_limits(scene.with_effects(*effects) if effects else scene, limits)
+    extended = within_limits(scene, limits)
     problem = Problem.of(extended)
     if not problem.motion_limits:
         raise InvalidSetting(f"an excitation needs limits, such as {{'{problem.system.inputs[0].name}': 100}}")

@@ -47,7 +47,6 @@ def identify(
     log: Log | Sequence[Log],
     parameters: str | Sequence[str],
     *,
-    effects: Sequence[str] = (),
     believed: Mapping[str, float] | float = UNCERTAINTY,
     bias: float = 1.0,
     jobs: Sequence[Reference] = (),
@@ -62,15 +61,13 @@ def identify(
     Parameters
     ----------
     scene : Scene
-        With the believed values of its parameters.
+        With the believed values of its parameters, and the effects of the model, see `Scene.with_effects`.
     log : path, mapping of arrays, or a sequence of these
         CSV files with the columns ``time``, the inputs and the measured quantities by name, units in brackets, or
         arrays by these names, NaN where a sample is missing. Beside the positions of drives the outputs may be
         measured, as by a camera. Several logs are one fit, with biases and delays for each.
     parameters : str or sequence of str
         Names or patterns, as ``"*_friction"``.
-    effects : sequence of str
-        Effects that the model has beside those of the scene.
     believed : mapping of str to float, or float
         Relative standard uncertainties of the scene's values by names or patterns; 0.3 where none is given.
     bias : float
@@ -110,21 +107,20 @@ def identify(
     True
     """
     require_scene(scene, "identify")
-    extended = scene.with_effects(*effects) if effects else scene
-    problem = Problem.of(extended)
+    problem = Problem.of(scene)
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
     require_positive(bias, "the bias of the inputs", "a fraction, such as 0.01", or_zero=True)
     names = chosen_parameters(parameters, problem)
-    read = records(log, extended, positions_of(problem.resolved))
-    fit = _fit(problem, read, extended.effects.measured, names, spreads_of(names, believed), bias)
+    read = records(log, scene, positions_of(problem.resolved))
+    fit = _fit(problem, read, scene.effects.measured, names, spreads_of(names, believed), bias)
     found = minimized(fit, fit.start([_equilibria(fit, data) for data in fit.stretches]))
     bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
     if bent or not found.settled:  # measured positions bend faster than the splines can
         fit, state = fit.refined(found.state, _SPACINGS[1])
         found = minimized(fit, state, fresh=False)
     _require_explained(fit, found, [record.name for record in read])
-    result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), extended, fit, found)
+    result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), scene, fit, found)
     if result.doubts:
         warnings.warn("; ".join(result.doubts), ServocoreWarning, stacklevel=2)
     return result

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from servocore.errors import InvalidReference, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.units import in_unit
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_table import read_columns
 
@@ -105,7 +104,7 @@ def _record(log: Log, name: str, scene: Scene, positions: Mapping[str, Quantity]
     declared = set(known)
     if isinstance(log, str | PathLike):
         name = str(Path(log))
-        t, columns, declared = read_columns(log, known, _factor)
+        t, columns, declared = read_columns(log, known)
     elif isinstance(log, Mapping) and _TIME in log:
         t, columns = _arrays(name, {key: log[key] for key in log if key == _TIME or key in known})
     else:
@@ -141,14 +140,6 @@ def _arrays(name: str, given: Mapping[str, npt.ArrayLike]) -> tuple[Array, dict[
         at = f"{name}, row {bad[0]}: its time {t[bad[0]]:g} s"
         raise InvalidReference(f"{at} is not finite, or not later than the one before")
     return t, columns
-
-
-def _factor(unit: str, si: str) -> float:
-    """Return how many of a unit make one of SI; raises `ValueError` where they do not fit."""
-    try:
-        return 1.0 / in_unit(f"1 {unit}", si, "it")
-    except InvalidSetting as error:
-        raise ValueError(str(error)) from None
 
 
 def _require_sampling(record: Record) -> None:

@@ -102,12 +102,6 @@ class Identified:
         return np.asarray(np.linalg.inv(self.estimate.information)[:count, :count], dtype=np.float64)
 
     @property
-    def correlation(self) -> Array:
-        """Correlation of the values, shape (parameters, parameters)."""
-        sizes = list(self.standard_errors.values())
-        return self.covariance / np.outer(sizes, sizes)
-
-    @property
     def prior_share(self) -> dict[str, float]:
         """Share of each estimate that is from what was believed: 0 where the logs alone say it, 1 where they do not."""
         return self._named(np.diag(self._relative) * (self.fit.scales / self.fit.spread) ** 2)

@@ -22,7 +22,7 @@ from servocore.errors import InvalidModel, described
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.model.units import in_unit
+from servocore.numerics.units import in_unit
 
 CREEP = 0.01
 """w_0 in rad/s or m/s: rate of the input at which dry friction is 76 % of its full value, as of `friction`."""

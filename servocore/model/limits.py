@@ -16,9 +16,9 @@ from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.model.units import in_unit, unit_of
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import as_expression
+from servocore.numerics.units import in_unit, unit_of
 
 RATE = ".rate"
 """Suffix of the name of a rate of change."""

@@ -124,8 +124,8 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
     Parameters
     ----------
     path : str or Path
-        A table for each input, such as ``[M_b]``, with ``ratio = 120`` and ``motor_inertia = "0.012 kg m^2"``; a
-        number without unit is in SI units.
+        A table for each input, such as ``[M_b]`` or ``[elbow.torque]``, with ``ratio = 120`` and
+        ``motor_inertia = "0.012 kg m^2"``; a number without unit is in SI units.
 
     Returns
     -------
@@ -142,7 +142,8 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
     drives, table = {}, read_table(path)
     if not table:
         raise InvalidModel(f"{path} has no drive: write a table for each input, [M_b] with lines such as ratio = 42.1")
-    for name, data in table.items():
+    of_drives = [name for name, data in table.items() if not _holds_tables(data)]
+    for name, data in _by_name(table, of_drives):
         if not isinstance(data, Mapping):
             raise InvalidModel(f"{path}: {name} is no drive: write a table [{name}] with lines such as ratio = 42.1")
         if wrong := [key for key in data if key not in known]:
@@ -152,6 +153,10 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
         except (InvalidModel, InvalidSetting) as error:
             raise InvalidModel(f"{path}: [{name}]: {error}") from None
     return drives
+
+
+def _holds_tables(data: object) -> bool:
+    return isinstance(data, Mapping) and bool(data) and all(isinstance(each, Mapping) for each in data.values())
 
 
 def read_table(path: Path) -> dict[str, object]:

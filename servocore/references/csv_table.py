@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servocore.errors import InvalidReference, ServocoreWarning, require_kind
+from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning, require_kind
+from servocore.numerics.units import in_unit
 from servocore.references.base import LONGEST_TIME, FloatArray
 from servocore.references.csv_header import EXAMPLE, Header, clock_from, header_of, without_stamps
 from servocore.references.likely_units import UndeclaredUnits, doubtful_units
@@ -144,7 +145,7 @@ class _Layout(NamedTuple):
 
 
 def read_columns(
-    path: str | PathLike[str], known: Mapping[str, str], factor: Callable[[str, str], float]
+    path: str | PathLike[str], known: Mapping[str, str]
 ) -> tuple[FloatArray, dict[str, FloatArray], set[str]]:
     """Read the time and the columns with known names, in any order, from a table; empty cells are NaN.
 
@@ -154,8 +155,6 @@ def read_columns(
         The file; the time is its first column.
     known : mapping of str to str
         Names of columns and their SI units; other columns are left out.
-    factor : callable
-        (unit, SI unit) -> how many of it make one of SI; raises `ValueError` if there is no such conversion.
 
     Returns
     -------
@@ -181,8 +180,8 @@ def read_columns(
             if k == 0:
                 factors[k] = _factor(file, header.line, name, units.get(name), 0, ["s"])
             elif name in units and name in known:
-                factors[k] = factor(units[name], known[name])
-        except ValueError as error:
+                factors[k] = 1.0 / in_unit(f"1 {units[name]}", known[name], "it")
+        except InvalidSetting as error:
             raise InvalidReference(f"{file}, line {header.line}, column {name}: {error}") from None
     declared = set(units)
     layout = _Layout(names, header.delimiter, factors, units, header.line + 1, False, 1, header.notes)

@@ -93,12 +93,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
 def drawing(v: Mapping[str, Any]) -> list[Part]:
     """Return bridge, trolley, rope and load."""
     trolley, load = (v["s_x"], v["s_y"], 0), (v["x"], v["y"], v["z"])
-    return [
-        Part("rail", ((v["s_x"], 0, 0),), along=1),
-        Part("rope", (trolley, load), colour=hanging_load.TENSION.name),
-        Part("box", (trolley,), "trolley"),
-        Part("body", (load,), "load"),
-    ]
+    return hanging_load.drawn(trolley, load, Part("rail", ((v["s_x"], 0, 0),), along=1))
 
 
 LIMITS = hanging_load.limits("trolley")

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import add
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from servocore.model.drawing import Part
 from servocore.model.generalize import generalize
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
@@ -78,6 +79,12 @@ def upwards(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Direction of the rope, from the load on."""
     force = pull(gamma, p)
     return force / ca.norm_2(force)
+
+
+def drawn(trolley: tuple[Any, ...], load: tuple[Any, ...], *frame: Part) -> list[Part]:
+    """Return what the trolley runs on, rope, trolley and load."""
+    rope = Part("rope", (trolley, load), colour=TENSION.name)
+    return [*frame, rope, Part("box", (trolley,), "trolley"), Part("body", (load,), "load")]
 
 
 def swinging(

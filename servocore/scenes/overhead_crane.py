@@ -57,12 +57,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
 def drawing(v: Mapping[str, Any]) -> list[Part]:
     """Return rail, trolley, rope and load."""
     trolley, load = (v["s"], 0, 0), (v["x"], 0, v["z"])
-    return [
-        Part("rail", ((0, 0, 0),)),
-        Part("rope", (trolley, load), colour=hanging_load.TENSION.name),
-        Part("box", (trolley,), "trolley"),
-        Part("body", (load,), "load"),
-    ]
+    return hanging_load.drawn(trolley, load, Part("rail", ((0, 0, 0),)))
 
 
 LIMITS = hanging_load.limits("girder")

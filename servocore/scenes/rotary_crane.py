@@ -161,13 +161,7 @@ def drawing(v: Mapping[str, Any]) -> list[Part]:
     by_points = "p_x" in v  # a bridge that bends has no angle of its own
     trolley = (v["p_x"], v["p_y"], 0) if by_points else (v["s"] * ca.cos(v["phi"]), v["s"] * ca.sin(v["phi"]), 0)
     load = (v["x"], v["y"], v["z"])
-    return [
-        Part("post", (axis,)),
-        Part("bridge", (axis, trolley)),
-        Part("rope", (trolley, load), colour=TENSION.name),
-        Part("box", (trolley,), "trolley"),
-        Part("body", (load,), "load"),
-    ]
+    return hanging_load.drawn(trolley, load, Part("post", (axis,)), Part("bridge", (axis, trolley)))
 
 
 def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
