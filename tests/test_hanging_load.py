@@ -26,9 +26,8 @@ CRANES = {
 MODELS = [(name, model) for name, (crane, *_) in CRANES.items() for model in crane().models]
 
 
-def is_small(case: tuple[str, str]) -> bool:
-    """Whether a model has no bodies, which take minutes and give the same."""
-    return case[1] != "bodies"
+EACH_MODEL = pytest.mark.parametrize(("name", "model"), thinned(MODELS, lambda case: case[1] != "bodies"))
+"""Models of bodies take minutes and give the same."""
 
 
 def passing_close(warned: bool) -> AbstractContextManager[object]:
@@ -50,16 +49,16 @@ def rounding_error(scene: sc.Scene, model: str) -> float:
     No evaluation of these equations is more accurate: where the bridge of the generalized crane turns fastest, large
     accelerations cancel.
     """
-    problem, random = sc.Problem.of(scene, model), np.random.default_rng(1)
+    problem = sc.Problem.of(scene, model)
     jets = scene.reference.jet(np.linspace(0.0, scene.reference.duration, 61), problem.array.reference_order)
     search = inversion(problem.array).search_from_guess
     places = [problem.array.position(f"u.{each.name}", 0) for each in problem.system.inputs]
-    rounded = problem.p * (1.0 + np.finfo(float).eps * random.uniform(-1.0, 1.0, (20, len(problem.p))))
-    inputs = np.array([at_instants(search, jets=jets, p=p)[0][places] for p in rounded])
+    roundings = np.finfo(float).eps * np.random.default_rng(1).uniform(-1.0, 1.0, (20, len(problem.p)))
+    inputs = np.array([at_instants(search, jets=jets, p=problem.p * (1.0 + each))[0][places] for each in roundings])
     return float((np.ptp(inputs, axis=0).max(axis=1) / np.abs(inputs).max(axis=(0, 2))).max())
 
 
-@pytest.mark.parametrize(("name", "model"), thinned(MODELS, is_small))
+@EACH_MODEL
 @pytest.mark.parametrize("swing", [30.0, 64.0, 80.0, 89.5])
 def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: float) -> None:
     """The rope hangs along the effective weight: in weak gravity a level way of 4 m swings it by `swing` degrees."""
@@ -72,7 +71,7 @@ def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: 
         assert largest_error(scene, model) < max(1e-12, rounding_error(scene, model))
 
 
-@pytest.mark.parametrize(("name", "model"), thinned(MODELS, is_small))
+@EACH_MODEL
 @pytest.mark.parametrize("margin", [3.0, 0.1, 1e-3])
 def test_a_rope_that_is_nearly_slack_is_solved_exactly(name: str, model: str, margin: float) -> None:
     """The load falls almost freely: g + z'' comes down to `margin` in m/s2."""

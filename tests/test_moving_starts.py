@@ -149,12 +149,12 @@ def test_a_plant_of_another_scene_begins_in_a_motion_to_its_last_derivative() ->
     np.testing.assert_allclose(at, after, rtol=0.0, atol=1e-7)
 
 
-both = pytest.mark.parametrize(
+EACH_SYSTEM = pytest.mark.parametrize(
     "variant", [["--targets", "host"], ["--native", "--targets", "host"]], ids=["python", "native"]
 )
 
 
-@both
+@EACH_SYSTEM
 def test_a_path_that_moves_later_than_the_run_starts_is_refused(variant: list[str], tmp_path: Path) -> None:
     file = rows(tmp_path / "path.csv", WHOLE, (8.0, 20.0), 3.0)
     refused = run("ssp", "-o", tmp_path / "out", "--reference", file, *variant)
@@ -165,7 +165,7 @@ def test_a_path_that_moves_later_than_the_run_starts_is_refused(variant: list[st
 
 
 @pytest.mark.usefixtures("compiler")
-@both
+@EACH_SYSTEM
 def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(variant: list[str], tmp_path: Path) -> None:
     file = rows(tmp_path / "path.csv", WHOLE, (6.0, 14.0), 6.0)
     done = run("ssp", "-o", tmp_path / "out", "--reference", file, *variant)

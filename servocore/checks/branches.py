@@ -25,7 +25,7 @@ from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.exact_evaluation import along_path, exact_unknowns
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import (
     block_determinants,
@@ -261,10 +261,8 @@ def on_one_branch(
     incomplete = kept is not states
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
-    # A drum that unwinds kilometres of rope turns thousands of times between two instants: nothing follows that, and
-    # nothing has to where the guess of the model is the motion, unless the sign of a determinant shows another branch.
     waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
-    if len(waiting) > _MOST_FOLLOWED and not changes and guess_is_exact(problem, t):
+    if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
         return states, CLOSED_FORM, ()
     while waiting:
         k = waiting.pop()
@@ -274,7 +272,7 @@ def on_one_branch(
             try:
                 reached = branch.follow_to(kept[:, k], begin, end)
             except IntegrationFailed:
-                if replaced or changes or not guess_is_exact(problem, t):
+                if replaced or not is_closed_form(problem, t, states):
                     raise
                 return states, CLOSED_FORM, ()
             passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
@@ -286,11 +284,6 @@ def on_one_branch(
         if k + 2 < len(t) and (not waiting or waiting[-1] != k + 1):
             waiting.append(k + 1)
     return kept, FOLLOWED if replaced or incomplete else CONTINUOUS, tuple(passages)
-
-
-def guess_is_exact(problem: Problem, t: Array) -> bool:
-    """Whether the guess of the model is its motion at instants, by the expression of the inversion."""
-    return inversion(problem.array).expression is not None and exact_unknowns(problem, t)[1]
 
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
@@ -380,3 +373,18 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
         )
     signs = np.sign(known)
     return np.flatnonzero((~(signs[:, :-1] * signs[:, 1:] > 0.0)).any(axis=0)).tolist(), passages
+
+
+def is_closed_form(problem: Problem, t: Array, states: Array) -> bool:
+    """Whether answers (size, N) are the guess of the model itself, all of one sign and none of them singular.
+
+    A drum that unwinds kilometres of rope turns thousands of times between two instants: nothing follows that, and
+    nothing has to where the model gives its motion in closed form. The signs of the determinants are the alarm for a
+    guess that changes over to another branch.
+    """
+    branch = Branch.of(problem, states)
+    off = np.abs(guessed_unknowns(problem, t)[branch.rows.values] - states[branch.rows.values])
+    if not (off <= ROUND_OFF * np.maximum(np.abs(states[branch.rows.values]), branch.scale[:, None])).all():
+        return False
+    found = branch.determinants(t, states)
+    return bool((found * np.sign(found[:, :1]) > 0.0).all())

@@ -17,7 +17,7 @@ from servocore.checks.branches import (
     Places,
     ahead,
     coordinate_rows,
-    guess_is_exact,
+    is_closed_form,
     on_one_branch,
 )
 from servocore.checks.findings import FEWEST, Finding
@@ -63,7 +63,7 @@ class Motion:
     @cached_property
     def direct(self) -> bool:
         """Whether the guess of the model is the answer itself, so that no instant needs its neighbours."""
-        return guess_is_exact(self.problem, self.t) if self.by_guess is None else self.by_guess
+        return is_closed_form(self.problem, self.t, self.states) if self.by_guess is None else self.by_guess
 
     @property
     def q(self) -> Array:
