@@ -164,7 +164,7 @@ def certify(
     Parameters
     ----------
     scene_or_solution : Scene or Solution
-        A scene without internal dynamics, or a solution of one, whose inputs are then compared with the proved ones.
+        A scene without internal dynamics, or a solution of any, whose inputs are then compared with the proved ones.
     limits : mapping of str to bounds, optional
         Limits besides those of the scene, see `Scene.with_limits`.
     parameters : mapping of str to (float, float), optional

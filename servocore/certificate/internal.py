@@ -184,8 +184,10 @@ class InternalProof(Proof):
         inverse, rows, worst = np.linalg.pinv(V), np.linalg.norm(V, axis=1) * _OFF, np.linalg.cond(V)
         most, tube = (_TUBE * sizes / rows).min(), s.copy()
         tube[-1] += (rows * most)[:, None]
-        x, wide = self._tested(x, tube)
-        J = self._flow(model_of(x, wide), tube)[1].transpose(0, 3, 1, 2)
+        beside, wide = self._tested(x, tube)
+        self.D -= norm(beside - x)[: self._count]
+        around = model_of(beside, wide)
+        J = self._flow(around, tube)[1].transpose(0, 3, 1, 2)
         M, varied = inverse @ J[0] @ V, np.abs(inverse) @ norm(J[1:]) @ np.abs(V)
         mu = np.linalg.eigvalsh((M + M.conj().swapaxes(1, 2)) / 2.0)[:, -1]
         mu += np.linalg.norm(varied, axis=(1, 2)) * _OFF + _ROUNDED * worst**2 * np.linalg.norm(J[0], axis=(1, 2))
@@ -198,16 +200,15 @@ class InternalProof(Proof):
         for k, grown in enumerate(growth.tolist()):
             begin, added = e + jumps[k], defect[k] * width[k] * max(grown, 1.0) * _OFF
             e, largest[k] = begin * grown + added, begin * max(grown, 1.0) + added
-        if not np.isfinite(largest).all():
-            self.sentence = "the equations are not proved beside these states"
         norms = f"a logarithmic norm from {mu.min():.3g} to {mu.max():.3g} 1/s"
         lost = np.flatnonzero(~(largest < most) | (worst > _WORST))
         if len(lost):
-            self.sentence = f"with {norms} no bound of their error is known from t = {self.begin[lost[0]]:.6g} s on"
+            why = f"with {norms}" if np.isfinite(mu).all() else "as the equations are not proved beside them"
+            self.sentence = f"{why} no bound of their error is known from t = {self.begin[lost[0]]:.6g} s on"
             return
         share = (rows * largest.max() / sizes).max()
         self.sentence = f"states of the internal dynamics within {share:.1e} of their peaks, by {norms}"
-        slopes = magnitude(model_of(x, wide)[:, self._count :]).reshape(len(rows), self._count, -1)
+        slopes = magnitude(around[:, self._count :]).reshape(len(rows), self._count, -1)
         s[-1] += rows[:, None] * largest
         rho = (rho[: self._count] + np.tensordot(rows, slopes, 1) * largest) * _OFF
         self.x, self.given = model_of(x[:, : self._count], rho), self._given(s)
