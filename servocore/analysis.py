@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -22,7 +21,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
-from servocore.numerics.components import Part, condition_numbers
+from servocore.numerics.components import condition_numbers
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.derivative_array import DerivativeArray
@@ -177,17 +176,21 @@ def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: 
     )
 
 
-def _largest_conditions(parts: Sequence[Part], entries: Array) -> Array:
-    """Return the condition numbers of a sparse matrix from its entries (nnz, N) at instants, zero where not computed.
+def _largest_conditions(problem: Problem, unknowns: Array, jets: Array) -> Array:
+    """Return the condition numbers of the system Jacobian at instants, zero where not computed.
 
     They take most of the analysis of a large system. Along a path they vary smoothly, but for singular instants, which
     are peaks as well: between the instants of a first look those beside its local maxima are computed.
     """
-    conditions, first = np.zeros(entries.shape[1]), condition_numbers(parts, entries[:, ::_STRIDE])
-    peaks = np.flatnonzero((first > np.append(0.0, first[:-1])) & (first >= np.append(first[1:], 0.0)))
-    beside = np.abs(np.arange(len(conditions))[:, None] - _STRIDE * peaks).min(axis=1, initial=_STRIDE) < _STRIDE
-    left = np.asarray(beside | ~np.isfinite(entries).all(axis=0))
-    conditions[::_STRIDE], conditions[left] = first, condition_numbers(parts, entries[:, left])
+    (entries, parts), conditions = system_jacobian_entries(problem.array), np.zeros(len(jets))
+    at = np.arange(0, len(jets), _STRIDE)
+    for look in range(2):
+        found = at_instants(entries, unknowns[:, at], jets=jets[at], p=problem.p)[0]
+        conditions[at] = first = condition_numbers(parts, found)
+        if not look:
+            peaks = at[(first > np.append(0.0, first[:-1])) & (first >= np.append(first[1:], 0.0))]
+            beside = np.abs(np.arange(len(jets))[:, None] - peaks).min(axis=1) < _STRIDE
+            at = np.flatnonzero(beside | ~np.isfinite(unknowns).all(axis=0))
     return conditions
 
 
@@ -206,8 +209,7 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
             motion = motion_of(problem, times, unknowns)
             unknowns = motion.states
             rank_loss = "; ".join(str(each) for each in motion.passages if each.of_constraints)
-    entries, parts = system_jacobian_entries(problem.array)
-    conditions = _largest_conditions(parts, at_instants(entries, unknowns, jets=jets, p=problem.p)[0])
+    conditions = _largest_conditions(problem, unknowns, jets)
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
         matrix = np.asarray(system_jacobian(problem.array)(unknowns[:, k], jets[k].T, problem.p))

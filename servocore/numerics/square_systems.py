@@ -128,8 +128,7 @@ def compile_unrolled_solver(
         for others in known.residuals:
             # A sum that is NaN shows in no maximum.
             residual = ca.fmax(residual, ca.mmax(others)) + 0.0 * ca.sum2(others)
-        results += [known.counts(), residual]
-        return ca.Function(name, arguments, results, {"cse": bool(system.rest[0])})
+        return ca.Function(name, arguments, [*results, known.counts(), residual], {"cse": bool(system.rest[0])})
     return None
 
 
@@ -323,9 +322,8 @@ def _solve_nonlinear(known: KnownValues[Value], block: SquareSystem) -> None:
         known.add_values(block.unknowns, _iterated_once(known, block))
     elif isinstance(known, CompiledValues):
         known.add_values(block.unknowns, _iterated(known, block))
-    if torn:
-        symbols, expressions = (ca.vertcat(*column) for column in zip(*torn, strict=True))
-        known.explicit.append((symbols, known.resolved(expressions)[0]))
+    resolved = known.resolved(*(expression for _, expression in torn))
+    known.explicit += [(symbol, value) for (symbol, _), value in zip(torn, resolved, strict=True)]
 
 
 def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
