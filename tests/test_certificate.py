@@ -258,7 +258,7 @@ def test_limits_hold_for_all_parameters_of_a_box_or_are_refuted_with_one() -> No
 def test_internal_dynamics_have_the_motion_from_their_start_inside(name: str, seed: int) -> None:
     """Random parameters and durations against SciPy's integration of the scene's own equations at rtol = 1e-13."""
     scene, rng = sc.scenes.REGISTRY[name](), np.random.default_rng(seed)
-    assert isinstance(path := scene.reference, RestToRest)
+    path = cast("RestToRest", scene.reference)
     way = sc.rest_to_rest(path.start, path.end, path.duration * rng.uniform(0.8, 2.0), path.profile)
     values = {k: v * rng.uniform(0.9, 1.1) for k, v in scene.parameter_values().items()}
     scene = scene.with_reference(way).with_parameters(**values)
