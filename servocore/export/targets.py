@@ -216,21 +216,11 @@ class _Compiler:
     own: tuple[str, ...]
 
     def object_of(self, file: str, sources: Mapping[str, str], large: Collection[str]) -> str:
-        """Compile a file, or take its object and its frames from the cache; return the name of the object file."""
-        options = (*_OPTIONS, _LIGHT if file in large else _FULL, *self.own, "-c")
-        key = _key([*self.command, *options, *_texts(file, sources)])
-        made, kept = f"{file}.{self.target.name}.o", CodeCache.of_user()
-        parts = {key: self.folder / made, f"frames-{key}": self._frames(made)}
-        found = {name: kept.find(name) for name in parts}
-        if all(found.values()):
-            for name, place in found.items():
-                parts[name].write_bytes(cast("Path", place).read_bytes())
-            return made
+        """Compile a file, and return the name of the object file, beside which lie the frames of its functions."""
+        made, level = f"{file}.{self.target.name}.o", _LIGHT if file in large else _FULL
         frames = [*_FRAMES_OF_ZIG, self._frames(made).name] if "ziglang" in self.command else _FRAMES
-        self._run([*options, *frames, file, "-o", made])
-        self._frames(made).touch()  # empty where the compiler reports none
-        for name, place in parts.items():
-            kept.store(name, place.read_bytes())
+        options = [*_OPTIONS, level, *self.own, "-c", *frames, file, "-o", made]
+        self._make([made, self._frames(made).name], options, _texts(file, sources))
         return made
 
     def _frames(self, made: str) -> Path:
@@ -239,15 +229,27 @@ class _Compiler:
     def linked(self, objects: Sequence[str]) -> Library:
         """Join object files to a library."""
         result = f"library.{self.target.ending}"
-        self._run(["-shared", *self.own, *objects, "-o", result, *_LINKED[self.target.ending]])
+        digests = [hashlib.sha256((self.folder / each).read_bytes()).hexdigest() for each in objects]
+        self._make([result], ["-shared", *self.own, *objects, "-o", result, *_LINKED[self.target.ending]], digests)
         frames = [self._frames(each).read_text(encoding="utf-8").splitlines() for each in objects]
         rows = [line.split("\t") for lines in frames for line in lines]  # function, bytes, kind
         bounded = all(frames) and all(kind != "dynamic" for *_, kind in rows)
         stack = sum(int(size) for _, size, _ in rows) if bounded else None
         return Library((self.folder / result).read_bytes(), stack)
 
-    def _run(self, options: Sequence[str]) -> None:
+    def _make(self, results: Sequence[str], options: Sequence[str], inputs: Sequence[str]) -> None:
+        """Let the compiler make files, or take what it made of the same inputs before from the cache."""
+        key, kept = _key([*self.command, *options, *inputs]), CodeCache.of_user()
+        parts = {f"{k}-{key}": self.folder / name for k, name in enumerate(results)}
+        found = {name: kept.find(name) for name in parts}
+        if all(found.values()):
+            for name, place in found.items():
+                parts[name].write_bytes(cast("Path", place).read_bytes())
+            return
         compile_in(self.folder, [*self.command, *options], f"the FMU for {self.target.name}")
+        for name, place in parts.items():
+            place.touch()  # the compiler may report no frames
+            kept.store(name, place.read_bytes())
 
 
 def _texts(file: str, sources: Mapping[str, str]) -> list[str]:
