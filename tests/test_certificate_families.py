@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import test_meeting_branches as meeting
-from test_certificate import QUADROTOR, line, truth
+from test_certificate import QUADROTOR, line
 from test_failure_causes import arm
 from thinned import thinned
 
@@ -106,7 +106,7 @@ def spikes(rng: np.random.Generator, bad: bool) -> sc.Scene:
         sharp = rng.uniform(1.6, 1.8) if bad else rng.uniform(2.5, 4.0)
         way = (path.start[0] + rng.uniform(5.0, 7.0), path.start[1] + rng.uniform(1.0, 3.0))
         scene = line(QUADROTOR, path.start, way, sharp, profile=path.profile)
-        most = [np.abs(truth(scene, np.linspace(0.0, sharp, n))["M"]).max() for n in (201, 40_001)]
+        most = [np.abs(scene.exact(np.linspace(0.0, sharp, n))["M"]).max() for n in (201, 40_001)]
         if (most[1] > 2.1 * most[0]) == bad:
             return scene
 
@@ -116,7 +116,7 @@ def narrow_limits(rng: np.random.Generator, bad: bool) -> sc.Scene:
     """Limits a billionth below the largest value between 100,001 instants, or a millionth above it."""
     scene, path = one_of(rng, OVERHEAD, GANTRY, CRANE, QUADROTOR)
     scene = scene.with_parameters(load_mass=scene.parameter_values()["load_mass"] * rng.uniform(0.7, 1.4))
-    values = truth(scene, np.linspace(path.start_time, path.end_time, 100_001))
+    values = scene.exact(np.linspace(path.start_time, path.end_time, 100_001))
     name = rng.choice([each.name for each in scene.model().inputs])
     low, high = values[name].min(), values[name].max()
     size = max(abs(low), abs(high)) * (-1e-9 if bad else 1e-6)

@@ -117,7 +117,7 @@ class InternalProof(Proof):
         """Return the peaks of the states, at least what counts as small, shape (n,)."""
         system, duration = self.problem.system, self.problem.reference.duration
         least = [1e-6 * nominal(system, j) / duration**order for j, order in self.problem.array.states]
-        return np.maximum(norm(s[:-1]).max(axis=1), least)
+        return np.asarray(np.maximum(norm(s[:-1]).max(axis=1), least))
 
     def _near(self, solution: Solution) -> tuple[Array, Model]:
         """Return polynomials of unknowns and states: coordinates by a spline, others by Newton's method at nodes."""
