@@ -272,12 +272,20 @@ def stated_branch(
 
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
-    """Compare a solution with better values, of those that depend on steps at some instants; None if there are none."""
+    """Compare a solution with better values, of those that depend on steps at some instants.
+
+    If there are none, warn of inputs that nothing confirms, and return None.
+    """
     every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
     kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
     try:
         return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
-    except ServocoreError:
+    except ServocoreError as error:
+        warnings.warn(
+            f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong: {error}",
+            ServocoreWarning,
+            stacklevel=5,
+        )
         return None
 
 
