@@ -153,7 +153,7 @@ def test_a_proof_finds_the_branch_that_a_run_of_many_instants_misses() -> None:
     assert high - low < 1e-9
 
 
-@pytest.mark.parametrize("model", list(QUADROTOR.models))
+@pytest.mark.parametrize("model", thinned(QUADROTOR.models, lambda model: model == "points"))
 def test_a_spike_between_instants_is_refuted_with_its_value(model: str) -> None:
     """Finding: the thrust turns fast between two of 201 instants, which show a quarter of the moment."""
     exact = np.abs(truth(spiked(), np.linspace(0.0, 1.71, 20_001))["M"]).max()
@@ -301,9 +301,10 @@ def test_a_mass_that_is_negative_beside_constraints_is_not_refuted() -> None:
     """The motion on which it is negative may be one that they exclude; families refute negative masses without them."""
     system = OVERHEAD.model()
     away = ca.sumsqr(system.q - system.home_configuration()[0])
-    worse = replace(system, mass=system.mass * (1.0 - 1e3 * away))
+    worse = replace(system, mass=system.mass * (1.0 - 2.0 * away / (away + 1e-3)))
     found = sc.certify(replace(OVERHEAD, models={"worse": lambda: worse}))
-    assert next(k.verdict for k in found.statements if k.what.startswith("mass matrix")) == "undecided"
+    failing = [each.what.split(" ")[0] for each in found.statements if each.verdict != "proved"]
+    assert (failing, found.verdict) == (["mass"], "undecided")
 
 
 def test_nothing_is_known_of_times_far_from_the_path() -> None:

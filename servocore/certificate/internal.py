@@ -16,19 +16,20 @@ from numpy.polynomial import chebyshev
 from servocore.certificate.chebyshev import Model, arithmetic, derivative, magnitude, model_of
 from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.programs import UNIT, norm, summed
-from servocore.certificate.proof import Proof, grid_of
+from servocore.certificate.proof import OUTSIDE, Proof, grid_of
 from servocore.certificate.statements import Statement
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
+from servocore.structure.derivative_array import nominal
 
 _SPLINE, _DEGREE = 5, 10  # degree of the spline through coordinates, and of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
 _TUBE, _BESIDE = 1e-7, 1e-4  # E and D, of peaks
 _SETTLED, _CORRECT = 1e-10, 1e-8  # last steps of Newton's method, of the largest unknown, and of peaks of states
 _CORRECTIONS = 5  # of the states
-_REST = 1e-2  # of their peaks: how near states by the spline are to those at rest
+_REST = (1e-2, 0.5)  # of their peaks: how near coordinates and velocities by the spline are to those at rest
 _WORST = 1e5  # condition of V: products with its inverse are off by less than `_OFF` of them, and mu by its square
 _OFF, _ROUNDED = 1.0 + 1e-8, 1e-14
 
@@ -45,7 +46,8 @@ def near_states(
         return proof, [Statement("error of the internal dynamics bounded", "proved", proof.sentence)]
     if solution.error.largest is not None:
         text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
-    text += f"; {proof.sentence}" * bool(proof.sentence)
+    why = "a bound for a box of parameters is not known" if boxed else proof.sentence
+    text += f"; {why}" * bool(why)
     return None, [Statement("one motion", "undecided", text), proof.algebraic]
 
 
@@ -78,6 +80,8 @@ class InternalProof(Proof):
         self.ring, t, path = arithmetic((_DEGREE,)), solution.t, problem.reference
         outside = t[(t < path.start_time) | (t > path.end_time)]
         grid = np.union1d(grid_of(path, max(len(t) // _INSTANTS, _FEWEST)), outside)
+        if grid[-1] == path.end_time:  # inputs may jump there, and have the value behind it
+            grid = np.append(grid, path.end_time + OUTSIDE * path.duration)
         self.begin, self.end = grid[:-1], grid[1:]
         self.switches, self.relative = np.zeros(len(grid) - 1, dtype=bool), np.full(len(grid) - 1, np.inf)
         x, s = self._near(solution)
@@ -85,7 +89,7 @@ class InternalProof(Proof):
         # Derivatives by the states begin at zero: their equations are linear.
         x, rho = self._tested(np.pad(x, ((0, 0), (0, x.shape[1] * s.shape[1]), (0, 0))), s)
         self.x, self.given = model_of(x, rho)[:, : self._count], self._given(s)
-        self.sentence, lost = "", np.flatnonzero(np.isinf(rho).any(axis=0))
+        self.sentence, self._from, lost = "", "", np.flatnonzero(np.isinf(rho).any(axis=0))
         what = "one regular solution of the algebraic equations at the computed states"
         if len(lost):
             time = float(self.begin[lost[0]])
@@ -102,10 +106,18 @@ class InternalProof(Proof):
         array, own = self.problem.array, guessed_unknowns(self.problem, self.begin[:1])[:, 0]
         names = [array.names[j].removeprefix("q.") + "_dot" * order for j, order in array.states]
         own, begun = own[array.places(array.states)], self.ring.ends(s)[0][0, :, 0]
-        near = (np.abs(begun - own) <= _REST * norm(s[:-1]).max(axis=1)).all()
-        if near and self.begin[0] == self.problem.reference.start_time:
+        near = [_REST[order] for _, order in array.states] * self._sizes(s)
+        if (np.abs(begun - own) <= near).all() and self.begin[0] == self.problem.reference.start_time:
             begun = own
+        elif not self.problem.start:
+            self._from = f" on the motion from their computed values at t = {self.begin[0]:.6g} s"
         return np.array([self.problem.start.get(*each) for each in zip(names, begun.tolist(), strict=True)])
+
+    def _sizes(self, s: Model) -> Array:
+        """Return the peaks of the states, at least what counts as small, shape (n,)."""
+        system, duration = self.problem.system, self.problem.reference.duration
+        least = [1e-6 * nominal(system, j) / duration**order for j, order in self.problem.array.states]
+        return np.maximum(norm(s[:-1]).max(axis=1), least)
 
     def _near(self, solution: Solution) -> tuple[Array, Model]:
         """Return polynomials of unknowns and states: coordinates by a spline, others by Newton's method at nodes."""
@@ -132,9 +144,9 @@ class InternalProof(Proof):
         given, nothing = self._given(s), np.zeros(x.shape[1:])
         for _ in self._varied.ends:  # the blocks one after the other
             *_, shift = radii(self._varied, self.ring, x, given, nothing, nothing[:, :1])
-            x = x - np.where(np.isfinite(shift), shift, 0.0)
             if (norm(shift) <= _SETTLED * norm(x).max()).all():
                 break
+            x = x - np.where(np.isfinite(shift), shift, 0.0)
         sizes = np.maximum(norm(x).max(axis=1, keepdims=True), 1e-12)
         D = np.tile(_BESIDE * sizes, len(self.begin))
         rho, switches, *_ = radii(self._varied, self.ring, x, given, D, sizes)
@@ -169,7 +181,7 @@ class InternalProof(Proof):
 
     def _bound(self, x: Array, rho: Array, s: Model, start: Array) -> None:
         """Enclose states and unknowns after steps of Newton's method, if their error has a bound."""
-        sizes, width = norm(s[:-1]).max(axis=1), self.end - self.begin
+        sizes, width = self._sizes(s), self.end - self.begin
         for _ in range(_CORRECTIONS):
             moved = self._moved(x, s, start)
             change = (norm(moved - s) / sizes[:, None]).max()
@@ -186,11 +198,15 @@ class InternalProof(Proof):
         tube[-1] += (rows * most)[:, None]
         beside, wide = self._tested(x, tube)
         self.D -= norm(beside - x)[: self._count]
+        # Where x_hat + rho is within D around the other polynomial, both tests find the same solution.
+        other = (rho[: self._count] > self.D)[self.equations.curved].any(axis=0)
         around = model_of(beside, wide)
         J = self._flow(around, tube)[1].transpose(0, 3, 1, 2)
         M, varied = inverse @ J[0] @ V, np.abs(inverse) @ norm(J[1:]) @ np.abs(V)
         mu = np.linalg.eigvalsh((M + M.conj().swapaxes(1, 2)) / 2.0)[:, -1]
-        mu += np.linalg.norm(varied, axis=(1, 2)) * _OFF + _ROUNDED * worst**2 * np.linalg.norm(J[0], axis=(1, 2))
+        mu += np.linalg.norm(varied, axis=(1, 2)) * _OFF + _ROUNDED * len(V) * worst**2 * np.linalg.norm(
+            J[0], axis=(1, 2)
+        )
         defect = magnitude(summed(derivative(self.ring.derivatives[0], s) * (2.0 / width), f, -1.0))
         (early,), (late,) = self.ring.ends(s)
         jumps = np.abs(early - np.column_stack([start, late[:, :-1]]))
@@ -201,13 +217,13 @@ class InternalProof(Proof):
             begin, added = e + jumps[k], defect[k] * width[k] * max(grown, 1.0) * _OFF
             e, largest[k] = begin * grown + added, begin * max(grown, 1.0) + added
         norms = f"a logarithmic norm from {mu.min():.3g} to {mu.max():.3g} 1/s"
-        lost = np.flatnonzero(~(largest < most) | (worst > _WORST))
+        lost = np.flatnonzero(~(largest < most) | other | (worst > _WORST))
         if len(lost):
             why = f"with {norms}" if np.isfinite(mu).all() else "as the equations are not proved beside them"
             self.sentence = f"{why} no bound of their error is known from t = {self.begin[lost[0]]:.6g} s on"
             return
         share = (rows * largest.max() / sizes).max()
-        self.sentence = f"states of the internal dynamics within {share:.1e} of their peaks, by {norms}"
+        self.sentence = f"states of the internal dynamics within {share:.1e} of their peaks{self._from}, by {norms}"
         slopes = magnitude(around[:, self._count :]).reshape(len(rows), self._count, -1)
         s[-1] += rows[:, None] * largest
         rho = (rho[: self._count] + np.tensordot(rows, slopes, 1) * largest) * _OFF

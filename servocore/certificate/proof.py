@@ -31,7 +31,7 @@ Mask = npt.NDArray[np.bool_]
 
 _DEGREE = 10
 _FIRST = 8  # intervals of a path to begin with, each piece of it one at the least
-_OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
+OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
 _DEEPEST = 14  # halvings
@@ -105,7 +105,7 @@ class Proof:
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         machine_code(self.equations.array).best(1)
         path = problem.reference
-        margin = _OUTSIDE * path.duration
+        margin = OUTSIDE * path.duration
         grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)

@@ -18,7 +18,7 @@ from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.expressions import time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 from servocore.references.base import time_grid
@@ -153,18 +153,20 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    system, y, values = equations.array.system, equations.array.y, list[ca.SX]()
-    for limit in limits:
-        value = in_variables(system, limit.on(system), y)
-        values.append(time_derivative(value, y, system.gamma) if limit.rate else value)
-    return Walk(ca.vertcat(*values), equations.symbols)
+    return Walk(ca.vertcat(*(_in_variables(equations, limit) for limit in limits)), equations.symbols)
+
+
+def _in_variables(equations: Equations, limit: Limit) -> ca.SX:
+    system, y = equations.array.system, equations.array.y
+    value = in_variables(system, limit.on(system), y)
+    return time_derivative(value, y, system.gamma) if limit.rate else value
 
 
 @made_once
 def known(equations: Equations, limit: Limit) -> bool:
-    """Whether the equations enclose all derivatives of the path that a limit compares."""
-    system = equations.array.system
-    return highest_derivative(limit.on(system), system.gamma) + limit.rate <= equations.array.reference_order
+    """Whether the equations enclose all derivatives that a limit compares, of the path and of unknowns."""
+    enclosed = {each.element_hash() for each in ca.vertsplit(equations.symbols)}
+    return all(each.element_hash() in enclosed for each in ca.symvar(_in_variables(equations, limit)))
 
 
 def boxes_of(proof: Proof) -> Model:
@@ -230,9 +232,11 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
     walk = walk_of_limits(equations, tuple(limits.values()))
     bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
     decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))
-    found = dict[str, Statement]()
+    found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
+    if not proof.problem.flat:
+        text = "rates of inputs are not enclosed where there are internal dynamics"
     for each in claims:
-        statement = Statement(each.what, "undecided", "it depends on higher derivatives of the path than the inputs do")
+        statement = Statement(each.what, "undecided", text)
         if added := each.limit.over_run:
             statement = _of_run(proof, each, added)
         elif each in decisions:

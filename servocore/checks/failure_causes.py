@@ -109,7 +109,9 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
     def part(k: int) -> Callable[[Array], Array]:
         return lambda x: np.nan_to_num(evaluate(x)[k], nan=1e6, posinf=1e6, neginf=-1e6)
 
-    result = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
+    result = scipy.optimize.least_squares(
+        part(0), np.nan_to_num(start), part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60
+    )
     return result.x, evaluate(result.x)[0]
 
 
