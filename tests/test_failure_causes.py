@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from outside.systems import arm as two_links
 from present import present
 from problems import as_scene, driven_pendulum, polynomial_path, scene
 
@@ -48,21 +49,7 @@ def linkage(
 
 def arm(start: tuple[float, float], end: tuple[float, float]) -> sc.Scene:
     """Return an arm of two links, 1 m and 0.8 m, whose tip goes from one point to another in 2 s."""
-    coordinates = sc.Coordinates(sc.Quantity("alpha", "rad"), sc.Quantity("beta", "rad"))
-    a, b = ca.vertsplit(coordinates.q)
-    system = sc.MechanicalSystem(
-        name="arm",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("T_1", "N.m"), sc.Quantity("T_2", "N.m")),
-        outputs=(sc.Quantity("X", "m"), sc.Quantity("Y", "m")),
-        mass=ca.SX.eye(2),
-        output=ca.vertcat(ca.cos(a) + 0.8 * ca.cos(a + b), ca.sin(a) + 0.8 * ca.sin(a + b)),
-        input_matrix=-ca.SX.eye(2),
-        guess=ca.SX([0.3, 1.0]),
-        home=(1.0, 0.9),
-    )
-    return as_scene(system, sc.rest_to_rest(start, end, 2.0))
+    return sc.Scene("arm", {"links": two_links}, sc.rest_to_rest(start, end, 2.0))
 
 
 def refusal(subject: sc.Scene, way: str) -> str:

@@ -199,7 +199,7 @@ def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypat
     scene = sc.scenes.gantry_crane()
     solution = sc.solve(scene, step=scene.reference.duration / 50)
     np.testing.assert_allclose(solution["F_x"], scene.exact(solution.t)["F_x"], rtol=1e-9)
-    assert solution.statistics.newton_iterations == 51
+    assert solution.statistics.newton_iterations == solution.statistics.steps + 1
 
 
 def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_are_not() -> None:
@@ -210,7 +210,8 @@ def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_
     scene = sc.Scene("aside", {"points": lambda: aside}, crane.reference)
     solution = sc.solve(scene, step=crane.reference.duration / 50)
     np.testing.assert_allclose(solution["F_x"], crane.exact(solution.t)["F_x"], rtol=1e-9)
-    assert 51 < solution.statistics.newton_iterations < 51 * 4
+    instants = solution.statistics.steps + 1
+    assert instants < solution.statistics.newton_iterations < instants * 4
 
 
 # What `analyse` does once ---------------------------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def test_a_folder_that_a_failed_build_made_is_gone(tmp_path: Path, monkeypatch: 
     def fails(*_: object, **__: object) -> None:
         raise IntegrationFailed("no")
 
-    monkeypatch.setattr(building, "native_fmu", fails)
+    monkeypatch.setattr(building, "native_model", fails)
     (tmp_path / "kept").mkdir()
     for folder in (tmp_path / "deep" / "folder", tmp_path / "kept"):
         with pytest.raises(IntegrationFailed):

@@ -81,19 +81,12 @@ def _linearized(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynam
     from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium  # noqa: PLC0415
 
     eigenvalues = internal_equilibrium(resolved.array, np.array(p), np.array(resolved.system.home)).eigenvalues
-    return InternalDynamics(_classified(eigenvalues, DAMPED), eigenvalues)
-
-
-def _classified(eigenvalues: tuple[complex, ...], damped: float) -> str:
-    if not eigenvalues:
-        return FLAT
     if not np.isfinite(eigenvalues).all():
-        return SINGULAR
-    growth = max(value.real - damped * abs(value) for value in eigenvalues)
-    decay = max(value.real + damped * abs(value) for value in eigenvalues)
-    if growth > 0.0:
-        return NON_MINIMUM_PHASE
-    return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
+        return InternalDynamics(SINGULAR, eigenvalues)
+    growth = max(value.real - DAMPED * abs(value) for value in eigenvalues)
+    decay = max(value.real + DAMPED * abs(value) for value in eigenvalues)
+    kind = NON_MINIMUM_PHASE if growth > 0.0 else MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
+    return InternalDynamics(kind, eigenvalues)
 
 
 _CALLER = 4  # the line that called `solve`

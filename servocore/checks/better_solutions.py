@@ -4,8 +4,8 @@ Forms of index two and more err by the step, and near a singular configuration a
 every equation and is wrong all the same: a bridge that turns the long way round, a winch whose direction cosines cannot
 follow it. Without internal dynamics the exact answer at every instant is known, on the branch that the run began on.
 With them the same initial value problem is solved again by a method of high order, at steps halved until the difference
-to the run is much larger than what half the step changes. Both cost more than a step of backward Euler. So a run is
-checked first by its inputs alone, or against a run at a much larger step, and closely only if that leaves a doubt.
+to the run is larger than what half the step changes. That costs more than a run of backward Euler: such a run is
+checked first by its values alone, and compared, at some hundred instants, only if that leaves a doubt.
 """
 
 from __future__ import annotations
@@ -272,12 +272,20 @@ def stated_branch(
 
 
 def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
-    """Compare a solution with better values, of those that depend on steps at some instants; None if there are none."""
+    """Compare a solution with better values, those of steps at some hundred instants only.
+
+    If there are none, warn of inputs that nothing confirms, and return None.
+    """
     every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
     kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
     try:
         return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
-    except ServocoreError:
+    except ServocoreError as error:
+        warnings.warn(
+            f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong: {error}",
+            ServocoreWarning,
+            stacklevel=5,
+        )
         return None
 
 

@@ -1,7 +1,7 @@
 """Why a problem was not solved, looked for after it was not: the path is out of reach, or the equations are singular.
 
-Unsolved points are examined by least squares, which ends anywhere: at the nearest configuration to
-a point that is out of reach, and at a solution where the equations have lost rank.
+Unsolved points are examined by least squares, which ends anywhere: at the nearest configuration to a point that is out
+of reach, and at a solution where the equations have lost rank.
 """
 
 from __future__ import annotations
@@ -118,9 +118,8 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
 def out_of_reach(problem: Problem) -> str:
     """Say where the path of a problem is first out of reach, and by how much at most; empty if it never is.
 
-    Every configuration that the holonomic constraints allow counts. The nearest one to a point
-    may be a saddle, as the axis of a crane is on the way to the other side: a miss counts if starts from all around
-    lead to no better one.
+    Every configuration that the holonomic constraints allow counts. The nearest one to a point may be a saddle, as the
+    axis of a crane is on the way to the other side: a miss counts if starts from all around lead to no better one.
     """
     reference, reach = problem.reference, _Reach.of(problem)
     times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
@@ -133,10 +132,10 @@ def out_of_reach(problem: Problem) -> str:
         _, k, miss = max(missed, key=lambda each: each[0])
         _, again = reach.nearest(float(times[k]), _around(problem, x))
         if reach.missed(again):
-            first = min(name[1] for name in missed)
+            first = min(k for _, k, _ in missed)
             begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
             return _miss_in_words(problem, begin, float(times[k]), again)
-        missed = [name for name in missed if name[1] != k]
+        missed = [each for each in missed if each[1] != k]
     return ""
 
 
@@ -279,17 +278,15 @@ def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
     array, p = problem.array, problem.p
     if np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0):
         return ""
-    sentence = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
+    state = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
     jacobian = call_of(system_jacobian(problem.array))
-    J = jacobian(sentence, jet.T, p)[0]
+    J = jacobian(state, jet.T, p)[0]
     if condition_number(J) < SINGULAR_CONDITION:
         return ""
     places, n = array.places(unknown for unknown in array.unknowns if unknown[1]), len(problem.system.coordinates)
-    moving = np.array(sentence)
+    moving = np.array(state)
     moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
-    where = ", ".join(
-        f"{name} = {sentence[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n])
-    )
+    where = ", ".join(f"{name} = {state[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
     only = condition_number(jacobian(moving, jet.T, p)[0]) < SINGULAR_CONDITION
     if only:
         what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"

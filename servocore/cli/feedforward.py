@@ -14,6 +14,7 @@ from servocore.cli.run_summary import chosen_columns, details, summary, table_pi
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
+from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
 
@@ -71,8 +72,9 @@ def _certificate(
     """
     if len(solution.t) > _PROVED_ROWS:
         return certified.line(scene, model, strict=True)
-    exact = isinstance(how.formulation, Reduced | None)
-    return certified.line(solution, tolerance=1e-8 if exact else LARGEST_UNWARNED, strict=exact)
+    reduced = isinstance(how.formulation, Reduced | None)
+    exact = reduced and not Problem.of(scene, model).array.states
+    return certified.line(solution, tolerance=1e-8 if exact else LARGEST_UNWARNED, strict=reduced)
 
 
 def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:

@@ -346,7 +346,7 @@ def _iterated(known: CompiledValues, block: SquareSystem) -> ca.MX:
 
 
 def _iterated_once(known: WrittenOut, block: SquareSystem) -> ca.SX:
-    """Return a guess after one Newton iteration; `compile_solver` compares the correction with the tolerance."""
+    """Return a guess after one Newton iteration; `WrittenOut.final` compares the correction with the tolerance."""
     unknowns = block.unknowns
     better = _with_forces(block)
     jacobian = ca.jacobian(block.residual, unknowns)

@@ -165,9 +165,9 @@ def prepared_motion(problem: Problem) -> Motion:
 class ExactInversion:
     """The inputs of a scene at any instants, in any order, by exact inversion.
 
-    The equations are differentiated and compiled, and the path is checked, once. An
-    instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimizations, and
-    tables that are read as they are needed; `solve` gives the motion as well, and checks the result more closely.
+    The equations are differentiated and compiled, and the path is checked, once. An instant then takes a microsecond or
+    two among many, some twenty alone. For real-time loops, optimizations, and tables that are read as they are needed;
+    `solve` gives the motion as well, and checks the result more closely.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
-        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415 - `solve` needs none
+        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415 - few `solve`s have limits
 
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)

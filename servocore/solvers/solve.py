@@ -243,8 +243,7 @@ def chosen_route(
     Raises
     ------
     InvalidSetting
-        If a stable inversion has another form than `Reduced`, a tolerance for its steps, or
-        a start.
+        If a stable inversion has another form than `Reduced`, a tolerance for its steps, or a start.
     """
     if isinstance(method, JudgedRoute):
         method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))

@@ -191,42 +191,6 @@ def cart_pole() -> Case:
 
 
 @cache
-def furuta() -> sc.MechanicalSystem:
-    """An arm of 0.3 m that turns about a vertical axis, a rod of 0.4 m on its end, 0.1 kg at the end of the rod."""
-    q = coordinates("", "phi theta")
-    phi, theta = ca.vertsplit(q.q)
-    out = ca.vertcat(ca.cos(phi), ca.sin(phi), 0)
-    along = ca.vertcat(-ca.sin(phi), ca.cos(phi), 0)
-    place = 0.3 * out + 0.4 * ca.sin(theta) * along + ca.vertcat(0, 0, 0.4 * ca.cos(theta))
-    return lagrange(
-        "rotary pendulum", q, (0.01 * q.v[0] ** 2 + 0.1 * square(rate(place, q))) / 2, {"P": phi}, {"T": phi},
-        potential=0.1 * g * place[2], guess=lambda at: (at[0], 0.0), home=(0.1,),
-    )  # fmt: skip
-
-
-def rotary_pendulum() -> Case:
-    """Upright while the arm swings for ever: the one motion of the rod that has its period."""
-
-    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
-        def slope(time: Array, s: Array) -> Array:
-            _, rate, acceleration = reference.jet(time, 2)[:, :3, 0].T
-            sin, cos = np.sin(s[0]), np.cos(s[0])
-            return np.stack([s[1], rate**2 * sin * cos + (g * sin - 0.3 * acceleration * cos) / 0.4])
-
-        mesh = np.linspace(0.0, 2.0, 400)
-
-        def closed(a: Array, b: Array) -> Array:
-            return a - b
-
-        found = solve_bvp(slope, closed, mesh, np.zeros((2, 400)), tol=1e-9, max_nodes=100_000)
-        assert found.success
-        return {"theta": found.sol(np.mod(t, 2.0))[0]}
-
-    path = sc.periodic((0.0,), [[0.0]], [[0.4]], 2.0)
-    return Case(sc.Scene("rotary_pendulum", {"upright": furuta}, path), exact, 3, 2, steps=400, tolerance=1e-8)
-
-
-@cache
 def container() -> sc.MechanicalSystem:
     """A trolley, a winch and a container that turns with its ropes; its centre follows a path, its sway is free."""
     q = coordinates("s l", "theta")

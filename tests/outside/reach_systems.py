@@ -12,10 +12,12 @@ from functools import cache, partial
 
 import casadi as ca
 import numpy as np
-from outside.systems import Outsider, named, symbols
+from outside.systems import Outsider
+from outside.writing import named
 
 import servocore as sc
 from servocore.model.generalize import generalize
+from servocore.model.system import reference_symbols
 from servocore.scenes import jets
 
 GRAVITY = 9.81
@@ -75,7 +77,7 @@ def flyer(mass: float, inertia: float, side: float, chart: str) -> sc.Mechanical
     That point lies side inertia/mass above the centre of mass. The charts are coordinates of one aircraft.
     """
     offset = side * inertia / mass
-    gamma = symbols(2)
+    gamma = reference_symbols(2)
     x, z = ca.vertsplit(gamma[:, 0])
     constraints = ca.SX(0, 1)
     if chart == "directors":
@@ -167,7 +169,7 @@ def rods(count: int, chart: str, dimension: int = 2) -> sc.MechanicalSystem:
     Coordinates are the place of the cart ("pivot"), of the first rod's centre, of its centre of oscillation ("tip"), or
     of the tracked point ("directors"), besides what turns; "joints" has the centres of all rods, and constraints.
     """
-    gamma, chain = symbols(dimension), RODS[:count]
+    gamma, chain = reference_symbols(dimension), RODS[:count]
     turning, symbol, directions, constraints = _directions(chart, count, dimension)
     axes = "xyz" if dimension == 3 else "xz"
     bodies = [f"c_{k}{axis}" for k in range(count) for axis in axes] if chart == "joints" else []
@@ -244,7 +246,7 @@ def small_swing(chart: str) -> sc.MechanicalSystem:
     coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("a", "rad"))
     x, a = ca.vertsplit(coordinates.q)
     pivot = x - {"pivot": 0.0, "centre": rod.centre, "tip": rod.oscillation}[chart] * a
-    gamma = symbols(1)
+    gamma = reference_symbols(1)
     return Mechanism(
         coordinates, [(CART, pivot), (rod.mass, pivot + rod.centre * a)], [(rod.inertia, a)], [(pivot, ca.SX(1))],
         pivot + rod.oscillation * a, (gamma[0, 0], 0.0), (0.3,), gamma,
@@ -273,7 +275,7 @@ def adjustable_flyer() -> sc.MechanicalSystem:
     parameters = sc.Parameters(sc.Parameter("height", side * inertia / mass, "m"))
     coordinates = sc.Coordinates(*named("x z"), sc.Quantity("theta", "rad"))
     centre, angle = coordinates.q[:2], coordinates.q[2]
-    up, gamma = ca.vertcat(-ca.sin(angle), ca.cos(angle)), symbols(2)
+    up, gamma = ca.vertcat(-ca.sin(angle), ca.cos(angle)), reference_symbols(2)
     across = ca.vertcat(up[1], -up[0])
     return sc.MechanicalSystem(
         name="adjustable flyer", coordinates=coordinates, parameters=parameters, gamma=gamma, home=(0.3, 0.2),
@@ -288,7 +290,7 @@ def one_input(
     name: str, mass: ca.SX, output: ca.SX, potential: ca.SX, driven: int, q: sc.Coordinates
 ) -> sc.MechanicalSystem:
     """A system of two coordinates, one of them driven, whose guess is the output in the first one."""
-    gamma = symbols(1)
+    gamma = reference_symbols(1)
     return sc.MechanicalSystem(
         name=name, coordinates=q, parameters=sc.Parameters(), gamma=gamma, home=(0.3,), mass=mass, output=output,
         inputs=named("u"), outputs=named("y"), potential=potential, guess=ca.vertcat(gamma[0, 0], 0.0),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import casadi as ca
 import numpy as np
+from outside.hanging import thrust
+from outside.writing import coordinates, lagrange, rate, square
 
 import servocore as sc
 from servocore.scenes import jets
@@ -28,14 +30,6 @@ class Outsider:
         return self.answer(self.scene.reference.jet(t, self.order))
 
 
-def symbols(m: int) -> ca.SX:
-    return ca.SX.sym("gamma", m, sc.MAX_REFERENCE_ORDER + 1)
-
-
-def named(names: str, unit: str = "m") -> tuple[sc.Quantity, ...]:
-    return tuple(sc.Quantity(each, unit) for each in names.split())
-
-
 LOOP = ((0, 0), (4, 0), (6.5, 1.5), (7, 4), (5, 6.2), (3, 4), (3.5, 1.5), (6, 0), (10, 0))
 """Waypoints of a loop in m: an aircraft that is fast enough turns over."""
 
@@ -47,24 +41,13 @@ MASS, INERTIA, GRAVITY = 1.5, 0.02, 9.81
 @cache
 def aircraft(guess: float) -> sc.MechanicalSystem:
     """A planar aircraft with thrust f along its body and a torque."""
-    coordinates = sc.Coordinates(*named("x z"), sc.Quantity("theta", "rad"))
-    x, z, theta = ca.vertsplit(coordinates.q)
-    gamma = symbols(2)
-    thrust = ca.vertcat(-ca.sin(theta), ca.cos(theta), 0)
-    return sc.MechanicalSystem(
-        name="VTOL",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("f", "N"), sc.Quantity("torque", "N.m")),
-        outputs=named("X Z"),
-        mass=ca.diag(ca.SX([MASS, MASS, INERTIA])),
-        output=ca.vertcat(x, z),
-        input_matrix=-ca.horzcat(thrust, ca.vertcat(0, 0, 1)).T,
-        potential=MASS * GRAVITY * z,
-        gamma=gamma,
-        guess=ca.vertcat(gamma[:, 0], guess),
-        home=(0.3, 0.2),
-    )
+    q = coordinates("x z", "theta")
+    x, z, theta = ca.vertsplit(q.q)
+    system = lagrange(
+        "VTOL", q, (MASS * square(q.v[:2]) + INERTIA * q.v[2] ** 2) / 2, {"X": x, "Z": z}, {"f": z, "torque": theta},
+        potential=MASS * GRAVITY * z, guess=lambda at: (at[0], at[1], guess), home=(0.3, 0.2),
+    )  # fmt: skip
+    return replace(system, input_matrix=thrust(theta, 3))
 
 
 def vtol(guess: float = 0.0, path: sc.Reference | None = None) -> Outsider:
@@ -87,30 +70,19 @@ l_1, l_2, m_1, m_2 = 1.0, 0.8, 2.0, 1.5
 
 @cache
 def arm(
-    guess: tuple[float, float],
+    guess: tuple[float, float] = (0.3, 1.0),
     lengths: tuple[float, float] = (l_1, l_2),
     masses: tuple[float, float] = (m_1, m_2),
     home: tuple[float, float] = (1.0, 0.9),
 ) -> sc.MechanicalSystem:
     """Two links with a motor in each joint and point masses at their ends."""
-    coordinates = sc.Coordinates(*named("a b", "rad"))
-    a, b = ca.vertsplit(coordinates.q)
-    gamma = symbols(2)
+    q = coordinates("", "a b")
+    a, b = ca.vertsplit(q.q)
     elbow = lengths[0] * ca.vertcat(ca.cos(a), ca.sin(a))
     tip = elbow + lengths[1] * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
-    J_1, J_2 = ca.jacobian(elbow, coordinates.q), ca.jacobian(tip, coordinates.q)
-    return sc.MechanicalSystem(
-        name="elbow arm",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("T_1 T_2", "N.m"),
-        outputs=named("X Y"),
-        mass=masses[0] * ca.mtimes(J_1.T, J_1) + masses[1] * ca.mtimes(J_2.T, J_2),
-        output=tip,
-        input_matrix=-ca.SX.eye(2),
-        gamma=gamma,
-        guess=ca.SX(list(guess)),
-        home=home,
+    kinetic = (masses[0] * square(rate(elbow, q)) + masses[1] * square(rate(tip, q))) / 2
+    return lagrange(
+        "elbow arm", q, kinetic, {"X": tip[0], "Y": tip[1]}, {"T_1": a, "T_2": b}, guess=lambda _: guess, home=home
     )
 
 

@@ -4,38 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from outside.writing import coordinates, lagrange, square
+from outside.systems import arm
+from outside.writing import coordinates
 
 import servocore as sc
 
 REACH = 1.8
 
 
-@cache
-def arm(scale: float = 1.0) -> sc.MechanicalSystem:
-    """Two links of 1 m and 0.8 m in the plane, torques at both joints, from a guess that is the same everywhere."""
-    q = coordinates("", "a b")
-    a, b = ca.vertsplit(q.q)
-    elbow = scale * ca.vertcat(ca.cos(a), ca.sin(a))
-    hand = elbow + 0.8 * scale * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
-    speeds = [ca.jtimes(each, q.q, q.v) for each in (elbow, hand)]
-    return lagrange(
-        "arm", q, sum(square(each) for each in speeds) + ca.sumsqr(q.v) / 20, {"X": hand[0], "Y": hand[1]},
-        {"T1": a, "T2": b}, guess=lambda _: [0.3, 1.0], home=(1.2 * scale, 0.6 * scale),
-    )  # fmt: skip
-
-
 def out_and_back(reach: float, scale: float = 1.0) -> sc.Scene:
     """The hand goes out along x from 0.9 m to a reach, at t = 1 s, and back."""
     middle, way = (reach + 0.9) / 2, (reach - 0.9) / 2
     path = sc.periodic((scale * middle, 0.0), [[-scale * way, 0.0]], [[0.0, 0.0]], 2.0)
-    return sc.Scene("arm", {"arm": partial(arm, scale)}, path)
+    links = partial(arm, lengths=(scale, 0.8 * scale), home=(1.2 * scale, 0.6 * scale))
+    return sc.Scene("arm", {"arm": links}, path)
 
 
 @pytest.mark.parametrize(("rows", "beyond"), [(3, 0.2), (5, 0.02), (7, 4e-3), (9, 3e-3), (11, 1e-3), (15, 5e-4)])
@@ -64,14 +52,14 @@ def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused() 
     """TimeScaled at t = 1 s exactly, the elbow goes through: the torques have a limit there, and no value."""
     found = sc.solve(out_and_back(REACH), step=2.0 / 37)
     assert re.search(r"between t = 0\.99\d+ s and 1\.00\d+ s the equations are singular", found.statistics.branch)
-    assert np.abs(found["T1"]).max() < 100.0
+    assert np.abs(found["T_1"]).max() < 100.0
     with pytest.raises(sc.IntegrationFailed, match="singular at t = 1 s"):
         sc.solve(out_and_back(REACH), step=0.01)
 
 
 @pytest.mark.parametrize("steps", [37, 201, 333])
 def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps: int) -> None:
-    """A billionth of a metre short of its reach T1 is 182 kN m for some microseconds."""
+    """A billionth of a metre short of its reach T_1 is 182 kN m for some microseconds."""
     with pytest.warns(sc.ServocoreWarning, match="close to a pole"):
         sc.solve(out_and_back(REACH - 1e-9), step=2.0 / steps)
 

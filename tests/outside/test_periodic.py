@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outside.systems import named, symbols
+from outside.writing import coordinates, lagrange, rate, square
 from scipy.integrate import solve_bvp
 
 import servocore as sc
@@ -20,26 +20,14 @@ MASS, LENGTH, ARM, INERTIA, GRAVITY = 0.3, 0.4, 0.25, 0.02, 9.81
 @cache
 def furuta() -> sc.MechanicalSystem:
     """Furuta's pendulum: a point mass on a rod that swings across a driven arm; alpha = 0 is upright."""
-    coordinates, gamma = sc.Coordinates(*named("theta alpha", "rad")), symbols(1)
-    theta, alpha = ca.vertsplit(coordinates.q)
-    s, coupling = ca.sin(alpha), MASS * ARM * LENGTH * ca.cos(alpha)
-    M = ca.SX(2, 2)
-    M[0, 0], M[1, 1] = INERTIA + MASS * (ARM**2 + (LENGTH * s) ** 2), MASS * LENGTH**2
-    M[0, 1] = M[1, 0] = coupling
-    return sc.MechanicalSystem(
-        name="Furuta pendulum",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("tau", "N.m"),
-        outputs=named("Theta", "rad"),
-        mass=M,
-        output=theta,
-        input_matrix=-ca.SX([[1, 0]]),
-        potential=MASS * GRAVITY * LENGTH * ca.cos(alpha),
-        gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], 0),
-        home=(0.0,),
-    )
+    q = coordinates("", "theta alpha")
+    theta, alpha = ca.vertsplit(q.q)
+    arm, across = (ca.vertcat(ca.cos(theta), ca.sin(theta), 0), ca.vertcat(-ca.sin(theta), ca.cos(theta), 0))
+    place = ARM * arm + LENGTH * ca.sin(alpha) * across + ca.vertcat(0, 0, LENGTH * ca.cos(alpha))
+    return lagrange(
+        "Furuta pendulum", q, (INERTIA * q.v[0] ** 2 + MASS * square(rate(place, q))) / 2, {"Theta": theta},
+        {"tau": theta}, potential=MASS * GRAVITY * place[2], guess=lambda at: (at[0], 0.0), home=(0.0,),
+    )  # fmt: skip
 
 
 def swinging(first: float, second: float, period: float, cycles: int = 1) -> sc.Scene:
@@ -74,6 +62,11 @@ def test_the_bounded_motion_of_a_periodic_path_is_periodic(first: float, second:
     alpha, tau = by_collocation(scene.reference, solution.t)
     assert np.abs(solution["alpha"] - alpha).max() <= 1e-8 * np.abs(alpha).max()
     assert np.abs(solution["tau"] - tau).max() <= 1e-8 * np.abs(tau).max()
+
+
+def test_its_index_is_three_with_one_degree_of_freedom_of_internal_dynamics() -> None:
+    report = sc.analyse(swinging(0.4, 0.0, 2.0))
+    assert (report.index, report.internal_degrees_of_freedom) == (3, 2)
 
 
 def test_three_periods_are_three_times_one() -> None:

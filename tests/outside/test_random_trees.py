@@ -75,7 +75,7 @@ def solved(scene: sc.Scene, kind: str, step: float) -> tuple[sc.Solution, bool]:
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         solution = sc.solve(scene, *how, step=step)
-    return solution, any("is off by" in str(each.message) for each in told)
+    return solution, any("is off by" in str(each.message) or "may be wrong" in str(each.message) for each in told)
 
 
 @pytest.mark.parametrize("batch", range(0, COUNT, BATCH))
@@ -89,14 +89,13 @@ def test_a_random_tree_is_right_or_refused(batch: int, tmp_path: Path) -> None:
         kind = sc.analyse(scene).classification
         try:
             solution, warned = solved(scene, kind, STEP)
+            error = error_of(solution, path)
+            if not (warned or error < RIGHT):  # internal dynamics that are driven far away take smaller steps
+                assert error_of(solved(scene, kind, STEP / 4)[0], path) < error / 8, f"tree {seed}"
         except (sc.InvalidModel, sc.IntegrationFailed):
             # With the driven joints as outputs the system Jacobian is positive definite: nothing can be singular.
             true = kind != FLAT and outputs != driven
             refused += 1
             if not true:
                 raise
-            continue
-        error = error_of(solution, path)
-        if not (warned or error < RIGHT):  # internal dynamics that are driven far away take smaller steps
-            assert error_of(solved(scene, kind, STEP / 4)[0], path) < error / 8, f"tree {seed}"
     assert refused <= BATCH // 2

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from outside import hanging, moving, timed
-from outside.writing import coordinates, g, lagrange, rate, square
+from outside.systems import arm
+from outside.writing import coordinates, g, lagrange
 from scipy.integrate import solve_ivp
 
 import servocore as sc
@@ -143,16 +146,9 @@ def test_a_plant_knows_no_time() -> None:
 
 def test_a_path_out_of_reach_is_told_of_a_system_that_knows_the_time_too() -> None:
     """Two links of 1 m reach 2 m: X^2 + 0.81 = 4 is passed on the way to X = 2.5, which is 0.657 m too far."""
-    time, q = ca.SX.sym("t"), coordinates("", "a b")
-    first, second = q["a"], q["a"] + q["b"]
-    elbow = ca.vertcat(ca.cos(first), ca.sin(first))
-    tip = elbow + ca.vertcat(ca.cos(second), ca.sin(second))
-    arm = lagrange(
-        "arm", q, square(rate(elbow, q)) / 2 + square(rate(tip, q)) / 2, {"X": tip[0], "Y": tip[1]},
-        {"T_1": q["a"], "T_2": q["b"]}, potential=ca.sin(time) * q["a"], time=time, guess=lambda _: (0.3, 1.0),
-        home=(1.0, 0.9),
-    )  # fmt: skip
-    scene = sc.Scene("arm", {"links": lambda: arm}, sc.rest_to_rest((1.0, 0.9), (2.5, 0.9), 2.0))
+    time, links = ca.SX.sym("t"), arm(lengths=(1.0, 1.0))
+    pushed = replace(links, potential=ca.sin(time) * links.coordinates["a"], time=time)
+    scene = sc.Scene("arm", {"links": lambda: pushed}, sc.rest_to_rest((1.0, 0.9), (2.5, 0.9), 2.0))
     with pytest.raises(sc.InvalidReference, match=r"at t = 2 s .* X = 2\.5 m by 0\.618 m and Y = .*, 0\.657 m in all"):
         sc.solve(scene)
     assert float(np.hypot(2.5, 0.9)) - 2.0 == pytest.approx(0.657, abs=5e-4)

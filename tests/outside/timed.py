@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
 import numpy as np
+from outside.moving import cart
 from outside.writing import Case, coordinates, g, lagrange, square
 from scipy.integrate import solve_ivp
 
@@ -51,15 +53,10 @@ def load_below_a_ship() -> Case:
 @cache
 def cart_in_the_wind() -> sc.MechanicalSystem:
     """A cart of 2 kg with a pendulum of 0.5 kg and 0.7 m, on whose bob a gusty wind pushes."""
-    q, t = coordinates("x", "theta"), ca.SX.sym("t")
-    x, theta = ca.vertsplit(q.q)
-    bob = ca.vertcat(x + 0.7 * ca.sin(theta), -0.7 * ca.cos(theta))
-    wind = 1.5 * ca.sin(3.0 * t) ** 2
-    bob_rate = ca.jtimes(bob, q.q, q.v)
-    return lagrange(
-        "cart in the wind", q, (2 * q.v[0] ** 2 + 0.5 * square(bob_rate)) / 2, {"X": x}, {"F": x},
-        potential=0.5 * g * bob[1] - wind * bob[0], time=t, guess=lambda at: (at[0], 0.0), home=(0.2,),
-    )  # fmt: skip
+    hanging, t = cart(upright=False), ca.SX.sym("t")
+    x, theta = ca.vertsplit(hanging.coordinates.q)
+    push = 1.5 * ca.sin(3.0 * t) ** 2 * (x + 0.7 * ca.sin(theta))
+    return replace(hanging, name="cart in the wind", potential=hanging.potential - push, time=t)
 
 
 def pendulum_in_the_wind() -> Case:

@@ -563,7 +563,7 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
             value = state->inputs[k];
         else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
             value = state->parameters[k - FIRST_PARAMETER];
-        else if (k == N_NUMBERS)
+        else if (k >= N_NUMBERS)
             value = state->now.time;
         else {
             if (refresh(instance) != GOOD) {
