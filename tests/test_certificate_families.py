@@ -127,7 +127,7 @@ def narrow_limits(rng: np.random.Generator, bad: bool) -> sc.Scene:
 @pytest.mark.parametrize(
     ("name", "bad", "seed"),
     thinned([(name, bad, seed) for name in FAMILIES for bad in (True, False) for seed in range(13)],
-            lambda case: case[2] == 0 and case[:2] != ("slack_ropes", True)),
+            lambda case: case[2] == 0 and case[:2] not in {("slack_ropes", True), ("through_the_axis", True)}),
 )  # fmt: skip
 def test_what_is_right_is_proved_and_of_what_is_not_a_true_cause_is_told(name: str, bad: bool, seed: int) -> None:
     make, cause = FAMILIES[name]
