@@ -143,7 +143,7 @@ def test_start_values_that_an_fmu_would_refuse_are_refused_by_the_export(
 
 
 def test_an_export_has_the_feedback_the_estimates_and_the_routes_that_it_is_given(tmp_path: Path) -> None:
-    forms = {"reduced": sc.Reduced(), "projected": sc.Projected()}
+    forms: dict[str, sc.Formulation] = {"reduced": sc.Reduced(), "projected": sc.Projected()}
     given: dict[str, Any] = {
         "feedback": feedback_of(CRANE),
         "estimates": estimates_of(CRANE),
