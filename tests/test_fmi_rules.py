@@ -33,6 +33,8 @@ from present import present
 from test_moving_starts import rows
 
 import servocore as sc
+from crane_fmu.build.estimates import estimates_of
+from crane_fmu.build.native import feedback_of
 from crane_fmu.run import run_ssp
 from servocore.cli.commands import app
 from servocore.export import targets
@@ -138,6 +140,18 @@ def test_start_values_that_an_fmu_would_refuse_are_refused_by_the_export(
     with pytest.raises(sc.InvalidSetting, match=sentence):
         sc.export_fmu(CRANE, tmp_path / "crane.fmu", start=start, targets="none")
     assert not list(tmp_path.iterdir())
+
+
+def test_an_export_has_the_feedback_the_estimates_and_the_routes_that_it_is_given(tmp_path: Path) -> None:
+    forms: dict[str, sc.Formulation] = {"reduced": sc.Reduced(), "projected": sc.Projected()}
+    given: dict[str, Any] = {
+        "feedback": feedback_of(CRANE),
+        "estimates": estimates_of(CRANE),
+        "routes": sc.SteppedRoutes(("points",), forms, sc.BackwardEuler()),
+    }
+    file = sc.export_fmu(CRANE, tmp_path / "crane.fmu", fmi=2, targets="none", **given)
+    names = {each.name for each in read_model_description(file).modelVariables}
+    assert names >= {"feedback", "measured.l", "connected", "model", "formulation"}
 
 
 def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path) -> None:

@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.along_motion import (
-    with_redundant_constraints_as_limits,
-)
+from servocore.checks.along_motion import with_redundant_constraints_as_limits
 from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
