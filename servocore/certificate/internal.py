@@ -16,13 +16,12 @@ from numpy.polynomial import chebyshev
 from servocore.certificate.chebyshev import Model, arithmetic, derivative, magnitude, model_of
 from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.programs import UNIT, norm, summed
-from servocore.certificate.proof import OUTSIDE, Proof, grid_of
+from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
 from servocore.certificate.statements import Statement
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
-from servocore.structure.derivative_array import nominal
 
 _SPLINE, _DEGREE = 5, 10  # degree of the spline through coordinates, and of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
@@ -115,9 +114,7 @@ class InternalProof(Proof):
 
     def _sizes(self, s: Model) -> Array:
         """Return the peaks of the states, at least what counts as small, shape (n,)."""
-        system, duration = self.problem.system, self.problem.reference.duration
-        least = [1e-6 * nominal(system, j) / duration**order for j, order in self.problem.array.states]
-        return np.asarray(np.maximum(norm(s[:-1]).max(axis=1), least))
+        return np.asarray(np.maximum(norm(s[:-1]).max(axis=1), smallest_peaks(self.problem, self.problem.array.states)))
 
     def _near(self, solution: Solution) -> tuple[Array, Model]:
         """Return polynomials of unknowns and states: coordinates by a spline, others by Newton's method at nodes."""

@@ -7,6 +7,7 @@ that the motion begins and ends as the path does outside.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -49,6 +50,12 @@ def grid_of(path: Reference, count: int) -> Array:
     counts = np.maximum(np.ceil(count * np.diff(path.joints) / path.duration - 1e-9), 1).astype(int)
     grids = [np.linspace(a, b, n + 1) for (a, b), n in zip(pairwise(path.joints), counts, strict=True)]
     return np.unique(np.concatenate(grids))
+
+
+def smallest_peaks(problem: Problem, variables: Sequence[tuple[int, int]]) -> Array:
+    """Return the least that counts as a peak of variables, each by its number and the order of its derivative."""
+    duration = problem.reference.duration
+    return np.array([1e-6 * nominal(problem.system, j) / duration**order for j, order in variables])
 
 
 class Proof:
@@ -125,8 +132,8 @@ class Proof:
 
         That is 1e-6 of its nominal magnitude within the duration of the path, and of an input 1e-6 of the largest one.
         """
-        array, duration, inputs = self.equations.array, self.problem.reference.duration, self.equations.inputs
-        least = np.array([1e-6 * nominal(array.system, j) / duration**order for j, order in array.determined])
+        array, inputs = self.equations.array, self.equations.inputs
+        least = smallest_peaks(self.problem, array.determined)
         largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
