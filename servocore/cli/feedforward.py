@@ -73,7 +73,7 @@ def _certificate(
     if len(solution.t) > _PROVED_ROWS:
         return certified.line(scene, model, strict=True)
     reduced = isinstance(how.formulation, Reduced | None)
-    exact = reduced and not Problem.of(scene, model).array.states
+    exact = reduced and Problem.of(scene, model).flat
     return certified.line(solution, tolerance=1e-8 if exact else LARGEST_UNWARNED, strict=reduced)
 
 
