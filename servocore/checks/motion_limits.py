@@ -92,17 +92,16 @@ def first_broken(
 def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """Return the quantities of the `motion_limits` of a flat problem, (limits, N), at instants (N,); angles continuous.
 
-    The instants are those of the motion when not given. What a run adds up is that of the whole motion everywhere.
+    The instants are those of the motion when not given. What a run adds up has its value at the last one everywhere.
     """
     limits = motion.problem.motion_limits
     if not limits:
         return np.zeros((0, len(motion.t if t is None else t)))
     watched, problem = watched_limits(motion.problem), motion.problem
     values = watched.values(problem, *((motion.t, motion.states) if t is None else (t, motion.at(t))))
-    of_run = [(k, added) for k, limit in enumerate(limits) if (added := limit.over_run)]
-    whole = watched.values(problem, motion.t, motion.states) if of_run and t is not None else values
-    for k, added in of_run:
-        values[k] = added.course(motion.t, whole[k])[-1]
+    for k, limit in enumerate(limits):
+        if limit.over_run:
+            values[k] = limit.over_run.course(motion.t if t is None else t, values[k])[-1]
     angles = np.array(watched.wraps, dtype=bool)
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
@@ -112,13 +111,14 @@ def require_limits(motion: Motion) -> Array:
     problem, limits = motion.problem, motion.problem.motion_limits
     if not limits:
         return np.empty((0, len(motion.t)))
-    _require_derivatives(problem, limits, watched_limits(problem))
+    watched = watched_limits(problem)
+    _require_derivatives(problem, limits, watched)
     values = limited_values(motion)
 
     def near(row: int, t: Array) -> Array:
         """Return one of the quantities between the instants, an angle in the turn that it is in beside."""
-        found: Array = limited_values(motion, t)[row]
-        if watched_limits(problem).wraps[row]:
+        found: Array = watched.values(problem, t, motion.at(t))[row]
+        if watched.wraps[row]:
             found = found + 2.0 * np.pi * np.round((np.interp(t, motion.t, values[row]) - found) / (2.0 * np.pi))
         return found
 
@@ -173,8 +173,7 @@ class Watched:
 
 def watched_limits(problem: Problem) -> Watched:
     """Return the function of the quantities of the `motion_limits` of a flat problem, or of what a run adds up."""
-    given = ((limit, limit.over_run) for limit in problem.motion_limits)
-    wanted = tuple((Named(added.of) if added else limit.expression, limit.rate) for limit, added in given)
+    wanted = tuple((limit.expression, limit.rate) for limit in problem.motion_limits)
     return compile_watched(problem.resolved, wanted)
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
-from servocore.model.limits import Limit, Named, RunQuantity, run_quantities
+from servocore.model.limits import Limit, RunQuantity, expression_of, run_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -40,8 +40,8 @@ class Work:
     title : str
         Of the scene, for messages.
     by_expression, by_newton : str
-        Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
-        Newton's method. They may be the same.
+        Functions (gamma, [duration, *p]) -> rows, from the path in a second, as texts; the second by Newton's method.
+        They may be the same.
     inputs : tuple of str
         The first rows are inputs of these names.
     peaks : tuple of str
@@ -50,8 +50,8 @@ class Work:
         the next ones have limits of these names between these bounds; the rows after them must be positive.
     turns : tuple of int
         Rows with angles that are known up to full turns: in limited rows their jumps are removed.
-    of_run : tuple of (int, bool)
-        Rows whose value is their integral over the time, or where marked the root of their mean.
+    of_run : tuple of (int, RunQuantity)
+        Rows with integrands of quantities of the run.
     kept : bool
         Whether the inputs are kept at every instant.
     native : bool or None
@@ -77,19 +77,16 @@ class Cases:
     Attributes
     ----------
     jets : mapping of int to ndarray, shape (m (order + 1), N)
-        By number of the path, gamma, gamma', ... at the instants.
+        By number of the path, gamma, gamma', ... at the instants, of the path in a second.
     path : ndarray, shape (cases,)
         Which path each has.
     numbers : ndarray, shape (cases, 1 + parameters)
-        How many times as long as its path each takes, and values of the parameters.
-    durations : ndarray, shape (paths,)
-        Of the paths, in s.
+        The duration of each in s, and values of the parameters.
     """
 
     jets: Mapping[int, Array]
     path: npt.NDArray[np.intp]
     numbers: Array
-    durations: Array
 
 
 def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
@@ -114,9 +111,7 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     """
     system = problem.system
     peaks = peaked(system)
-    wanted = [
-        (each, each(system) if isinstance(each, RunQuantity) else Named(each.name)(system)) for each in peaks.values()
-    ]
+    wanted = [(each, expression_of(each)(system)) for each in peaks.values()]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
@@ -132,9 +127,9 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
 
 
 def _in_time(function: ca.Function) -> ca.Function:
-    """Return (gamma, [factor, *p]) -> the results of a function (gamma, p) on the same path, `factor` times as long.
+    """Return (gamma, [duration, *p]) -> the results of a function (gamma, p), from gamma of the path in a second.
 
-    Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
+    Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over duration^k.
     """
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
@@ -176,10 +171,9 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
                 continue
             rows = _rows(rows_of, by_newton, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
-            duration = cases.numbers[some, 0] * cases.durations[path]
             for k, each in work.of_run:
-                mean = np.trapezoid(rows[:, k], dx=1.0 / (rows.shape[2] - 1), axis=1)
-                rows[:, k] = each.of_sum(mean * duration, duration)[:, None]
+                t = np.linspace(0.0, cases.numbers[some, 0], rows.shape[2], axis=-1)
+                rows[:, k] = each.course(t, rows[:, k])[:, -1:]
             extremes[some] = extremes_of(rows)
             inputs[some] = rows[:, :kept]
     if extremes_at is not None:
