@@ -29,6 +29,7 @@ position, velocity, acceleration and jerk of the load and ends smoothly.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from typing import Any
@@ -109,10 +110,12 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
         For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
-    parts = _Parts(hanging(system))
+    crane = hanging(system)
+    # A prediction over a step knows no dry friction, which is steep at standstill.
+    parts = _Parts(replace(crane, force=ca.SX(POINTS, 1)))
     functions = [each(parts, time) for time in ("start", "end") for each in (_begin, _feedback)]
     if parts.numbers > CRANE_NUMBERS:
-        functions = [_beside_friction(each, system) for each in functions]
+        functions[1::2] = [_beside_friction(law, crane) for law in functions[1::2]]
     return {each.name(): each for each in functions}
 
 
@@ -137,26 +140,20 @@ def _flat(system: sc.MechanicalSystem) -> ca.Function:
     return ca.Function("flat", [jet, p], [state, inputs], {"cse": True})
 
 
-def _beside_friction(law: ca.Function, system: sc.MechanicalSystem) -> ca.Function:
-    """Return a function of the law for inputs that overcome friction of drives too.
+def _beside_friction(law: ca.Function, crane: sc.MechanicalSystem) -> ca.Function:
+    """Return the law for inputs that overcome friction of drives too.
 
-    A prediction over a step knows no dry friction, which is steep at standstill. The law gets inputs without the
-    friction along the path, and limits smaller by it; it is added to the inputs that the law returns.
+    It gets inputs without the friction along the path, and limits smaller by it; it is added to the inputs that the law
+    returns.
     """
-    flat, names = _flat(hanging(system)), system.parameters.names
-    smooth = ca.DM([0.0 if name.endswith((".coulomb", ".viscous")) else 1.0 for name in names])
-    path, numbers, ahead = ca.SX.sym("jet", _JET), ca.SX.sym("p", len(names)), ca.SX.sym("ahead")
-    there = continued(path, ca.SX.zeros(DIMENSION), ahead)
-    more = flat(there, numbers)[1] - flat(there, numbers * smooth)[1]
-    friction, given = ca.Function("friction", [path, numbers, ahead], [more], {"cse": True}), law.mx_in()
-    if law.n_out() == 1:
-        jet, measured, p, h = given
-        return ca.Function(law.name(), given, [law(jet, measured, p * smooth, h)])
+    B, path, ahead = crane.input_matrix, ca.SX.sym("jet", _JET), ca.SX.sym("ahead")
+    state, *_ = flat_motion()(continued(path, ca.SX.zeros(DIMENSION), ahead), crane.p[:CRANE_NUMBERS])
+    more = ca.substitute(ca.inv(B @ B.T) @ B @ crane.force, ca.vertcat(crane.q, crane.v), state)
+    friction, given = ca.Function("friction", [path, crane.p, ahead], [more], {"cse": True}), law.mx_in()
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given
     now, then = friction(before, p, 0), friction(jet, p, 0 if law.name().endswith("end") else h)
-    inputs = acting - now, feedforward - then
-    room = ca.fmax(limits - ca.fabs(then), 0)
-    after, found = law(memory, jet, before, measured, *inputs, p * smooth, h, share, room)
+    inputs, room = (acting - now, feedforward - then), ca.fmax(limits - ca.fabs(then), 0)
+    after, found = law(memory, jet, before, measured, *inputs, p, h, share, room)
     return ca.Function(law.name(), given, [after, found + then])
 
 
