@@ -130,13 +130,12 @@ def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
 
 def _flat(system: sc.MechanicalSystem) -> ca.Function:
     """Return (jet of the load, p) -> (state, inputs) of a crane, which may have drives: from its equations then."""
-    jet, p = ca.SX.sym("jet", _JET), ca.SX.sym("p", system.p.numel())
+    jet, p = ca.SX.sym("jet", _JET), system.p
     state, inputs, acceleration = flat_motion()(jet, p[:CRANE_NUMBERS])
     if p.numel() > CRANE_NUMBERS:
         B, a = system.input_matrix, ca.SX.sym("a", POINTS)
         needed = -ca.mtimes(ca.inv(ca.mtimes(B, B.T)), ca.mtimes(B, system.mass @ a + system.bias))
-        given = [ca.vertcat(system.q, system.v), a, system.p]
-        inputs = ca.Function("needed", given, [needed])(state, acceleration, p)
+        inputs = ca.substitute(needed, ca.vertcat(system.q, system.v, a), ca.vertcat(state, acceleration))
     return ca.Function("flat", [jet, p], [state, inputs], {"cse": True})
 
 

@@ -33,10 +33,7 @@ EFFECTS_EXAMPLES = (
     "overhead_crane --deviation 20mm --bandwidth 3 --parameters crane.toml",
     "gantry_crane --open-loop --simulate --markdown effects.md",
 )
-DRIVES_EXAMPLES = (
-    "rotary_crane --drives drives.toml",
-    "overhead_crane --drives drives.toml --from 0 -6 --to 6 -4 --duration 45",
-)
+DRIVES_EXAMPLES = ("overhead_crane --drives drives.toml --from 0 -6 --to 6 -4 --duration 45",)
 SENSITIVITIES_EXAMPLES = ("rotary_crane", "overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png")
 FIXED: dict[str, object] = {"columns": None, "verbose": False}
 

@@ -114,7 +114,6 @@ def inverse_model(
             "end_conditions": end_conditions(compiled.orders),
             "feedback": feedback,
             "estimates": estimates,
-            "has_motors": int("motors" in more),
         },
         functions={**compiled.functions, **named_in_c(more, identifier)},
         variables=rows.placed(_variables(problem, compiled, scene, feedback)),

@@ -11,7 +11,7 @@ reported beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -22,6 +22,7 @@ from servocore.errors import InvalidModel, described
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.memoization import made_once
 from servocore.numerics.units import in_unit
 
 CREEP = 0.01
@@ -30,8 +31,6 @@ CREEP = 0.01
 _SMOOTH = 2e-3  # of the highest speed and torque: corners of a torque-speed curve are rounded off so far, downwards
 _BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls to zero
 _SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
-
-_MOST = 1e9
 
 _CORNER = tuple(Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
                 for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
@@ -96,14 +95,14 @@ class Drive:
     'rad/s'
     """
 
-    ratio: Given = _datum(1.0, "1", 1e-6, _MOST, "speed of the motor by that of the drum, wheel or bridge")
+    ratio: Given = _datum(1.0, "1", 1e-6, 1e9, "speed of the motor by that of the drum, wheel or bridge")
     rope_falls: Given = _datum(1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum")
     drum_radius: Given | None = _datum(None, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force")
-    motor_inertia: Given = _datum(0.0, "kg.m2", 0.0, _MOST, "of rotor, brake and coupling at the motor's shaft")
+    motor_inertia: Given = _datum(0.0, "kg.m2", 0.0, 1e9, "of rotor, brake and coupling at the motor's shaft")
     efficiency: Given = _datum(1.0, "1", 1e-3, 1.0, "of the transmission")
-    viscous: Given = _datum(0.0, "N.m.s/rad", 0.0, _MOST, "viscous friction at the motor's shaft")
-    coulomb: Given = _datum(0.0, "N.m", 0.0, _MOST, "dry friction at the motor's shaft")
-    torque_constant: Given | None = _datum(None, "N.m/A", 1e-9, _MOST, "torque of the motor by its current")
+    viscous: Given = _datum(0.0, "N.m.s/rad", 0.0, 1e9, "viscous friction at the motor's shaft")
+    coulomb: Given = _datum(0.0, "N.m", 0.0, 1e9, "dry friction at the motor's shaft")
+    torque_constant: Given | None = _datum(None, "N.m/A", 1e-9, 1e9, "torque of the motor by its current")
     torque_speed: Sequence[tuple[Any, Any]] = ()
     rated_torque: Given | None = _datum(None, "N.m", 1e-9, 1e12, "continuous torque of the motor")
     rated_power: Given | None = _datum(None, "W", 1e-9, 1e15, "rated power of the motor")
@@ -153,52 +152,45 @@ def _checked(of: Parameter, value: object) -> float:
     return of.check(in_unit(value, of.unit, of.name) if isinstance(value, str) else value)  # type: ignore[arg-type]  # checked there
 
 
-@dataclass(frozen=True)
-class Driven:
-    """Factory of a model with drives; equal factories share one model."""
+@made_once
+def driven(system: MechanicalSystem, drives: tuple[tuple[str, Drive], ...]) -> MechanicalSystem:
+    """Return a model with drives at its inputs: reflected inertia and friction, and further parameters and observables.
 
-    factory: Callable[[], MechanicalSystem]
-    motors: tuple[tuple[str, Drive], ...]
-
-    def __call__(self) -> MechanicalSystem:
-        """Assemble the model: with reflected inertia and friction, and further parameters and observables.
-
-        Raises
-        ------
-        InvalidModel
-            If an input has no place for a drive, or its radius is missing or given twice.
-        """
-        system, drives = self.factory(), dict(self.motors)
-        declared = [each for name, drive in drives.items() for each in drive.declared(name)]
-        parameters = system.parameters.extended(*declared)
-        q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
-        mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
-        observables = dict(system.observables)
-        for name, drive in drives.items():
-            k, p = _place(system, name, drive), _data(name, drive, parameters)
-            B, n = system.input_matrix[k, :], p["transmission"]
-            rate = -ca.mtimes(B, v)
-            # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
-            inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
-            mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
-            gyroscopic += ca.sparsify(inertia * B.T * along)
-            friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
-            force += ca.sparsify(B.T * friction)
-            left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
-            observables |= _observed(name, drive, p, system.u[k], n * rate)
-        # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
-        known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
-        return replace(
-            system,
-            name=f"{system.name} with drives",
-            parameters=parameters,
-            home_parameters=(*system.home_parameters, *(each.default for each in declared)),
-            mass=mass,
-            gyroscopic=gyroscopic,
-            force=force,
-            observables=observables,
-            reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
-        )
+    Raises
+    ------
+    InvalidModel
+        If an input has no place for a drive, or its radius is missing or given twice.
+    """
+    declared = [each for name, drive in drives for each in drive.declared(name)]
+    parameters = system.parameters.extended(*declared)
+    q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
+    mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
+    observables = dict(system.observables)
+    for name, drive in drives:
+        k, p = _place(system, name, drive), _data(name, drive, parameters)
+        B, n = system.input_matrix[k, :], p["transmission"]
+        rate = -ca.mtimes(B, v)
+        # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
+        inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
+        mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
+        gyroscopic += ca.sparsify(inertia * B.T * along)
+        friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
+        force += ca.sparsify(B.T * friction)
+        left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
+        observables |= _observed(name, drive, p, system.u[k], n * rate)
+    # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
+    known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
+    return replace(
+        system,
+        name=f"{system.name} with drives",
+        parameters=parameters,
+        home_parameters=(*system.home_parameters, *(each.default for each in declared)),
+        mass=mass,
+        gyroscopic=gyroscopic,
+        force=force,
+        observables=observables,
+        reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
+    )
 
 
 def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
@@ -280,8 +272,8 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):
         raised = e if change > 0.0 else 0.0
-        sides = [_size(speed - place, e) - raised for place in {corner, -corner}]
-        torque += change / 2 * (sum(sides) * (1 if corner else 2) - 2 * corner)
+        sides = [_size(speed - place, e) - raised for place in (corner, -corner)]
+        torque += change / 2 * (sum(sides) - 2 * corner)
     return torque
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
-from servocore.model.drives import Drive, Driven
+from servocore.model.drives import Drive, driven
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, limit_named
 from servocore.model.system import MechanicalSystem
@@ -144,8 +144,7 @@ class Scene:
         name = name or self.default_model
         if not isinstance(name, Hashable) or name not in self.models:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
-        bare = self.models[name]
-        factory = Driven(bare, tuple(self.drives.items())) if self.drives else bare
+        factory = self.models[name]
         try:
             system: object = _made(factory) if isinstance(factory, Hashable) else factory()
         except TypeError as error:
@@ -156,7 +155,7 @@ class Scene:
             raise InvalidModel(
                 f"{self.name}: the factory of {name} returned {described(system)}, not a MechanicalSystem"
             )
-        return system
+        return driven(system, tuple(self.drives.items())) if self.drives else system
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if it does not fit.
