@@ -115,7 +115,7 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
     parts = _Parts(replace(crane, force=ca.SX(POINTS, 1)))
     functions = [each(parts, time) for time in ("start", "end") for each in (_begin, _feedback)]
     if parts.numbers > CRANE_NUMBERS:
-        functions[1::2] = [_beside_friction(law, crane) for law in functions[1::2]]
+        functions[1::2] = [_beside_friction(law, _flat(crane), parts.flat) for law in functions[1::2]]
     return {each.name(): each for each in functions}
 
 
@@ -139,18 +139,16 @@ def _flat(system: sc.MechanicalSystem) -> ca.Function:
     return ca.Function("flat", [jet, p], [state, inputs], {"cse": True})
 
 
-def _beside_friction(law: ca.Function, crane: sc.MechanicalSystem) -> ca.Function:
-    """Return the law for inputs that overcome friction of drives too.
+def _beside_friction(law: ca.Function, flat: ca.Function, smooth: ca.Function) -> ca.Function:
+    """Return the law for inputs that overcome friction of drives too, from those along the path with it and without.
 
-    It gets inputs without the friction along the path, and limits smaller by it; it is added to the inputs that the law
-    returns.
+    The law gets inputs without friction, and limits smaller by it; it is added to the inputs that the law returns.
     """
-    B, path, ahead = crane.input_matrix, ca.SX.sym("jet", _JET), ca.SX.sym("ahead")
-    state, *_ = flat_motion()(continued(path, ca.SX.zeros(DIMENSION), ahead), crane.p[:CRANE_NUMBERS])
-    more = ca.substitute(ca.inv(B @ B.T) @ B @ crane.force, ca.vertcat(crane.q, crane.v), state)
-    friction, given = ca.Function("friction", [path, crane.p, ahead], [more], {"cse": True}), law.mx_in()
+    given = law.mx_in()
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given
-    now, then = friction(before, p, 0), friction(jet, p, 0 if law.name().endswith("end") else h)
+    ahead = ca.MX(0) if law.name().endswith("end") else h
+    (reached,) = _inlined("reached", lambda jet, tau: [continued(jet, ca.SX.zeros(DIMENSION), tau)], jet, ahead)
+    now, then = (flat(path, p)[1] - smooth(path, p)[1] for path in (before, reached))
     inputs, room = (acting - now, feedforward - then), ca.fmax(limits - ca.fabs(then), 0)
     after, found = law(memory, jet, before, measured, *inputs, p, h, share, room)
     return ca.Function(law.name(), given, [after, found + then])

@@ -284,9 +284,8 @@ def _integral(proof: Proof, limit: Limit) -> Array:
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
+    The bounds are infinite, or no numbers, where the motion is not proved.
     """
-    if not proof.proved.all():
-        return np.array([-np.inf, np.inf])
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):

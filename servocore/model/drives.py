@@ -222,9 +222,8 @@ def _data(name: str, drive: Drive, parameters: Parameters) -> dict[str, ca.SX]:
 
 def _observed(name: str, drive: Drive, p: Mapping[str, ca.SX], u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
     """Return torque, speed, power and reserve of the motor under an input, by its speed."""
-    torque, efficiency = u / p["transmission"], p["efficiency"]
+    torque, efficiency, driving = u / p["transmission"], p["efficiency"], ca.tanh(speed / p["transmission"] / CREEP)
     # tau / eta where the motor drives, tau eta where the load does.
-    driving = ca.tanh(speed / p["transmission"] / CREEP)
     more, less = 1 / efficiency + efficiency, 1 / efficiency - efficiency
     torque = more / 2 * torque + less / 2 * _size(torque, _SLIGHT) * driving
     known = {
@@ -271,8 +270,7 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):
-        raised = e if change > 0.0 else 0.0
-        sides = [_size(speed - place, e) - raised for place in (corner, -corner)]
+        sides = [_size(speed - place, e) - e * (change > 0.0) for place in (corner, -corner)]
         torque += change / 2 * (sum(sides) - 2 * corner)
     return torque
 
