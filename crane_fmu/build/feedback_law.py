@@ -114,7 +114,7 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
     # A prediction over a step knows no dry friction, which is steep at standstill.
     parts = _Parts(replace(crane, force=ca.SX(POINTS, 1)))
     functions = [each(parts, time) for time in ("start", "end") for each in (_begin, _feedback)]
-    if parts.numbers > CRANE_NUMBERS:
+    if system.p.numel() > CRANE_NUMBERS:
         functions[1::2] = [_beside_friction(law, _flat(crane), parts.flat) for law in functions[1::2]]
     return {each.name(): each for each in functions}
 
@@ -158,7 +158,6 @@ class _Parts:
     """Functions of the law, for both input times; see the functions that make them."""
 
     def __init__(self, system: sc.MechanicalSystem) -> None:
-        self.numbers = system.p.numel()
         self.flat, self.measured, self.offset = _flat(system), measured_state(), offset()
         self.advance, self.sampled, self.resting = advance(system), sampled(system), resting()
         self.shared, self.riccati, self.gain = riccati_functions()
@@ -196,7 +195,7 @@ def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any,
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane at rest at its present place."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
-    p, h = ca.MX.sym("p", parts.numbers), ca.MX.sym("h")
+    p, h = ca.MX.sym("p", parts.flat.numel_in(1)), ca.MX.sym("h")
     about = *parts.flat(jet, p), ca.MX.zeros(DRIVES), p, h
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
@@ -210,7 +209,7 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
 def _feedback(parts: _Parts, time: str) -> ca.Function:
     """Return the law."""
     sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": DRIVES}
-    sizes |= {"feedforward": DRIVES, "p": parts.numbers, "h": 1, "share": 1, "limits": DRIVES}
+    sizes |= {"feedforward": DRIVES, "p": parts.flat.numel_in(1), "h": 1, "share": 1, "limits": DRIVES}
     given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
     cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])

@@ -111,14 +111,13 @@ def require_limits(motion: Motion) -> Array:
     problem, limits = motion.problem, motion.problem.motion_limits
     if not limits:
         return np.empty((0, len(motion.t)))
-    watched = watched_limits(problem)
-    _require_derivatives(problem, limits, watched)
+    _require_derivatives(problem, limits, watched_limits(problem))
     values = limited_values(motion)
 
     def near(row: int, t: Array) -> Array:
         """Return one of the quantities between the instants, an angle in the turn that it is in beside."""
-        found: Array = watched.values(problem, t, motion.at(t))[row]
-        if watched.wraps[row]:
+        found: Array = watched_limits(problem).values(problem, t, motion.at(t))[row]
+        if watched_limits(problem).wraps[row]:
             found = found + 2.0 * np.pi * np.round((np.interp(t, motion.t, values[row]) - found) / (2.0 * np.pi))
         return found
 

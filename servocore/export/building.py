@@ -92,8 +92,8 @@ def inverse_model(
     more = dict(estimates.functions) if estimates else {}
     if feedback:
         more |= {**feedback.laws, "judge": feedback.judge}
-    if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
-        more["motors"] = motors(system, scene.drives, compiled.outputs)
+        # Motors, by inputs that are not those of the path alone.
+        more |= {"motors": motors(system, scene.drives, compiled.outputs)} if scene.drives else {}
     return InverseModel(
         identifier=identifier,
         title=scene.name,

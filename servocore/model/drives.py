@@ -20,7 +20,7 @@ import casadi as ca
 
 from servocore.errors import InvalidModel, described
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Parameter, Parameters
+from servocore.model.symbols import Parameter, Parameters, symbols
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.memoization import made_once
 from servocore.numerics.units import in_unit
@@ -109,8 +109,7 @@ class Drive:
 
     def __post_init__(self) -> None:
         for name, datum in _DATA.items():
-            value = getattr(self, name)
-            if value is not None or getattr(Drive, name) is not None:
+            if (value := getattr(self, name)) is not getattr(Drive, name):
                 object.__setattr__(self, name, _checked(datum, value))
         try:
             corners = tuple(tuple(map(_checked, _CORNER, (speed, torque))) for speed, torque in self.torque_speed)
@@ -162,7 +161,8 @@ def driven(system: MechanicalSystem, drives: tuple[tuple[str, Drive], ...]) -> M
         If an input has no place for a drive, or its radius is missing or given twice.
     """
     declared = [each for name, drive in drives for each in drive.declared(name)]
-    parameters = system.parameters.extended(*declared)
+    more = symbols(each.name for each in declared)
+    parameters = Parameters(*system.parameters.declared, *declared, p=ca.vertcat(system.p, more))
     q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
     mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
     observables = dict(system.observables)
