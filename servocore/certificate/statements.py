@@ -296,9 +296,8 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
     middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
     widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
-    slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
-    total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
-    return np.array([total - off, total + off])
+    off = radius @ widths + (np.abs(middle) + radius) @ (4.0 * len(widths) * UNIT * widths + late)
+    return np.asarray(middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off)
 
 
 # At instants -------------------------------------------------------------------------------------------------------

@@ -186,10 +186,9 @@ class RunQuantity(Quantity):
         """Return it at every instant (..., N) since the first, by Simpson's rule from the integrands there."""
         from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
 
-        found: Array = np.zeros(np.shape(integrands))
-        found[..., 1:] = self.of_sum(cumulative_simpson(integrands, x=t), t[..., 1:] - t[..., :1])
-        found[..., 0] = np.sqrt(integrands[..., 0]) if self.rms else 0.0
-        return found
+        at_start = np.sqrt(integrands[..., :1]) if self.rms else np.zeros((*integrands.shape[:-1], 1))
+        later = self.of_sum(cumulative_simpson(integrands, x=t), t[..., 1:] - t[..., :1])
+        return np.concatenate([at_start, later], axis=-1)
 
 
 def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
