@@ -84,7 +84,6 @@ def inverse_model(
     problem = _analysed(scene, model)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
-    of_run = [limit for limit in problem.limits if limit.over_run]
     require_limits_kept(scene, model)
     if (feedback or estimates) and compiled.state_size:
         option = "a feedback" if feedback else "estimated derivatives"
@@ -120,7 +119,7 @@ def inverse_model(
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,
         limits=compiled.limits,
-        run_limits=tuple(bound for limit in of_run for bound in bounds_of(limit)),
+        run_limits=tuple(bound for limit in problem.limits if limit.over_run for bound in bounds_of(limit)),
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
         terminals=TERMINALS,
