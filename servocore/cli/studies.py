@@ -118,14 +118,15 @@ def show_drives(subject: Subject, path: GivenPath, rows: Rows) -> None:
         speed, most = map(max, zip(*(drive.torque_speed or [(None, 1.0)]), strict=True))
         limits = {"motor_speed": speed, "power": drive.rated_power, "rms_torque": drive.rated_torque}
         for channel in (each for each in solution.channels if each.name.startswith(f"{name}.")):
-            kind, values, which, k = channel.name.removeprefix(f"{name}."), solution[channel.name], "", -1
-            limit, full = limits.get(kind), limits.get(kind)
+            kind, unit, values = channel.name.removeprefix(f"{name}."), channel.unit, solution[channel.name]
+            which, k, limit = "", -1, limits.get(kind)
+            full = limit
             if kind == "torque_reserve":
                 which, k, limit, full = ", least", int(values.argmin()), 0.0, -most
             elif not isinstance(channel, RunQuantity):
                 values = np.abs(values)
                 which, k = ", peak", int(values.argmax())
-            time, unit = f"{solution.t[k]:.4g} s" if which else "", channel.unit
+            time = f"{solution.t[k]:.4g} s" if which else ""
             bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100 * (limit - values[k]) / full:.0f} %")
             table.append((name, f"{kind.replace('_', ' ')}{which}", f"{values[k]:.4g} {unit}", time, *bound))
     table_console().print(aligned(table), markup=False, highlight=False, soft_wrap=True)

@@ -94,8 +94,8 @@ def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
 
     Of energies and effective torques the value at the end is reported.
     """
-    of_inputs, known = tuple(f"{each.name}." for each in system.inputs), (*system.inputs, *system.observables)
-    peaks = {f"peak_{each.name}": each for each in known if f"{each.name}.".startswith(of_inputs)}
+    of_inputs = tuple(f"{each.name}." for each in system.inputs)
+    peaks = {f"peak_{e.name}": e for e in (*system.inputs, *system.observables) if f"{e.name}.".startswith(of_inputs)}
     peaks |= {each.name: each for each in run_quantities(peaks.values())}
     return peaks | {each.name: each for each in system.observables if each.name == SWING}
 
