@@ -296,7 +296,7 @@ def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car", "wind"])
 def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
     steps = 40
-    scene, orders = scene_called(name), exported(name).orders
+    scene, orders = scene_called(name), exported(name).own["orders"]
     export_c(scene, "source")
     command = [*compiler, "-std=c99", "-O1", "-Wall", "-Werror", "-Wno-unused-function", "-ffp-contract=off"]
     subprocess.run([*command, f"{name}.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)

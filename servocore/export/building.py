@@ -1,10 +1,10 @@
-"""From a scene to its `InverseModel`: analysed, compiled, with all variables named."""
+"""`inverse_model`: the inverse dynamics of a scene, ready to become an FMU: analysed, compiled, with all variables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
 from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.inverse_functions import METHOD, Mathematics, bounds_of, mathematics
+from servocore.export.inverse_functions import Mathematics, bounds_of, mathematics
 from servocore.export.native_model import NativeModel
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.variables import INPUT_TIME, Variable
@@ -32,34 +32,12 @@ TERMINALS = {
 """Groups of variables that a host connects together."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class InverseModel(NativeModel):
-    """The inverse model of a scene, ready to be written to files.
-
-    Attributes
-    ----------
-    orders, state_size : int
-    nodes : tuple of float
-        As of `Mathematics`, whose functions and depending outputs it has besides those of feedback and estimates.
-    components : int
-        Of the path.
-    method : str
-        Name of the method for internal dynamics; empty where there are none.
-    """
-
-    orders: int
-    state_size: int
-    nodes: tuple[float, ...]
-    components: int
-    method: str
-
-
 def inverse_model(
     scene: Scene,
     model: str | None = None,
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
-) -> InverseModel:
+) -> NativeModel:
     """Analyse and compile a scene for export.
 
     Parameters
@@ -93,7 +71,7 @@ def inverse_model(
         more |= {**feedback.laws, "judge": feedback.judge}
     if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
         more["motors"] = motors(system, scene.drives, compiled.outputs)
-    return InverseModel(
+    return NativeModel(
         identifier=identifier,
         title=scene.name,
         model=model or scene.default_model,
@@ -124,11 +102,6 @@ def inverse_model(
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
         terminals=TERMINALS,
-        components=len(system.outputs),
-        orders=compiled.orders,
-        state_size=compiled.state_size,
-        nodes=compiled.nodes,
-        method="" if problem.flat else METHOD.name,
         timed=bool(system.time.numel()),
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,

@@ -59,38 +59,6 @@ static inline void casadi_mtimes_dense(const casadi_real* CASADI_RESTRICT x, cas
 """
 
 
-_ARGUMENT = re.compile(r"arg\[(\d+)\]\? (arg\[\1\]\[(\d+)\]) : 0")
-_RESULT = re.compile(r"if \(res\[(\d+)\]!=0\) (res\[\1\]\[(\d+)\]=)")
-_BEGIN = re.compile(r"^(?=(?:CASADI_SYMBOL_EXPORT|static) int \w+\(const casadi_real\*\* arg, )", re.MULTILINE)
-
-
-def checked_once(source: str) -> str:
-    """Return C source whose functions test pointers for NULL once, not for each number.
-
-    This saves a tenth of the compiled code. A missing argument is replaced by `ZEROS`, a missing result is written to
-    `UNWANTED`; only one thread may call.
-    """
-    zeros, unwanted, parts = 1, 1, []
-    for part in _BEGIN.split(source):
-        guards = ""
-        for pattern, array, spare in ((_ARGUMENT, "arg", "ZEROS"), (_RESULT, "res", "UNWANTED")):
-            numbers = {int(found[1]) for found in pattern.finditer(part)}
-            guards += "".join(f"  if (!{array}[{k}]) {array}[{k}] = {spare};\n" for k in sorted(numbers))
-        zeros = max(zeros, *(int(found[3]) + 1 for found in _ARGUMENT.finditer(part)), 1)
-        unwanted = max(unwanted, *(int(found[3]) + 1 for found in _RESULT.finditer(part)), 1)
-        plain = _RESULT.sub(r"\2", _ARGUMENT.sub(r"\2", part))
-        parts.append(plain.replace("{\n", "{\n" + guards, 1) if guards else plain)
-    return f"static const double ZEROS[{zeros}];\nstatic double UNWANTED[{unwanted}];\n" + "".join(parts)
-
-
-_COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
-
-
-def copied_in_one_place(source: str) -> str:
-    """Return C source whose function for copies of arrays, called very often, is not inlined."""
-    return _COPY.sub("__attribute__((noinline)) ", source)
-
-
 def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:
     """Return functions by name, called ``IDENTIFIER_NAME`` in C."""
     return {name: renamed(each, f"{identifier}_{name}") for name, each in functions.items()}

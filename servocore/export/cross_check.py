@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servocore.export.building import InverseModel
+from servocore.export.native_model import NativeModel
 from servocore.export.variables import listed
 from servocore.files import cross_check_texts
 from servocore.model.scene import Scene
@@ -12,7 +12,7 @@ STEPS = 1000
 """Communication steps of the run."""
 
 
-def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, stem: str, fmi: int) -> dict[str, str]:
+def cross_check_files(scene: Scene, model: NativeModel, solution: Solution, stem: str, fmi: int) -> dict[str, str]:
     """Return inputs along a scene's path, the results of a solution, and the options of a run, by file name.
 
     Inputs have the times of their instants: a run with `input_time` = start extrapolates them over each step, and
@@ -22,7 +22,7 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
     ----------
     scene : Scene
         The scene of the path.
-    model : InverseModel
+    model : NativeModel
         Its exported model.
     solution : Solution
         The reference in `STEPS` steps, computed without the FMU.
@@ -32,7 +32,7 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
         Version of FMI, which determines the names of variables: in the third a vector is one of them.
     """
     path, t, begin = scene.reference, solution.t, model.start_time
-    jets = path.jet(t, model.orders - 1).reshape(len(t), -1)
+    jets = path.jet(t, model.own["orders"] - 1).reshape(len(t), -1)
     since = {"time": t - path.start_time + begin}
     inputs = since | {each.name: jets[:, each.places] for each in listed(model.of("input"), fmi)}
     results = since | {variable.name: solution[variable.name] for variable in model.of("output")}

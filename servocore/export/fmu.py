@@ -11,6 +11,7 @@ from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.c_functions import operations
 from servocore.export.description import build_description, model_description, terminals
+from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.parameter_sets import related_files
 from servocore.export.plant_model import PlantOptions, plant_model
@@ -243,7 +244,7 @@ def contents(
     most = max(operations(each, at_most=True) for each in called)
     page = rendered(
         "page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven, most=most, iterations=MAX_ITERATIONS,
-        built=built,
+        built=built, method=METHOD.name,
     )  # fmt: skip
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
@@ -315,9 +316,9 @@ def export_ssp(
     require_played(scene.reference)
     progress("analysing")
     inverse, trajectory, plant = inverse_model(scene, model), trajectory_model(scene, model), plant_model(scene)
-    jet = scene.reference.jet(scene.reference.start_time, inverse.orders - 1)
+    jet = scene.reference.jet(scene.reference.start_time, inverse.own["orders"] - 1)
     if jet[1:].any():
-        if inverse.method:
+        if inverse.of("local"):
             raise InvalidReference(
                 f"the path starts in motion, and {scene.name} has internal dynamics: start it from rest"
             )

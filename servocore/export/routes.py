@@ -10,8 +10,8 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
-from servocore.export.building import InverseModel
 from servocore.export.c_functions import c_source
+from servocore.export.native_model import NativeModel
 from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -54,12 +54,12 @@ class SteppedRoutes:
         )
 
 
-def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> InverseModel:
+def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> NativeModel:
     """Return an inverse model with a choice of routes.
 
     Parameters
     ----------
-    made : InverseModel
+    made : NativeModel
         Of a scene whose inputs do not depend on the past.
     scene : Scene
         That scene.
@@ -71,9 +71,9 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     InvalidModel
         If the inputs are stepped, there are limits of the motion, or a step of a route has other nodes than its end.
     """
-    if made.method or any(not limit.row < 0 for limit in made.limits):
+    if made.own["state_size"] or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    outputs, orders = made.outputs, made.orders
+    outputs, orders = made.outputs, made.own["orders"]
     programs, functions, sources = list[Program](), list[dict[str, ca.Function]](), dict[str, str]()
     for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
         program = program_of(Problem.of(scene, model), formulation, options.method)
