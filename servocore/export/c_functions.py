@@ -1,10 +1,10 @@
-"""CasADi functions as C source, the size of their working memory, and their floating-point operations."""
+"""CasADi functions as C source, the size of their working memory, their operations, and their tangents."""
 
 from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -68,6 +68,14 @@ def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
     """Return the size of the working memory for any of some functions, by kind."""
     sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
     return {kind: max(getattr(function, size)() for function in functions) for kind, size in sizes.items()}
+
+
+def tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by: Sequence[ca.MX]) -> ca.Function:
+    """Compile (arguments, directions of some of them) -> derivatives of the results along them."""
+    x, directions = ca.veccat(*by), [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
+    along = ca.veccat(*directions)
+    found = [ca.densify(ca.jtimes(each, x, along)) if each.numel() else each for each in results]
+    return ca.Function(name, [*arguments, *directions], found)
 
 
 # Operations, iterations of Newton's method included: bounds for real-time hosts ---------------------------------------

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.dae import Dae
 from servocore.errors import InvalidModel
-from servocore.export.directional_derivatives import tangent, tangent_of_step
+from servocore.export.c_functions import tangent
 from servocore.export.native_model import Bound
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretization, instantaneous
@@ -214,19 +214,11 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     after, _, left = program.step(S, used, h, P)
     stepped, within = seen(after, at_nodes[-1], P)
     step, by, begin = [S, N, h, P, T], [S, N, P], [G, P, T, D]
-    if not dae.x.numel():  # instants are independent, except for the branch
-        along = tangent(f"{identifier}_advance_tangent", step, [after, stepped], by)
-    else:
-        givens = ca.vertcat(S, ca.vec(used), h, P)
-        along = tangent_of_step(
-            f"{identifier}_advance_tangent", method_step, step, by, givens, after,
-            lambda state: [seen(state, at_nodes[-1], P)[0]],
-        )  # fmt: skip
     functions = {
         "advance": ca.Function(f"{identifier}_advance", step, [after, stepped, within, left]),
         "begin": ca.Function(f"{identifier}_begin", begin, [first, outputs, kept, residual]),
         "begin_tangent": tangent(f"{identifier}_begin_tangent", begin, [first, outputs], [G, P]),
-        "advance_tangent": along,
+        "advance_tangent": tangent(f"{identifier}_advance_tangent", step, [after, stepped], by),
     }
     depends = np.ones((len(known.outputs), G.numel()), dtype=bool)  # also through the state
     return Mathematics(functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)

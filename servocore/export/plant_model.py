@@ -10,8 +10,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.c_functions import named_in_c
-from servocore.export.directional_derivatives import tangent
+from servocore.export.c_functions import named_in_c, tangent
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.inverse_functions import bounds_of
 from servocore.export.native_model import Bound, NativeModel
