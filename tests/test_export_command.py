@@ -18,7 +18,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import export_c
-from servocore.export.identifiers import identifier_of
+from servocore.export.native_model import identifier_of
 from servocore.export.units import base_units, per_time
 
 run = CommandLine(app, "servocore")

@@ -119,12 +119,12 @@ def elements() -> list[Element]:
 
 
 def test_every_connection_joins_an_output_with_an_input_of_the_same_unit() -> None:
-    tables = {element.name: {port.name: port for port in element.ports} for element in elements()}
+    tables = {element.name: {port["name"]: port for port in element.ports} for element in elements()}
     wires = connections(elements())
     for (source, output), (sink, given) in wires:
-        assert tables[source][output].causality == "output"
-        assert tables[sink][given].causality == "input"
-        assert tables[source][output].unit == tables[sink][given].unit
+        assert tables[source][output]["causality"] == "output"
+        assert tables[sink][given]["causality"] == "input"
+        assert tables[source][output]["unit"] == tables[sink][given]["unit"]
     assert {sink for _, sink in wires} == {(each.name, port) for each in elements() for port in each.named("input")}
     assert len({sink for _, sink in wires}) == len(wires)
 

@@ -14,9 +14,8 @@ from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dy
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
-from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.inverse_functions import Mathematics, bounds_of, mathematics
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.variables import INPUT_TIME, Variable
 from servocore.model.drives import motors
@@ -159,7 +158,6 @@ def _variables(
         quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
         variables += rows.state_variables(array.named_states, units)
-    require_different(problem, variables, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
     return variables
 
 

@@ -13,9 +13,8 @@ import casadi as ca
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
 from servocore.export.c_functions import c_source, operations, scratch_of
-from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_functions import METHOD
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.targets import host, libraries
 from servocore.export.variables import INTERNAL_STEP

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import keyword
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,13 +14,37 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
 from servocore.export.sampled_laws import SampledFeedback
-from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
+from servocore.export.variables import (
+    INTERNAL_STEP,
+    Causality,
+    Choice,
+    Variable,
+    listed,
+    output_variables,
+    placed,
+    with_item,
+    with_start,
+)
 from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
+
+_LONGEST_IDENTIFIER = 40
+_NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  # files, and CMake's own targets
+_NAME = re.compile(r"[a-zA-Z_]\w*(\.\w+)*(\[\d+\])?", re.ASCII)  # of a variable
+
+
+def identifier_of(name: str) -> str:
+    """Return a name as an identifier of C, at most 40 characters long."""
+    # CasADi does not accept two consecutive underscores.
+    identifier = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
+    if not identifier:
+        return "model"
+    taken = not identifier[0].isalpha() or keyword.iskeyword(identifier) or identifier.lower() in _NAMES_TAKEN
+    return f"model_{identifier}" if taken else identifier
 
 
 @dataclass(frozen=True)
@@ -135,6 +161,11 @@ class NativeModel:
         Origin and rights.
     cross_check : mapping of str to str
         Files of a run by their names.
+
+    Raises
+    ------
+    InvalidModel
+        If two variables have one name, or a name is not valid in FMI.
     """
 
     identifier: str
@@ -161,6 +192,20 @@ class NativeModel:
     host: HostRules = HostRules()
     about: About = field(default_factory=About)
     cross_check: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse variables of one name, and names that FMI does not have."""
+        names = [each.name for each in listed(self.variables, 2)]
+        taken = {INTERNAL_STEP} - {each.name for each in self.settings}
+        every = [*names, *(each.name for each in self.choices), "time", *taken]
+        if repeated := sorted({name for name in every if every.count(name) > 1}):
+            raise InvalidModel(f"{self.title} cannot be exported: variables named twice: {', '.join(repeated)}")
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise InvalidModel(
+                    f"{self.title} cannot be exported: FMI has no variable called {name!r}; names are the letters a to"
+                    f" z and A to Z, digits and underscores"
+                )
 
     @property
     def settings(self) -> tuple[Variable, ...]:

@@ -11,9 +11,8 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c, tangent
-from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.inverse_functions import bounds_of
-from servocore.export.native_model import Bound, NativeModel
+from servocore.export.native_model import Bound, NativeModel, identifier_of
 from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -99,7 +98,6 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     independent = () if problem.system.lam.numel() else problem.system.coordinates.names
     offsets = options.offsets or {f"start.{coordinate}": (coordinate,) for coordinate in independent}
     variables = _variables(problem, scene.tracked, used, offsets, options)
-    require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, _start_orders(problem))
     functions = {

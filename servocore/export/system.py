@@ -30,16 +30,6 @@ Wire = tuple[tuple[str, str], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Port:
-    """A number, or with a size a vector, among the variables of an FMU: its name, causality and unit."""
-
-    name: str
-    causality: str
-    unit: str
-    size: str = ""
-
-
-@dataclass(frozen=True)
 class Element:
     """An FMU in a system.
 
@@ -61,32 +51,28 @@ class Element:
     starts: Mapping[str, float | str] = field(default_factory=dict)
 
     @cached_property
-    def fmi(self) -> int:
-        """Version of FMI."""
-        return int(self._description.get("fmiVersion", "2")[0])
-
-    @cached_property
-    def ports(self) -> tuple[Port, ...]:
-        """The numbers in the model description."""
-        if self.fmi == 2:
-            rows = [
-                (each.attrib, each[0]) for each in self._description.iter("ScalarVariable") if each[0].tag == "Real"
-            ]
-        else:
-            rows = [(each.attrib, each) for each in self._description.iter("Float64")]
-        return tuple(
-            Port(each["name"], each["causality"], number.get("unit", "1"), "".join(d.get("start", "") for d in number))
-            for each, number in rows
-        )
-
-    @cached_property
-    def _description(self) -> ET.Element:
+    def description(self) -> ET.Element:
+        """The model description."""
         with zipfile.ZipFile(io.BytesIO(self.fmu)) as archive:
             return ET.fromstring(archive.read("modelDescription.xml"))
 
+    @property
+    def ports(self) -> list[dict[str, str]]:
+        """Its numbers with their attributes, such as name, causality and unit; of a vector also the size."""
+        if self.fmi == 2:
+            every = self.description.iter("ScalarVariable")
+            return [{**each.attrib, **each[0].attrib} for each in every if each[0].tag == "Real"]
+        vectors = self.description.iter("Float64")
+        return [{**each.attrib, **({"size": each[0].attrib["start"]} if len(each) else {})} for each in vectors]
+
+    @property
+    def fmi(self) -> int:
+        """Version of FMI."""
+        return int(self.description.attrib["fmiVersion"][0])
+
     def named(self, causality: str) -> list[str]:
         """Return the names of its numbers of one causality."""
-        return [each.name for each in self.ports if each.causality == causality]
+        return [each["name"] for each in self.ports if each["causality"] == causality]
 
 
 def wires_by_name(elements: Sequence[Element]) -> list[Wire]:
@@ -143,12 +129,12 @@ def structure(
         part = add(parts, "ssd:Component", name=element.name, type="application/x-fmu-sharedlibrary", source=source)
         connectors = add(part, "ssd:Connectors")
         for port in element.ports:  # connected inputs, and all outputs
-            if port.causality == "output" or (element.name, port.name) in fed:
-                place = add(connectors, "ssd:Connector", name=port.name, kind=port.causality)
-                add(place, f"ssc:{NUMBER[fmi]}", unit=port.unit)
-                if port.size:
-                    add(place, "ssc:Dimension", size=port.size)
-                units.add(port.unit)
+            if port["causality"] == "output" or (element.name, port["name"]) in fed:
+                place = add(connectors, "ssd:Connector", name=port["name"], kind=port["causality"])
+                add(place, f"ssc:{NUMBER[fmi]}", unit=port["unit"])
+                if "size" in port:
+                    add(place, "ssc:Dimension", size=port["size"])
+                units.add(port["unit"])
         if _common(element, shared):
             binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
             add(binding, "ssd:ParameterMapping", source=f"resources/{element.name}.ssm")

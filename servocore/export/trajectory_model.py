@@ -13,8 +13,7 @@ from servocore.checks.before_run import require_feasible
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
 from servocore.export.building import require_limits_kept
-from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.variables import Choice
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -104,7 +103,6 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     variables = rows.placed([*path, *rows.line_settings(servo, scene.tracked, ends, times)])
     choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
-    require_different(problem, variables, (choice.name, "time"))
     outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(path, 2)]
     return NativeModel(
         identifier=identifier,
