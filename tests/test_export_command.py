@@ -19,7 +19,8 @@ from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import export_c
 from servocore.export.native_model import identifier_of
-from servocore.export.units import base_units, per_time
+from servocore.export.parameter_sets import base_units
+from servocore.export.variables import per_time
 
 run = CommandLine(app, "servocore")
 

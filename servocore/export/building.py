@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from servocore.checks.along_motion import with_redundant_constraints_as_limits
 from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.errors import InvalidModel
 from servocore.export import variables as rows
 from servocore.export.c_functions import named_in_c
 from servocore.export.inverse_functions import Mathematics, bounds_of, mathematics
@@ -22,6 +22,7 @@ from servocore.model.drives import motors
 from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
+from servocore.solvers.runs import require_derivatives
 from servocore.solvers.solve import solve
 
 TERMINALS = {
@@ -108,8 +109,9 @@ def inverse_model(
 
 
 def require_limits_kept(scene: Scene, model: str | None) -> None:
-    """Raise `LimitBroken` if the scene's own path breaks a limit of an instant or of the run as a whole."""
-    if Problem.of(scene, model).motion_limits:
+    """Raise `InvalidReference` if the scene's own path breaks a limit of an instant or of the whole run."""
+    require_feasible(problem := Problem.of(scene, model))
+    if problem.motion_limits:
         solve(scene, model=model)
 
 
@@ -123,8 +125,6 @@ def _analysed(scene: Scene, model: str | None) -> Problem:
             f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
             f" depend on the whole path, its future included; solve computes them"
         )
-    if not problem.flat or problem.follow_branch:  # `followed` has checked the others
-        require_feasible(problem)
     return problem
 
 
@@ -132,11 +132,7 @@ def followed(problem: Problem) -> Problem:
     """Return the problem, set to follow a branch if the guess of the model leaves its branch along the path."""
     if not problem.flat or problem.follow_branch:
         return problem
-    if problem.reference.max_order < problem.array.reference_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {problem.reference.max_order}, the inputs of {problem.name} need"
-            f" order {problem.array.reference_order}"
-        )
+    require_derivatives(problem, problem.array.reference_order, f"the inputs of {problem.name} need")
     require_feasible(problem)  # first: a limit says more than a singular matrix
     return replace(problem, follow_branch=not prepared_motion(problem).direct)
 
@@ -148,9 +144,9 @@ def _variables(
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
     variables = rows.path_variables(system.outputs, scene.tracked, compiled.orders, home)
     if feedback is not None:
-        variables += rows.measured_variables(feedback.measured)
+        variables += [rows.measured_variable(*each) for each in feedback.measured]
         variables += rows.feedback_settings(system.inputs, feedback.distance)
-    variables += rows.output_variables(compiled.outputs)
+    variables += [rows.of_quantity(each, "output") for each in compiled.outputs]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     if compiled.state_size:
         variables.append(rows.internal_step())

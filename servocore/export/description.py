@@ -9,9 +9,8 @@ import numpy as np
 
 from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
-from servocore.export.parameter_sets import add
+from servocore.export.parameter_sets import add, base_units
 from servocore.export.sources import compiled_files
-from servocore.export.units import base_units
 from servocore.export.variables import INTERNAL_STEP, Variable, listed
 from servocore.files import xml_document
 

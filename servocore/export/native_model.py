@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import keyword
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,17 +18,7 @@ from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
 from servocore.export.sampled_laws import SampledFeedback
-from servocore.export.variables import (
-    INTERNAL_STEP,
-    Causality,
-    Choice,
-    Variable,
-    listed,
-    output_variables,
-    placed,
-    with_item,
-    with_start,
-)
+from servocore.export.variables import INTERNAL_STEP, Causality, Choice, Variable, listed, of_quantity, placed
 from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
 
@@ -241,9 +231,9 @@ class NativeModel:
         for name, value in start.items():
             if name in places:
                 i, k = places[name]
-                variables[i] = with_start(variables[i], k, value)
+                variables[i] = _with_start(variables[i], k, value)
             elif name in named:
-                choices[named[name]] = with_item(choices[named[name]], value)
+                choices[named[name]] = _with_item(choices[named[name]], value)
             else:
                 known = ", ".join((*places, *named))
                 raise InvalidSetting(
@@ -258,7 +248,7 @@ class NativeModel:
         return replace(
             self,
             outputs=(*self.outputs, *found),
-            variables=placed([*self.variables, *output_variables(found)]),
+            variables=placed([*self.variables, *(of_quantity(each, "output") for each in found)]),
             depends=np.vstack([self.depends, self.depends[of]]),
             run_limits=tuple(replace(each, row=known.index(each.quantity)) for each in self.run_limits),
             added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
@@ -269,10 +259,21 @@ class NativeModel:
         """Header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
-    def token(self, *more: str) -> str:
-        """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.host, self.limits, self.run_limits)).encode())
-        for text in (*self.source, *self.more_sources.values(), repr(self.own), *more):
-            digest.update(text.encode())
-        code = digest.hexdigest()
-        return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"
+
+def _with_item(choice: Choice, item: float | str) -> Choice:
+    """Return a choice with another default item; raises `InvalidSetting` if there is no such item."""
+    names = [name for name, _ in choice.items]
+    if item not in names:
+        raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
+    return replace(choice, start=names.index(str(item)) + 1)
+
+
+def _with_start(variable: Variable, k: int, value: float | str) -> Variable:
+    """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
+    name, unit = variable.scalars[k].name, variable.unit_behind
+    if isinstance(value, str) or not math.isfinite(value):
+        raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
+    if not variable.low <= value <= variable.high:
+        bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
+        raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
+    return replace(variable, starts=(*variable.starts[:k], float(value), *variable.starts[k + 1 :]))

@@ -166,12 +166,9 @@ def _variables(
     options: PlantOptions,
 ) -> tuple[Variable, ...]:
     system = problem.system
-    variables = [
-        Variable(each.name, "input", each.unit, each.description or each.name, (0.0,), nominal=each.nominal)
-        for each in system.inputs
-    ]
+    variables = [rows.of_quantity(each, "input", (0.0,)) for each in system.inputs]
     variables += rows.path_variables(system.outputs, tracked, 2, None, "")
-    variables += rows.output_variables(outputs[2 * len(system.outputs) :])
+    variables += [rows.of_quantity(each, "output") for each in outputs[2 * len(system.outputs) :]]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     home = np.zeros((_start_orders(problem), len(system.outputs)))
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
