@@ -17,7 +17,7 @@ import casadi as ca
 from servocore.errors import InvalidModel, InvalidSetting, install
 from servocore.export.building import followed, inverse_model
 from servocore.export.c_source import runtime
-from servocore.export.inverse_functions import observation, timed_path, wanted
+from servocore.export.routes import step_functions
 from servocore.export.sources import SHARED, rendered
 from servocore.export.targets import zig
 from servocore.export.variables import listed, path_variables
@@ -27,9 +27,7 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import compile_in
 from servocore.problem import Problem
-from servocore.stepping.program import Program, program_of
-from servocore.stepping.step_functions import compile_start
-from servocore.structure.inversion import inversion
+from servocore.stepping.program import program_of
 
 LOADER = "loader.mjs"
 """The file with the JavaScript that loads any of the modules."""
@@ -85,7 +83,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     try:
         program = program_of(problem, Projected(), BackwardEuler())
         orders, instants = max(orders, program.start_order + 1), program.start_instants
-        marched = _marching(problem, program, orders, exported.identifier)
+        marched = step_functions(program, f"{exported.identifier}_march", exported.outputs, orders)
     except InvalidModel:
         if exported.own["state_size"]:
             raise
@@ -105,7 +103,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
         "timed": exported.timed,
         "instants": [k + 0.0 for k in instants],  # without -0
     }
-    texts, values = runtime(exported, marched)
+    texts, values = runtime(exported, {f"march_{name}": each for name, each in marched.items()})
     texts[f"{exported.identifier}.c"] = _tested_once(texts[f"{exported.identifier}.c"])
     texts["module.c"] = rendered("module.c.j2", **values, given=orders, instants=instants, marched=marched)
     # Engines ignore a custom section, and JavaScript can read it by its name.
@@ -113,34 +111,6 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     module = _compiled(texts, exported.title) + b"\0" + _counted(section)
     write_together({file: module, loader_beside(file): (SHARED / LOADER).read_bytes()})
     return file
-
-
-def _marching(problem: Problem, program: Program, orders: int, identifier: str) -> dict[str, ca.Function]:
-    """Compile start and step of a program; a path is (m, orders), column after column, parameters p.
-
-    They are ``march_begin``, (nothing, paths at the instants of a start, h, p, time of the start) -> (state, outputs,
-    residual), and ``march_on``, (state, path after the step, h, p, time before it) -> the same.
-    """
-    system, array, dae, order = problem.system, problem.array, program.dae, program.start_order
-    read, instants = observation(system, dae, program.discretization, wanted(problem), order), program.start_instants
-    none, state, p = ca.MX.sym("none", 0), ca.MX.sym("state", program.state_size), ca.MX.sym("p", system.p.numel())
-    past, path = (ca.MX.sym("path", len(system.outputs), orders * count) for count in (len(instants), 1))
-    h, time = ca.MX.sym("h"), ca.MX.sym("time")
-
-    def known(column: ca.MX, instant: ca.MX) -> ca.MX:
-        return timed_path(system, column[:, : order + 1], instant)
-
-    jets = [known(each, time + k * h) for each, k in zip(ca.horzsplit(past, orders), instants, strict=True)]
-    by_search = inversion(array).by_search()
-    start = compile_start(array, by_search, dae, program.reduced, program.discretization, order)
-    first, _, residual = start(ca.horzcat(*jets), h, p)
-    then = known(path, time + h)
-    after, _, left = program.step(state, then[:, : program.order + 1], h, p)
-    steps = {
-        "march_begin": ([none, past, h, p, time], [first, read(first, jets[0], p), residual]),
-        "march_on": ([state, path, h, p, time], [after, read(after, then, p), left]),
-    }
-    return {name: ca.Function(f"{identifier}_{name}", *each) for name, each in steps.items()}
 
 
 def require_module(path: str | Path) -> Path:
