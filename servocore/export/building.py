@@ -25,12 +25,6 @@ from servocore.solvers.exact_inversion import prepared_motion
 from servocore.solvers.runs import require_derivatives
 from servocore.solvers.solve import solve
 
-TERMINALS = {
-    "path": ("input", "the path to follow with its derivatives"),
-    "result": ("output", "inputs of the drives, and the resulting motion"),
-}
-"""Groups of variables that a host connects together."""
-
 
 def inverse_model(
     scene: Scene,
@@ -101,7 +95,6 @@ def inverse_model(
         run_limits=tuple(bound for limit in problem.run_limits for bound in bounds_of(limit)),
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
-        terminals=TERMINALS,
         timed=bool(system.time.numel()),
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,

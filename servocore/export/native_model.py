@@ -139,8 +139,6 @@ class NativeModel:
         Of a default experiment, in s.
     differentiable : bool
         Whether it provides derivatives of its outputs.
-    terminals : mapping of str to (str, str)
-        Causality and description of the terminals.
     elsewhere : tuple of casadi.Function
         Functions that are called besides `functions`.
     more_sources : mapping of str to str
@@ -168,13 +166,12 @@ class NativeModel:
     variables: tuple[Variable, ...]
     choices: tuple[Choice, ...]
     outputs: tuple[Quantity, ...]
-    limits: tuple[Bound, ...]
     depends: npt.NDArray[np.bool_]
-    timed: bool
-    start_time: float
     duration: float
-    differentiable: bool
-    terminals: Mapping[str, tuple[str, str]]
+    start_time: float = 0.0
+    timed: bool = False
+    differentiable: bool = False
+    limits: tuple[Bound, ...] = ()
     run_limits: tuple[Bound, ...] = ()
     added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()

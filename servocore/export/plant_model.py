@@ -35,10 +35,6 @@ CHOICES = (
         (("until_inputs", "until an input is not zero"), ("none", "no brakes")),
     ),
 )
-TERMINALS = {
-    "drives": ("input", "inputs of the drives"),
-    "motion": ("output", "motion of the plant"),
-}
 _LONGEST = 0.002  # s, of an internal step
 
 
@@ -127,11 +123,8 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         outputs=tuple(used),
         limits=limits,
         depends=np.ones((len(used), len(problem.system.inputs)), dtype=bool),
-        timed=False,
-        start_time=0.0,
         duration=scene.reference.duration,
         differentiable=True,
-        terminals=TERMINALS,
     ).with_starts(options.start)
 
 

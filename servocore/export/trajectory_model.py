@@ -35,7 +35,6 @@ LAWS = {
 FROM_FILE = "file"
 """The choice of the built-in path."""
 
-TERMINALS = {"path": ("output", "the path with its derivatives")}
 
 _ROWS = 256  # at least, of a path that is no polynomial
 
@@ -127,13 +126,10 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         variables=variables,
         choices=(choice,),
         outputs=tuple(outputs),
-        limits=(),
         depends=np.zeros((len(outputs), 0), dtype=bool),
         timed=True,
         start_time=start_time,
         duration=path.end_time - start_time,
-        differentiable=False,
-        terminals=TERMINALS,
     ).with_starts(options.start)
 
 
