@@ -221,22 +221,16 @@ class NativeModel:
         InvalidSetting
             If there is no such variable or item, or a number is not finite or outside its range.
         """
-        variables, choices = list(self.variables), list(self.choices)
-        places = {scalar.name: (i, k) for i, each in enumerate(variables) if each.starts
-                  for k, scalar in enumerate(each.scalars)}  # fmt: skip
-        named = {each.name: i for i, each in enumerate(choices)}
-        for name, value in start.items():
-            if name in places:
-                i, k = places[name]
-                variables[i] = _with_start(variables[i], k, value)
-            elif name in named:
-                choices[named[name]] = _with_item(choices[named[name]], value)
-            else:
-                known = ", ".join((*places, *named))
-                raise InvalidSetting(
-                    f"{self.title} has no input or parameter {name!r} to start with; there are {known}"
-                )
-        return replace(self, variables=tuple(variables), choices=tuple(choices))
+        left = dict(start)
+        variables = tuple(_with_starts(each, left) for each in self.variables)
+        choices = tuple(_with_item(each, left) for each in self.choices)
+        if left:
+            numbers = [scalar.name for each in self.variables if each.starts for scalar in each.scalars]
+            known = ", ".join((*numbers, *(each.name for each in self.choices)))
+            raise InvalidSetting(
+                f"{self.title} has no input or parameter {next(iter(left))!r} to start with; there are {known}"
+            )
+        return replace(self, variables=variables, choices=choices)
 
     def with_run_quantities(self) -> Self:
         """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
@@ -257,20 +251,23 @@ class NativeModel:
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
 
-def _with_item(choice: Choice, item: float | str) -> Choice:
-    """Return a choice with another default item; raises `InvalidSetting` if there is no such item."""
+def _with_item(choice: Choice, left: dict[str, float | str]) -> Choice:
+    """Return a choice with the default item of its name, if there is one, and remove it from those that are left."""
     names = [name for name, _ in choice.items]
-    if item not in names:
+    if (item := left.pop(choice.name, names[choice.start - 1])) not in names:
         raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
     return replace(choice, start=names.index(str(item)) + 1)
 
 
-def _with_start(variable: Variable, k: int, value: float | str) -> Variable:
-    """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
-    name, unit = variable.scalars[k].name, variable.unit_behind
-    if isinstance(value, str) or not math.isfinite(value):
-        raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
-    if not variable.low <= value <= variable.high:
-        bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
-        raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
-    return replace(variable, starts=(*variable.starts[:k], float(value), *variable.starts[k + 1 :]))
+def _with_starts(variable: Variable, left: dict[str, float | str]) -> Variable:
+    """Return a variable with the start values of its names, and remove them from those that are left."""
+    starts, unit = list(variable.starts), variable.unit_behind
+    for k, name in enumerate(scalar.name for scalar in variable.scalars if starts):
+        value = left.pop(name, starts[k])
+        if isinstance(value, str) or not math.isfinite(value):
+            raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
+        if not variable.low <= value <= variable.high:
+            bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
+            raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
+        starts[k] = float(value)
+    return replace(variable, starts=tuple(starts))

@@ -103,24 +103,9 @@ def packed_system(
     shared : sequence of Variable, optional
         Parameters with their values for all components that have them: to be changed in one place.
     """
-    members = {f"resources/{each.model}.fmu": each.fmu for each in elements}
+    fmi, members = elements[0].fmi, {f"resources/{each.model}.fmu": each.fmu for each in elements}
     if shared:
-        members[_SET] = parameter_set(title, shared, elements[0].fmi)
-    for each in elements:
-        if names := _common(each, shared):
-            members[f"resources/{each.name}.ssm"] = parameter_mapping(names, each.fmi)
-    return zipped(members | {_STRUCTURE: structure(title, elements, wires, duration, shared)}, _STRUCTURE)
-
-
-def _common(element: Element, shared: Sequence[Variable]) -> list[str]:
-    return [each.name for each in shared if each.name in element.named("parameter")]
-
-
-def structure(
-    title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float, shared: Sequence[Variable] = ()
-) -> bytes:
-    """Return the description of a system; arguments as of `packed_system`."""
-    fmi = elements[0].fmi
+        members[_SET] = parameter_set(title, shared, fmi)
     root = ET.Element("ssd:SystemStructureDescription", {**SPACES, "version": SSP[fmi], "name": title})
     system = add(root, "ssd:System", name=title)
     parts, fed, units = add(system, "ssd:Elements"), {sink for _, sink in wires}, {"s"}
@@ -135,16 +120,18 @@ def structure(
                 if "size" in port:
                     add(place, "ssc:Dimension", size=port["size"])
                 units.add(port["unit"])
-        if _common(element, shared):
+        if common := [each.name for each in shared if each.name in element.named("parameter")]:
+            mapping = f"resources/{element.name}.ssm"
+            members[mapping] = parameter_mapping(common, fmi)
             binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
-            add(binding, "ssd:ParameterMapping", source=f"resources/{element.name}.ssm")
+            add(binding, "ssd:ParameterMapping", source=mapping)
         _bind(part, {name: element.starts[name] for name in element.named("parameter") if name in element.starts})
     joints = add(system, "ssd:Connections")
     for (begin, output), (end, given) in wires:
         add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
     declare_units(root, "ssd:Units", units)
     add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
-    return xml_document(root)
+    return zipped(members | {_STRUCTURE: xml_document(root)}, _STRUCTURE)
 
 
 def _bind(part: ET.Element, bound: Mapping[str, float | str]) -> None:
