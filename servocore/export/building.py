@@ -13,13 +13,13 @@ from servocore.checks.along_motion import with_redundant_constraints_as_limits
 from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.c_functions import named_in_c
 from servocore.export.inverse_functions import Mathematics, bounds_of, mathematics
 from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.variables import INPUT_TIME, Variable
 from servocore.model.drives import motors
 from servocore.model.scene import Scene
+from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
 from servocore.solvers.runs import require_derivatives
@@ -87,7 +87,7 @@ def inverse_model(
             "estimates": estimates,
             "has_motors": int("motors" in more),
         },
-        functions={**compiled.functions, **named_in_c(more, identifier)},
+        functions=compiled.functions | {name: renamed(each, f"{identifier}_{name}") for name, each in more.items()},
         variables=rows.placed(_variables(problem, compiled, scene, feedback)),
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,

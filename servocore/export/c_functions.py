@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import cast
 
 import casadi as ca
 
-from servocore.numerics.machine_code import code_generator, renamed
+from servocore.numerics.machine_code import code_generator
 from servocore.numerics.newton import MAX_ITERATIONS, QUICK_ITERATIONS
 
 
@@ -57,11 +57,6 @@ static inline void casadi_mtimes_dense(const casadi_real* CASADI_RESTRICT x, cas
   }
 }
 """
-
-
-def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:
-    """Return functions by name, called ``IDENTIFIER_NAME`` in C."""
-    return {name: renamed(each, f"{identifier}_{name}") for name, each in functions.items()}
 
 
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:

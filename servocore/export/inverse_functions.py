@@ -6,7 +6,7 @@ They are pure functions without globals or allocation, and with a bounded number
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -45,7 +45,7 @@ class Mathematics(NamedTuple):
 
     Attributes
     ----------
-    functions : mapping of str to casadi.Function
+    functions : dict of str to casadi.Function
         ``begin`` (path, p, time, move of the internal states) -> (state, outputs, margins, residual), and its
         ``begin_tangent`` (..., d path, d p) -> (d state, d outputs). Without a state ``quick`` (path, p, time) ->
         (margins, outputs), NaN where ``begin`` must be called. With a state ``advance`` (state, paths at the nodes,
@@ -65,7 +65,7 @@ class Mathematics(NamedTuple):
         Which outputs depend on which numbers of the path.
     """
 
-    functions: Mapping[str, ca.Function]
+    functions: dict[str, ca.Function]
     outputs: tuple[Quantity, ...]
     limits: tuple[Bound, ...]
     orders: int
