@@ -17,6 +17,7 @@ import numpy as np
 import servocore as sc
 from crane_fmu.build import SystemOptions, build_fmu, build_ssp
 from servocore.export.building import inverse_model
+from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import NativeModel
 from servocore.numerics.machine_code import c_compiler
 
@@ -95,7 +96,12 @@ def native(folder: Path, host: Path) -> dict[str, tuple[str, float, float, int]]
         numbers = sum(each.size or 1 for each in model.variables)
         sizes = inputs, inputs, len(scene.model().inputs)
         step, start = measured_time(host, library, description.guid, sizes, numbers, path_of(scene, model))
-        found[name] = (model.method or "every instant by itself", step, start, library.stat().st_size)
+        found[name] = (
+            METHOD.name if model.of("local") else "every instant by itself",
+            step,
+            start,
+            library.stat().st_size,
+        )
     return found
 
 

@@ -19,7 +19,7 @@ from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.system import Element, packed_system, require_played, wires_by_name
-from servocore.export.targets import Library, Progress, chosen_targets, libraries
+from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.export.variables import listed
 from servocore.files import require_places, write_together, zipped
@@ -222,23 +222,9 @@ def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None,
 
 def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
     """Return a compiled FMU."""
-    model.about.files(fmi)  # refused before anything is compiled
+    own = model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
-    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi))
-
-
-def require_version(fmi: int) -> int:
-    """Return a version of FMI; raises `InvalidSetting` if there is no export for it."""
-    if fmi not in VERSIONS:
-        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
-    return fmi
-
-
-def contents(
-    model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, Library], targets: tuple[str, ...]
-) -> dict[str, bytes]:
-    """Return all files of an FMU by their path in it."""
     unproven = [name for name in targets if name.endswith("darwin")]
     called = [each for name, each in model.functions.items() if not name.endswith("_tangent")]
     most = max(operations(each, at_most=True) for each in called)
@@ -258,7 +244,14 @@ def contents(
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
     if model.about.documentation is not None:
         members["documentation/model.html"] = page.encode()
-    return members | model.about.files(fmi)
+    return zipped(members | own | related_files(model, fmi))
+
+
+def require_version(fmi: int) -> int:
+    """Return a version of FMI; raises `InvalidSetting` if there is no export for it."""
+    if fmi not in VERSIONS:
+        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
+    return fmi
 
 
 def export_ssp(
