@@ -16,7 +16,9 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.build import SystemOptions, build_fmu, build_ssp
-from servocore.export.building import InverseModel, inverse_model
+from servocore.export.building import inverse_model
+from servocore.export.inverse_functions import METHOD
+from servocore.export.native_model import NativeModel
 from servocore.numerics.machine_code import c_compiler
 
 ROUNDS, STEPS = 200, 500
@@ -72,11 +74,11 @@ def measured_time(
     return step, start
 
 
-def path_of(scene: sc.Scene, model: InverseModel) -> tuple[str, float]:
+def path_of(scene: sc.Scene, model: NativeModel) -> tuple[str, float]:
     """Return the scene's own path as text for the host, and its step."""
     reference = scene.reference
     t = np.linspace(reference.start_time, reference.end_time, STEPS + 1)
-    jets = reference.jet(t, model.orders - 1)
+    jets = reference.jet(t, model.own["orders"] - 1)
     return " ".join(map(repr, jets.ravel().tolist())), float(t[1] - t[0])
 
 
@@ -90,11 +92,16 @@ def native(folder: Path, host: Path) -> dict[str, tuple[str, float, float, int]]
         description = fmpy.read_model_description(str(unpacked))
         model = inverse_model(scene)
         library = unpacked / "binaries" / "linux64" / f"{model.identifier}.so"
-        inputs = model.components * model.orders
+        inputs = model.numbers("input")
         numbers = sum(each.size or 1 for each in model.variables)
         sizes = inputs, inputs, len(scene.model().inputs)
         step, start = measured_time(host, library, description.guid, sizes, numbers, path_of(scene, model))
-        found[name] = (model.method or "every instant by itself", step, start, library.stat().st_size)
+        found[name] = (
+            METHOD.name if model.of("local") else "every instant by itself",
+            step,
+            start,
+            library.stat().st_size,
+        )
     return found
 
 

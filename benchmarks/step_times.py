@@ -87,7 +87,7 @@ def measured(name: str, folder: Path) -> tuple[int, np.ndarray]:
     options = ["-O3", "-ffp-contract=off", "-w", WRAPPED, *(f"-D{key}={value}" for key, value in sizes.items())]
     files = [*compiled_files(model, 2), "main.c"]
     subprocess.run([*c_compiler(), *options, *files, "-o", "timed", "-lm"], cwd=folder, check=True)
-    jets = path.jet(np.linspace(path.start_time, path.end_time, STEPS + 1), model.orders - 1)
+    jets = path.jet(np.linspace(path.start_time, path.end_time, STEPS + 1), model.own["orders"] - 1)
     given = " ".join(map(repr, jets.ravel().tolist())).encode()
     printed = subprocess.run([folder / "timed"], input=given, capture_output=True, check=True).stdout
     count, _, rest = printed.partition(b"\n")

@@ -131,13 +131,13 @@ class Joined(sc.Reference):
 def joined(name: str, steps: int) -> sc.Scene:
     """Return a scene on its own path as an FMU joins it between communication points."""
     scene = scene_called(name)
-    return scene.with_reference(Joined.of(scene.reference, exported(name).orders, steps))
+    return scene.with_reference(Joined.of(scene.reference, exported(name).own["orders"], steps))
 
 
 def inputs_along_path(name: str, steps: int) -> Array:
     """Return the inputs (steps + 1, m) that the library computes along the scene's own path, as an FMU joins it."""
     scene = scene_called(name)
-    if not exported(name).method:
+    if not exported(name).of("local"):
         path = scene.reference
         return sc.ExactInversion(scene)(np.linspace(path.start_time, path.end_time, steps + 1))
     step = scene.reference.duration / steps
@@ -240,14 +240,14 @@ def began(scene: sc.Scene, model: str) -> tuple[np.ndarray, np.ndarray]:
 
 def jets_of(name: str, t: npt.ArrayLike) -> np.ndarray:
     """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
-    return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).orders - 1)
+    return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).own["orders"] - 1)
 
 
 def along_path(host: Native, steps: int, **parameters: float) -> np.ndarray:
     """Return outputs (steps + 1, outputs) along the scene's own path; inputs belong to the end of each step."""
     path = scene_called(host.name).reference
     t = np.linspace(path.start_time, path.end_time, steps + 1)
-    jets, h = path.jet(t, exported(host.name).orders - 1), t[1] - t[0]
+    jets, h = path.jet(t, exported(host.name).own["orders"] - 1), t[1] - t[0]
     host.start(jets[0], t[0], input_time=END, **parameters)
     found = [host.values()]
     for k in range(steps):

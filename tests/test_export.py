@@ -85,7 +85,7 @@ def test_with_internal_dynamics_its_inputs_are_those_of_solve(
     scene, steps = joined(name, 40), 40
     h, inputs = scene.reference.duration / steps, input_names(name)
     with Native(name, fmi) as host:
-        host.start(scene.reference.jet([0.0], exported(name).orders - 1)[0])
+        host.start(scene.reference.jet([0.0], exported(name).own["orders"] - 1)[0])
         at_rest = host.get(*[each.name for each in exported(name).of("local")])
     moved = dict(zip(MOVES[name], np.array(list(start.values())) - at_rest, strict=True)) if start else {}
     with Native(name, fmi) as host:

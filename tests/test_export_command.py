@@ -18,8 +18,9 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import export_c
-from servocore.export.identifiers import identifier_of
-from servocore.export.units import base_units, per_time
+from servocore.export.native_model import identifier_of
+from servocore.export.parameter_sets import base_units
+from servocore.export.variables import per_time
 
 run = CommandLine(app, "servocore")
 
@@ -296,7 +297,7 @@ def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car", "wind"])
 def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
     steps = 40
-    scene, orders = scene_called(name), exported(name).orders
+    scene, orders = scene_called(name), exported(name).own["orders"]
     export_c(scene, "source")
     command = [*compiler, "-std=c99", "-O1", "-Wall", "-Werror", "-Wno-unused-function", "-ffp-contract=off"]
     subprocess.run([*command, f"{name}.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)

@@ -46,7 +46,7 @@ def host_words(name: str, fmi: int, steps: int) -> tuple[list[str], str]:
     model, reference = exported(name), scene_called(name).reference
     t = np.linspace(reference.start_time, reference.end_time, steps + 1)
     variables = len(model.of("input"))
-    inputs = model.components * model.orders
+    inputs = model.numbers("input")
     numbers = sum(each.size or 1 for each in model.variables) if fmi == 2 else len(model.variables)
     first = inputs if fmi == 2 else variables
     outputs = len(model.of("output"))

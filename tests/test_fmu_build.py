@@ -23,8 +23,8 @@ from crane_fmu.build.native import OF_PYTHONFMU, native_model
 from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel
 from servocore.export.native_model import NativeModel
+from servocore.export.parameter_sets import base_units
 from servocore.export.targets import host
-from servocore.export.units import base_units
 
 THIS_MACHINE = (host(),)
 ROOT = Path(__file__).parents[1]

@@ -18,7 +18,6 @@ from servocore.errors import InvalidSetting, install, require_package
 from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.c_source import export_c, require_folder
-from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import (
     VERSIONS,
     export_fmu,
@@ -30,6 +29,7 @@ from servocore.export.fmu import (
 )
 from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import HostRules
+from servocore.export.parameter_sets import STEPS, cross_check_files
 from servocore.export.targets import zig
 from servocore.export.trajectory_model import TrajectoryOptions
 from servocore.export.wasm import export_wasm, loader_beside, require_module

@@ -14,7 +14,11 @@ DATE = "2026-01-01T00:00:00Z"
 """Of every description: two exports of one model are equal."""
 
 _PNG = b"\x89PNG"
-_FILES = {"license_text": (".txt", ".html"), "icon": (".png", ".svg"), "documentation": (".html",)}
+_FILES = {  # endings, and place in an FMU
+    "license_text": ((".txt", ".html"), "documentation/licenses/license{}"),
+    "icon": ((".png", ".svg"), "terminalsAndIcons/icon{}"),
+    "documentation": ((".html",), "documentation/index{}"),
+}
 
 
 def tool() -> str:
@@ -76,7 +80,7 @@ class About:
             raise InvalidSetting(
                 "about: annotations are a table for each tool, and defaults a table of items by choice"
             )
-        for name, endings in _FILES.items():
+        for name, (endings, _) in _FILES.items():
             if (file := getattr(self, name)) is not None:
                 if Path(file).suffix.lower() not in endings:
                     raise InvalidSetting(f"about: {name} = {str(file)!r} must end with {' or '.join(endings)}")
@@ -150,15 +154,11 @@ class About:
         InvalidSetting
             If FMI 2 is to have an SVG drawing.
         """
+        if fmi == 2 and Path(self.icon or "").suffix.lower() == ".svg":
+            raise InvalidSetting("about: FMI 2 has PNG icons only")
         found = {}
-        if self.license_text is not None:
-            ending = Path(self.license_text).suffix.lower()
-            found[f"documentation/licenses/license{ending}"] = self._content("license_text")
-        if self.documentation is not None:
-            found["documentation/index.html"] = self._content("documentation")
-        if self.icon is not None:
-            ending = Path(self.icon).suffix.lower()
-            if fmi == 2 and ending == ".svg":
-                raise InvalidSetting("about: FMI 2 has PNG icons only")
-            found["model.png" if fmi == 2 else f"terminalsAndIcons/icon{ending}"] = self._content("icon")
+        for name, (_, place) in _FILES.items():
+            if (file := getattr(self, name)) is not None:
+                where = "model{}" if fmi == 2 and name == "icon" else place
+                found[where.format(Path(file).suffix.lower())] = self._content(name)
         return found

@@ -1,57 +1,29 @@
-"""From a scene to its `InverseModel`: analysed, compiled, with all variables named."""
+"""`inverse_model`: the inverse dynamics of a scene, ready to become an FMU: analysed, compiled, with all variables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.along_motion import with_redundant_constraints_as_limits
 from servocore.checks.before_run import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics, require_feasible
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.c_functions import named_in_c
-from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.inverse_functions import METHOD, Mathematics, bounds_of, mathematics
-from servocore.export.native_model import NativeModel
+from servocore.export.inverse_functions import Mathematics, bounds_of, mathematics
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.variables import INPUT_TIME, Variable
 from servocore.model.drives import motors
 from servocore.model.scene import Scene
+from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
+from servocore.solvers.runs import require_derivatives
 from servocore.solvers.solve import solve
-
-TERMINALS = {
-    "path": ("input", "the path to follow with its derivatives"),
-    "result": ("output", "inputs of the drives, and the resulting motion"),
-}
-"""Groups of variables that a host connects together."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class InverseModel(NativeModel):
-    """The inverse model of a scene, ready to be written to files.
-
-    Attributes
-    ----------
-    orders, state_size : int
-    nodes : tuple of float
-        As of `Mathematics`, whose functions and depending outputs it has besides those of feedback and estimates.
-    components : int
-        Of the path.
-    method : str
-        Name of the method for internal dynamics; empty where there are none.
-    """
-
-    orders: int
-    state_size: int
-    nodes: tuple[float, ...]
-    components: int
-    method: str
 
 
 def inverse_model(
@@ -59,7 +31,7 @@ def inverse_model(
     model: str | None = None,
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
-) -> InverseModel:
+) -> NativeModel:
     """Analyse and compile a scene for export.
 
     Parameters
@@ -91,9 +63,9 @@ def inverse_model(
     more = dict(estimates.functions) if estimates else {}
     if feedback:
         more |= {**feedback.laws, "judge": feedback.judge}
-        # Motors, by inputs that are not those of the path alone.
-        more |= {"motors": motors(system, scene.drives, compiled.outputs)} if scene.drives else {}
-    return InverseModel(
+    if feedback and scene.drives:  # motors, by inputs that are not those of the path alone
+        more["motors"] = motors(system, scene.drives, compiled.outputs)
+    return NativeModel(
         identifier=identifier,
         title=scene.name,
         model=model or scene.default_model,
@@ -114,7 +86,7 @@ def inverse_model(
             "feedback": feedback,
             "estimates": estimates,
         },
-        functions={**compiled.functions, **named_in_c(more, identifier)},
+        functions=compiled.functions | {name: renamed(each, f"{identifier}_{name}") for name, each in more.items()},
         variables=rows.placed(_variables(problem, compiled, scene, feedback)),
         choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,
@@ -122,12 +94,6 @@ def inverse_model(
         run_limits=tuple(bound for limit in problem.limits if limit.over_run for bound in bounds_of(limit)),
         depends=_with_measured(compiled, feedback),
         differentiable=not (feedback or estimates),
-        terminals=TERMINALS,
-        components=len(system.outputs),
-        orders=compiled.orders,
-        state_size=compiled.state_size,
-        nodes=compiled.nodes,
-        method="" if problem.flat else METHOD.name,
         timed=bool(system.time.numel()),
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,
@@ -135,8 +101,9 @@ def inverse_model(
 
 
 def require_limits_kept(scene: Scene, model: str | None) -> None:
-    """Raise `LimitBroken` if the scene's own path breaks a limit of an instant or of the run as a whole."""
-    if Problem.of(scene, model).motion_limits:
+    """Raise `InvalidReference` if the scene's own path breaks a limit of an instant or of the whole run."""
+    require_feasible(problem := Problem.of(scene, model))
+    if problem.motion_limits:
         solve(scene, model=model)
 
 
@@ -150,8 +117,6 @@ def _analysed(scene: Scene, model: str | None) -> Problem:
             f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
             f" depend on the whole path, its future included; solve computes them"
         )
-    if not problem.flat or problem.follow_branch:  # `followed` has checked the others
-        require_feasible(problem)
     return problem
 
 
@@ -159,11 +124,7 @@ def followed(problem: Problem) -> Problem:
     """Return the problem, set to follow a branch if the guess of the model leaves its branch along the path."""
     if not problem.flat or problem.follow_branch:
         return problem
-    if problem.reference.max_order < problem.array.reference_order:
-        raise InvalidReference(
-            f"the path has derivatives up to order {problem.reference.max_order}, the inputs of {problem.name} need"
-            f" order {problem.array.reference_order}"
-        )
+    require_derivatives(problem, problem.array.reference_order, f"the inputs of {problem.name} need")
     require_feasible(problem)  # first: a limit says more than a singular matrix
     return replace(problem, follow_branch=not prepared_motion(problem).direct)
 
@@ -175,9 +136,9 @@ def _variables(
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
     variables = rows.path_variables(system.outputs, scene.tracked, compiled.orders, home)
     if feedback is not None:
-        variables += rows.measured_variables(feedback.measured)
+        variables += [rows.measured_variable(*each) for each in feedback.measured]
         variables += rows.feedback_settings(system.inputs, feedback.distance)
-    variables += rows.output_variables(compiled.outputs)
+    variables += [rows.of_quantity(each, "output") for each in compiled.outputs]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     if compiled.state_size:
         variables.append(rows.internal_step())
@@ -185,7 +146,6 @@ def _variables(
         quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
         variables += rows.state_variables(array.named_states, units)
-    require_different(problem, variables, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
     return variables
 
 

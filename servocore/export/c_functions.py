@@ -1,16 +1,16 @@
-"""CasADi functions as C source, the size of their working memory, and their floating-point operations."""
+"""CasADi functions as C source, the size of their working memory, their operations, and their tangents."""
 
 from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import cast
 
 import casadi as ca
 
-from servocore.numerics.machine_code import code_generator, renamed
+from servocore.numerics.machine_code import code_generator
 from servocore.numerics.newton import MAX_ITERATIONS, QUICK_ITERATIONS
 
 
@@ -59,47 +59,18 @@ static inline void casadi_mtimes_dense(const casadi_real* CASADI_RESTRICT x, cas
 """
 
 
-_ARGUMENT = re.compile(r"arg\[(\d+)\]\? (arg\[\1\]\[(\d+)\]) : 0")
-_RESULT = re.compile(r"if \(res\[(\d+)\]!=0\) (res\[\1\]\[(\d+)\]=)")
-_BEGIN = re.compile(r"^(?=(?:CASADI_SYMBOL_EXPORT|static) int \w+\(const casadi_real\*\* arg, )", re.MULTILINE)
-
-
-def checked_once(source: str) -> str:
-    """Return C source whose functions test pointers for NULL once, not for each number.
-
-    This saves a tenth of the compiled code. A missing argument is replaced by `ZEROS`, a missing result is written to
-    `UNWANTED`; only one thread may call.
-    """
-    zeros, unwanted, parts = 1, 1, []
-    for part in _BEGIN.split(source):
-        guards = ""
-        for pattern, array, spare in ((_ARGUMENT, "arg", "ZEROS"), (_RESULT, "res", "UNWANTED")):
-            numbers = {int(found[1]) for found in pattern.finditer(part)}
-            guards += "".join(f"  if (!{array}[{k}]) {array}[{k}] = {spare};\n" for k in sorted(numbers))
-        zeros = max(zeros, *(int(found[3]) + 1 for found in _ARGUMENT.finditer(part)), 1)
-        unwanted = max(unwanted, *(int(found[3]) + 1 for found in _RESULT.finditer(part)), 1)
-        plain = _RESULT.sub(r"\2", _ARGUMENT.sub(r"\2", part))
-        parts.append(plain.replace("{\n", "{\n" + guards, 1) if guards else plain)
-    return f"static const double ZEROS[{zeros}];\nstatic double UNWANTED[{unwanted}];\n" + "".join(parts)
-
-
-_COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
-
-
-def copied_in_one_place(source: str) -> str:
-    """Return C source whose function for copies of arrays, called very often, is not inlined."""
-    return _COPY.sub("__attribute__((noinline)) ", source)
-
-
-def named_in_c(functions: Mapping[str, ca.Function], identifier: str) -> dict[str, ca.Function]:
-    """Return functions by name, called ``IDENTIFIER_NAME`` in C."""
-    return {name: renamed(each, f"{identifier}_{name}") for name, each in functions.items()}
-
-
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
     """Return the size of the working memory for any of some functions, by kind."""
     sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
     return {kind: max(getattr(function, size)() for function in functions) for kind, size in sizes.items()}
+
+
+def tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by: Sequence[ca.MX]) -> ca.Function:
+    """Compile (arguments, directions of some of them) -> derivatives of the results along them."""
+    x, directions = ca.veccat(*by), [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
+    along = ca.veccat(*directions)
+    found = [ca.densify(ca.jtimes(each, x, along)) if each.numel() else each for each in results]
+    return ca.Function(name, [*arguments, *directions], found)
 
 
 # Operations, iterations of Newton's method included: bounds for real-time hosts ---------------------------------------

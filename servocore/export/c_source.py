@@ -5,11 +5,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
 
 from servocore.errors import InvalidSetting
-from servocore.export.building import InverseModel, inverse_model
+from servocore.export.building import inverse_model
 from servocore.export.c_functions import c_source, operations, scratch_of
-from servocore.export.identifiers import identifier_of
+from servocore.export.inverse_functions import METHOD
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.targets import host, libraries
 from servocore.export.variables import INTERNAL_STEP
@@ -63,23 +68,29 @@ def require_folder(scene: Scene, place: Path) -> None:
         raise InvalidSetting(f"cannot write to {place}: its {', '.join(lost)} would be lost; name a new folder")
 
 
-def c_files(model: InverseModel) -> dict[str, str]:
-    """Return all texts by file name."""
-    functions = {name: each for name, each in model.functions.items() if name in _CALLED}
-    name, scratch = model.identifier, scratch_of(functions.values())
-    source = c_source(f"{name}_mathematics", functions.values())[1]
+def runtime(
+    model: NativeModel, more: Mapping[str, ca.Function] = MappingProxyType({})
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return header and source by file name, with more functions in the mathematics, and the values in them."""
+    functions = {name: each for name, each in model.functions.items() if name in _CALLED} | dict(more)
+    source = c_source(f"{model.identifier}_mathematics", functions.values())[1]
     path = (SHARED / "path.h").read_text(encoding="utf-8")  # without the lines that make it a header
     values = tables(model) | {
         "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
         "rest": [start for variable in model.of("input") for start in variable.starts],
-        "functions": tuple(functions),
-        "scratch": scratch,
+        "functions": functions,
+        "scratch": scratch_of(functions.values()),
+        "method": METHOD.name if model.of("local") else "",
         "path_source": path[path.index("/* Continue a path") : path.rindex("#endif")].rstrip(),
         "mathematics_source": source,
     }
-    notice = model.about.notice
-    code = rendered("source.c.j2", **values)
-    header = rendered("source.h.j2", **values)
+    return {f"{model.identifier}.{ending}": rendered(f"source.{ending}.j2", **values) for ending in "hc"}, values
+
+
+def c_files(model: NativeModel) -> dict[str, str]:
+    """Return all texts by file name."""
+    texts, values = runtime(model)
+    functions, source = values["functions"], values["mathematics_source"]
     usual = "quick" if "quick" in functions else "advance" if "advance" in functions else "begin"
     longest = "advance" if "advance" in functions else "begin"  # `quick` is followed by it where it fails
     page = values | {
@@ -87,21 +98,21 @@ def c_files(model: InverseModel) -> dict[str, str]:
         "most_operations": sum(operations(functions[each], at_most=True) for each in {usual, longest}),
         "most_iterations": MAX_ITERATIONS,
         "blocks": source.count("casadi_newton(&") // 2,  # each has a fast and a damped loop
-        "memory_bytes": _memory_bytes(model, scratch),
-        "measured": _measured({f"{name}.h": header, f"{name}.c": code}, name),
+        "memory_bytes": _memory_bytes(model, values["scratch"]),
+        "measured": _measured(texts, model.identifier),
     }
     return {
-        f"{name}.h": notice + header,
-        f"{name}.c": notice + code,
-        "main.c": notice + rendered("main.c.j2", **values),
+        **{name: model.about.notice + text for name, text in texts.items()},
+        "main.c": model.about.notice + rendered("main.c.j2", **values),
         "CMakeLists.txt": rendered("CMakeLists.txt.j2", **values),
         "README.md": rendered("README.md.j2", **page),
     }
 
 
-def _memory_bytes(model: InverseModel, scratch: Mapping[str, int]) -> int:
-    inputs, state = model.components * model.orders, max(model.state_size, 1)
-    numbers = inputs * (1 + len(model.nodes)) + len(model.outputs) + 2 * state
+def _memory_bytes(model: NativeModel, scratch: Mapping[str, int]) -> int:
+    """Return the size of the memory of the C source, which is of numbers, pointers and integers."""
+    state = max(int(model.own["state_size"]), 1)
+    numbers = model.numbers("input") * (1 + len(model.own["nodes"])) + len(model.outputs) + 2 * state
     numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)

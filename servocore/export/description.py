@@ -9,10 +9,9 @@ import numpy as np
 
 from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
-from servocore.export.parameter_sets import add
+from servocore.export.parameter_sets import add, base_units
 from servocore.export.sources import compiled_files
-from servocore.export.units import base_units
-from servocore.export.variables import INTERNAL_STEP, Variable, listed
+from servocore.export.variables import INTERNAL_STEP, Causality, Variable, listed
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -36,6 +35,14 @@ _ABILITIES = {
 _DERIVATIVES = {
     2: ("providesDirectionalDerivative",),
     3: ("providesDirectionalDerivatives", "providesAdjointDerivatives"),
+}
+_TERMINALS: Mapping[str, Mapping[str, tuple[Causality, str]]] = {  # of each kernel
+    "inverse": {
+        "path": ("input", "the path to follow with its derivatives"),
+        "result": ("output", "inputs of the drives, and the resulting motion"),
+    },
+    "plant": {"drives": ("input", "inputs of the drives"), "motion": ("output", "motion of the plant")},
+    "trajectory": {"path": ("output", "the path with its derivatives")},
 }
 _FASTEST_STEPS = 1000  # of a default experiment: FMPy doubles the step of longer ones
 
@@ -158,12 +165,10 @@ def terminals(model: NativeModel) -> bytes:
     """Return terminalsAndIcons.xml of FMI 3: groups of variables that are connected together, such as the path."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     every = add(root, "Terminals")
-    for name, (causality, text) in model.terminals.items():
+    for name, (causality, text) in _TERMINALS[model.kernel].items():
         terminal = add(every, "Terminal", name=name, matchingRule="bus", description=text)
-        for variable in model.variables:
-            if variable.causality == causality:
-                add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
-                              variableKind="signal")  # fmt: skip
+        for each in model.of(causality):
+            add(terminal, "TerminalMemberVariable", variableName=each.name, memberName=each.name, variableKind="signal")
     return xml_document(root)
 
 

@@ -11,6 +11,7 @@ from servocore.export.about import About
 from servocore.export.building import inverse_model
 from servocore.export.c_functions import operations
 from servocore.export.description import build_description, model_description, terminals
+from servocore.export.inverse_functions import METHOD
 from servocore.export.native_model import HostRules, NativeModel
 from servocore.export.parameter_sets import related_files
 from servocore.export.plant_model import PlantOptions, plant_model
@@ -18,7 +19,7 @@ from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sampled_laws import SampledEstimates, SampledFeedback
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, rendered, token_of
 from servocore.export.system import Element, packed_system, require_played, wires_by_name
-from servocore.export.targets import Library, Progress, chosen_targets, libraries
+from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryOptions, trajectory_model
 from servocore.export.variables import listed
 from servocore.files import require_places, write_together, zipped
@@ -221,29 +222,15 @@ def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None,
 
 def archive(model: NativeModel, fmi: int, targets: tuple[str, ...], progress: Progress) -> bytes:
     """Return a compiled FMU."""
-    model.about.files(fmi)  # refused before anything is compiled
+    own = model.about.files(fmi)  # refused before anything is compiled
     sources = fmu_sources(model, fmi)
     built = libraries(sources, compiled_files(model, fmi), model.identifier, targets, fmi, progress, model.more_sources)
-    return zipped(contents(model, fmi, sources, built, targets) | related_files(model, fmi))
-
-
-def require_version(fmi: int) -> int:
-    """Return a version of FMI; raises `InvalidSetting` if there is no export for it."""
-    if fmi not in VERSIONS:
-        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
-    return fmi
-
-
-def contents(
-    model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, Library], targets: tuple[str, ...]
-) -> dict[str, bytes]:
-    """Return all files of an FMU by their path in it."""
     unproven = [name for name in targets if name.endswith("darwin")]
     called = [each for name, each in model.functions.items() if not name.endswith("_tangent")]
     most = max(operations(each, at_most=True) for each in called)
     page = rendered(
         "page.html.j2", model=model, fmi=fmi, targets=targets, unproven=unproven, most=most, iterations=MAX_ITERATIONS,
-        built=built,
+        built=built, method=METHOD.name,
     )  # fmt: skip
     members = {
         "modelDescription.xml": model_description(model, token_of(model, fmi), fmi),
@@ -257,7 +244,14 @@ def contents(
         members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
     if model.about.documentation is not None:
         members["documentation/model.html"] = page.encode()
-    return members | model.about.files(fmi)
+    return zipped(members | own | related_files(model, fmi))
+
+
+def require_version(fmi: int) -> int:
+    """Return a version of FMI; raises `InvalidSetting` if there is no export for it."""
+    if fmi not in VERSIONS:
+        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
+    return fmi
 
 
 def export_ssp(
@@ -315,9 +309,9 @@ def export_ssp(
     require_played(scene.reference)
     progress("analysing")
     inverse, trajectory, plant = inverse_model(scene, model), trajectory_model(scene, model), plant_model(scene)
-    jet = scene.reference.jet(scene.reference.start_time, inverse.orders - 1)
+    jet = scene.reference.jet(scene.reference.start_time, inverse.own["orders"] - 1)
     if jet[1:].any():
-        if inverse.method:
+        if inverse.of("local"):
             raise InvalidReference(
                 f"the path starts in motion, and {scene.name} has internal dynamics: start it from rest"
             )

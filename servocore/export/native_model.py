@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
+import keyword
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,13 +14,27 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
 from servocore.export.sampled_laws import SampledFeedback
-from servocore.export.variables import Causality, Choice, Variable, output_variables, placed, with_item, with_start
+from servocore.export.variables import INTERNAL_STEP, Causality, Choice, Variable, listed, of_quantity, placed
 from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
+
+_LONGEST_IDENTIFIER = 40
+_NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  # files, and CMake's own targets
+_NAME = re.compile(r"[a-zA-Z_]\w*(\.\w+)*(\[\d+\])?", re.ASCII)  # of a variable
+
+
+def identifier_of(name: str) -> str:
+    """Return a name as an identifier of C, at most 40 characters long."""
+    # CasADi does not accept two consecutive underscores.
+    identifier = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
+    if not identifier:
+        return "model"
+    taken = not identifier[0].isalpha() or keyword.iskeyword(identifier) or identifier.lower() in _NAMES_TAKEN
+    return f"model_{identifier}" if taken else identifier
 
 
 @dataclass(frozen=True)
@@ -123,8 +139,6 @@ class NativeModel:
         Of a default experiment, in s.
     differentiable : bool
         Whether it provides derivatives of its outputs.
-    terminals : mapping of str to (str, str)
-        Causality and description of the terminals.
     elsewhere : tuple of casadi.Function
         Functions that are called besides `functions`.
     more_sources : mapping of str to str
@@ -135,6 +149,11 @@ class NativeModel:
         Origin and rights.
     cross_check : mapping of str to str
         Files of a run by their names.
+
+    Raises
+    ------
+    InvalidModel
+        If two variables have one name, or a name is not valid in FMI.
     """
 
     identifier: str
@@ -147,13 +166,12 @@ class NativeModel:
     variables: tuple[Variable, ...]
     choices: tuple[Choice, ...]
     outputs: tuple[Quantity, ...]
-    limits: tuple[Bound, ...]
     depends: npt.NDArray[np.bool_]
-    timed: bool
-    start_time: float
     duration: float
-    differentiable: bool
-    terminals: Mapping[str, tuple[str, str]]
+    start_time: float = 0.0
+    timed: bool = False
+    differentiable: bool = False
+    limits: tuple[Bound, ...] = ()
     run_limits: tuple[Bound, ...] = ()
     added_up: tuple[tuple[int, bool], ...] = ()
     elsewhere: tuple[ca.Function, ...] = ()
@@ -161,6 +179,20 @@ class NativeModel:
     host: HostRules = HostRules()
     about: About = field(default_factory=About)
     cross_check: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse variables of one name, and names that FMI does not have."""
+        names = [each.name for each in listed(self.variables, 2)]
+        taken = {INTERNAL_STEP} - {each.name for each in self.settings}
+        every = [*names, *(each.name for each in self.choices), "time", *taken]
+        if repeated := sorted({name for name in every if every.count(name) > 1}):
+            raise InvalidModel(f"{self.title} cannot be exported: variables named twice: {', '.join(repeated)}")
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise InvalidModel(
+                    f"{self.title} cannot be exported: FMI has no variable called {name!r}; names are the letters a to"
+                    f" z and A to Z, digits and underscores"
+                )
 
     @property
     def settings(self) -> tuple[Variable, ...]:
@@ -189,22 +221,16 @@ class NativeModel:
         InvalidSetting
             If there is no such variable or item, or a number is not finite or outside its range.
         """
-        variables, choices = list(self.variables), list(self.choices)
-        places = {scalar.name: (i, k) for i, each in enumerate(variables) if each.starts
-                  for k, scalar in enumerate(each.scalars)}  # fmt: skip
-        named = {each.name: i for i, each in enumerate(choices)}
-        for name, value in start.items():
-            if name in places:
-                i, k = places[name]
-                variables[i] = with_start(variables[i], k, value)
-            elif name in named:
-                choices[named[name]] = with_item(choices[named[name]], value)
-            else:
-                known = ", ".join((*places, *named))
-                raise InvalidSetting(
-                    f"{self.title} has no input or parameter {name!r} to start with; there are {known}"
-                )
-        return replace(self, variables=tuple(variables), choices=tuple(choices))
+        left = dict(start)
+        variables = tuple(_with_starts(each, left) for each in self.variables)
+        choices = tuple(_with_item(each, left) for each in self.choices)
+        if left:
+            numbers = [scalar.name for each in self.variables if each.starts for scalar in each.scalars]
+            known = ", ".join((*numbers, *(each.name for each in self.choices)))
+            raise InvalidSetting(
+                f"{self.title} has no input or parameter {next(iter(left))!r} to start with; there are {known}"
+            )
+        return replace(self, variables=variables, choices=choices)
 
     def with_run_quantities(self) -> Self:
         """Return the model with energies and effective torques of its motors as further outputs, if it has any."""
@@ -213,7 +239,7 @@ class NativeModel:
         return replace(
             self,
             outputs=(*self.outputs, *found),
-            variables=placed([*self.variables, *output_variables(found)]),
+            variables=placed([*self.variables, *(of_quantity(each, "output") for each in found)]),
             depends=np.vstack([self.depends, self.depends[of]]),
             run_limits=tuple(replace(each, row=known.index(each.quantity)) for each in self.run_limits),
             added_up=tuple(zip(of, (each.rms for each in found), strict=True)),
@@ -224,10 +250,24 @@ class NativeModel:
         """Header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
         return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
-    def token(self, *more: str) -> str:
-        """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices, self.host, self.limits, self.run_limits)).encode())
-        for text in (*self.source, *self.more_sources.values(), repr(self.own), *more):
-            digest.update(text.encode())
-        code = digest.hexdigest()
-        return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"
+
+def _with_item(choice: Choice, left: dict[str, float | str]) -> Choice:
+    """Return a choice with the default item of its name, if there is one, and remove it from those that are left."""
+    names = [name for name, _ in choice.items]
+    if (item := left.pop(choice.name, names[choice.start - 1])) not in names:
+        raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
+    return replace(choice, start=names.index(str(item)) + 1)
+
+
+def _with_starts(variable: Variable, left: dict[str, float | str]) -> Variable:
+    """Return a variable with the start values of its names, and remove them from those that are left."""
+    starts, unit = list(variable.starts), variable.unit_behind
+    for k, name in enumerate(scalar.name for scalar in variable.scalars if starts):
+        value = left.pop(name, starts[k])
+        if isinstance(value, str) or not math.isfinite(value):
+            raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
+        if not variable.low <= value <= variable.high:
+            bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
+            raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
+        starts[k] = float(value)
+    return replace(variable, starts=tuple(starts))

@@ -1,14 +1,20 @@
-"""Start values as parameter sets of SSP (SSV), their mappings (SSM), and FMI-LS-REF: related files inside an FMU."""
+"""Start values as parameter sets of SSP (SSV) and their mappings (SSM), cross-check files, and FMI-LS-REF in an FMU."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as ET
 
+from servocore.errors import InvalidSetting
 from servocore.export.native_model import NativeModel
-from servocore.export.units import base_units
 from servocore.export.variables import Variable, listed
-from servocore.files import xml_document
+from servocore.files import cross_check_texts, xml_document
+from servocore.model.scene import Scene
+from servocore.numerics.units import dimension
+from servocore.solution import Solution
+
+STEPS = 1000
+"""Communication steps of the cross-check run."""
 
 _PARTS = {"ssd": "Description", "ssc": "Common", "ssv": "ParameterValues", "ssm": "ParameterMapping"}
 SPACES = {f"xmlns:{key}": f"http://ssp-standard.org/SSP1/SystemStructure{part}" for key, part in _PARTS.items()}
@@ -33,6 +39,18 @@ _ROLES = {  # of the files of a run, by the ends of their names
     "_ref.csv": ("text/csv", "result", "outputs at these instants, computed without the FMU, for input_time = end"),
     "_ref.opt": ("text/csv", "configuration", "start, end and communication step of that run, in s"),
 }  # fmt: skip
+
+
+def base_units(unit: str) -> dict[str, int] | None:
+    """Return the exponents of SI base units; None for a unit with unknown parts, or one that is a multiple of these.
+
+    All factors after the slash are divisors: ``N/m.s`` is N/(m s).
+    """
+    try:
+        factor, exponents = dimension(unit or "1", "a unit")
+    except InvalidSetting:
+        return None
+    return exponents if factor == 1.0 else None
 
 
 def add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
@@ -88,3 +106,30 @@ def related_files(model: NativeModel, fmi: int) -> dict[str, bytes]:
     for name, (kind, role, description) in described.items():
         add(root, "Related", type=kind, source=name, role=role, description=description)
     return {_RELATED + name: each for name, each in (members | {"fmi-ls-manifest.xml": xml_document(root)}).items()}
+
+
+def cross_check_files(scene: Scene, model: NativeModel, solution: Solution, stem: str, fmi: int) -> dict[str, str]:
+    """Return inputs along a scene's path, the results of a solution, and the options of a run, by file name.
+
+    Inputs have the times of their instants: a run with `input_time` = start extrapolates them over each step, and
+    differs from the reference by that.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene of the path.
+    model : NativeModel
+        Its exported model.
+    solution : Solution
+        The reference in `STEPS` steps, computed without the FMU.
+    stem : str
+        Prefix of the names of the files.
+    fmi : int
+        Version of FMI, which determines the names of variables: in the third a vector is one of them.
+    """
+    path, t, begin = scene.reference, solution.t, model.start_time
+    jets = path.jet(t, model.own["orders"] - 1).reshape(len(t), -1)
+    since = {"time": t - path.start_time + begin}
+    inputs = since | {each.name: jets[:, each.places] for each in listed(model.of("input"), fmi)}
+    results = since | {variable.name: solution[variable.name] for variable in model.of("output")}
+    return cross_check_texts(stem, inputs, results, (begin, begin + path.duration, float(t[1] - t[0])))

@@ -10,15 +10,14 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.c_functions import named_in_c
-from servocore.export.directional_derivatives import tangent
-from servocore.export.identifiers import identifier_of, require_different
+from servocore.export.c_functions import tangent
 from servocore.export.inverse_functions import bounds_of
-from servocore.export.native_model import Bound, NativeModel
+from servocore.export.native_model import Bound, NativeModel, identifier_of
 from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
 from servocore.stepping.forward_dynamics import Plant, compile_plant
 from servocore.stepping.observation import compile_margins
@@ -37,10 +36,6 @@ CHOICES = (
         (("until_inputs", "until an input is not zero"), ("none", "no brakes")),
     ),
 )
-TERMINALS = {
-    "drives": ("input", "inputs of the drives"),
-    "motion": ("output", "motion of the plant"),
-}
 _LONGEST = 0.002  # s, of an internal step
 
 
@@ -94,19 +89,19 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     options = options or PlantOptions()
     model = model or scene.independent_model or scene.default_model
     problem = Problem.of(scene, model)
-    plant = compile_plant(problem.system)
+    # Derivatives of the output, itself included, that determine coordinates and their rates.
+    plant, orders = compile_plant(problem.system), max(2, problem.array.reference_order)
     identifier = options.identifier or identifier_of(f"{scene.name}_plant")
     used = _used(problem, plant)
     independent = () if problem.system.lam.numel() else problem.system.coordinates.names
     offsets = options.offsets or {f"start.{coordinate}": (coordinate,) for coordinate in independent}
-    variables = _variables(problem, scene.tracked, used, offsets, options)
-    require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
+    variables = _variables(problem, scene.tracked, used, offsets, options, orders)
     limits, margins = _limits(problem, 1)
-    start_limits, start_margins = _limits(problem, _start_orders(problem))
+    start_limits, start_margins = _limits(problem, orders)
     functions = {
-        "begin": _begin(problem, f"{identifier}_begin", offsets),
+        "begin": _begin(problem, f"{identifier}_begin", offsets, orders),
         **_functions(problem, plant, identifier, used, margins),
-        **named_in_c({"start_margins": start_margins}, identifier),
+        "start_margins": renamed(start_margins, f"{identifier}_start_margins"),
     }
     return NativeModel(
         identifier=identifier,
@@ -118,7 +113,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         own={
             "state_size": 2 * len(problem.system.coordinates),
             "pushed": len(problem.system.outputs),
-            "start_orders": _start_orders(problem),
+            "start_orders": orders,
             "start_limits": start_limits,
             "errors": [problem.system.parameters.names.index(parameter) for parameter in options.errors.values()],
             "offsets": sum(len(offset) for offset in offsets.values()),
@@ -130,17 +125,9 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         outputs=tuple(used),
         limits=limits,
         depends=np.ones((len(used), len(problem.system.inputs)), dtype=bool),
-        timed=False,
-        start_time=0.0,
         duration=scene.reference.duration,
         differentiable=True,
-        terminals=TERMINALS,
     ).with_starts(options.start)
-
-
-def _start_orders(problem: Problem) -> int:
-    """Return the number of derivatives of the output, itself included, that determine coordinates and their rates."""
-    return max(2, problem.array.reference_order)  # the highest one determines their accelerations
 
 
 def _used(problem: Problem, plant: Plant) -> list[Quantity]:
@@ -167,16 +154,14 @@ def _variables(
     outputs: Sequence[Quantity],
     offsets: Mapping[str, Sequence[str]],
     options: PlantOptions,
+    orders: int,
 ) -> tuple[Variable, ...]:
     system = problem.system
-    variables = [
-        Variable(each.name, "input", each.unit, each.description or each.name, (0.0,), nominal=each.nominal)
-        for each in system.inputs
-    ]
+    variables = [rows.of_quantity(each, "input", (0.0,)) for each in system.inputs]
     variables += rows.path_variables(system.outputs, tracked, 2, None, "")
-    variables += rows.output_variables(outputs[2 * len(system.outputs) :])
+    variables += [rows.of_quantity(each, "output") for each in outputs[2 * len(system.outputs) :]]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
-    home = np.zeros((_start_orders(problem), len(system.outputs)))
+    home = np.zeros((orders, len(system.outputs)))
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, options.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
@@ -223,10 +208,10 @@ def _functions(
     return functions
 
 
-def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) -> ca.Function:
+def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]], orders: int) -> ca.Function:
     """Return (position, velocity, ... of the output, offsets, p) -> state at the start."""
     array, system = problem.array, problem.system
-    servo, orders = len(system.outputs), _start_orders(problem)
+    servo = len(system.outputs)
     motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())
     path = ca.horzcat(motion, ca.MX.zeros(servo, 1))[:, : array.reference_order + 1]
     unknowns = inversion(problem.array).function(path, p)[0]

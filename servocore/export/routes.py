@@ -10,8 +10,9 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
-from servocore.export.building import InverseModel
 from servocore.export.c_functions import c_source
+from servocore.export.inverse_functions import observation, timed_path
+from servocore.export.native_model import NativeModel
 from servocore.export.variables import Choice, internal_step, placed
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -19,8 +20,10 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import renamed
 from servocore.problem import Problem
-from servocore.stepping.observation import compile_margins
+from servocore.stepping.observation import compile_margins, observed
 from servocore.stepping.program import Program, program_of
+from servocore.stepping.step_functions import compile_start
+from servocore.structure.inversion import inversion
 
 _FULL_DERIVATIVES = 3  # of the path: steps that use these need no history of it
 
@@ -54,12 +57,12 @@ class SteppedRoutes:
         )
 
 
-def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> InverseModel:
+def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> NativeModel:
     """Return an inverse model with a choice of routes.
 
     Parameters
     ----------
-    made : InverseModel
+    made : NativeModel
         Of a scene whose inputs do not depend on the past.
     scene : Scene
         That scene.
@@ -71,16 +74,17 @@ def with_routes(made: InverseModel, scene: Scene, options: SteppedRoutes) -> Inv
     InvalidModel
         If the inputs are stepped, there are limits of the motion, or a step of a route has other nodes than its end.
     """
-    if made.method or any(not limit.row < 0 for limit in made.limits):
+    if made.own["state_size"] or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
-    outputs, orders = made.outputs, made.orders
+    outputs, orders = made.outputs, made.own["orders"]
     programs, functions, sources = list[Program](), list[dict[str, ca.Function]](), dict[str, str]()
     for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
         program = program_of(Problem.of(scene, model), formulation, options.method)
         if program.nodes != (1.0,):
             raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
         programs.append(program)
-        functions.append(_functions(program, f"{made.identifier}_route_{k}", outputs, orders) if k else {})
+        of_route = step_functions(program, f"{made.identifier}_route_{k}", outputs, orders, guess=True) if k else {}
+        functions.append(of_route)
     # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
     count = len(options.formulations)
     for k, model in enumerate(options.models):
@@ -127,41 +131,55 @@ def _table(
     }
 
 
-def _padded(program: Program, path: ca.MX) -> ca.MX:
-    """Return a path padded with zeros to the derivatives of the program; no result depends on the zeros."""
-    missing = program.start_order + 1 - path.shape[1]
-    return path[:, : program.start_order + 1] if missing <= 0 else ca.horzcat(path, ca.MX.zeros(path.shape[0], missing))
+def step_functions(
+    program: Program, name: str, outputs: Sequence[Quantity], orders: int, guess: bool = False
+) -> dict[str, ca.Function]:
+    """Compile start and step of a program; a path is (m, orders), column after column, parameters p.
 
+    Parameters
+    ----------
+    program : Program
+        Model, formulation and method.
+    name : str
+        Prefix of names in C.
+    outputs : sequence of Quantity
+        Results, by their names.
+    orders : int
+        Number of derivatives of the path among the arguments, the path itself included; of missing ones, which no
+        result depends on, the program gets zeros.
+    guess : bool
+        Whether also residuals of all equations at the first guess of a step are wanted.
 
-def _functions(program: Program, name: str, outputs: Sequence[Quantity], orders: int) -> dict[str, ca.Function]:
-    """Return the functions of a route by name.
-
-    They are ``begin``, (path, p) -> (state, outputs, residual), ``past``, (paths at its start's instants, h, p) ->
-    (state, residual), ``step``, (state, path, h, p) -> (state, outputs, residual), and ``guess``, (state, path, h, p)
-    -> residuals of all equations at the first guess.
+    Returns
+    -------
+    dict of str to casadi.Function
+        ``begin``, (nothing, paths at the instants of a start, h, p, time of the start) -> (state, outputs, residual);
+        ``step``, (state, path after the step, h, p, time before it) -> the same; and ``guess``, of the same arguments.
     """
-    names, count = [channel.name for channel in program.channels], len(program.start_instants)
-    places = [names.index(each.name) for each in outputs]
-    path, past = (ca.MX.sym(name, program.start.size1_in(0), orders * k) for name, k in (("path", 1), ("past", count)))
-    p, h, state = (
-        ca.MX.sym(*each) for each in (("p", program.start.numel_in(2)), ("h",), ("state", program.state_size))
-    )
-    used = _padded(program, path)
+    array, dae, order, instants = program.array, program.dae, program.start_order, program.start_instants
+    system, every = array.system, {quantity.name: (quantity, each) for quantity, each in observed(array.system)}
+    read = observation(system, dae, program.discretization, [every[each.name] for each in outputs], order)
+    past, path = (ca.MX.sym("path", len(system.outputs), orders * count) for count in (len(instants), 1))
+    none, state, p = ca.MX.sym("none", 0), ca.MX.sym("state", program.state_size), ca.MX.sym("p", system.p.numel())
+    h, time, zeros = ca.MX.sym("h"), ca.MX.sym("time"), ca.MX.zeros(len(system.outputs), max(0, order + 1 - orders))
 
-    def seen(of: ca.MX) -> ca.MX:
-        return ca.densify(program.observe(of, used, p)[0][places])
+    def known(column: ca.MX, instant: ca.MX) -> ca.MX:
+        return timed_path(system, ca.horzcat(column[:, : order + 1], zeros), instant)
 
-    first, _, residual = program.start(ca.repmat(used, 1, count), 0, p)
-    earlier, _, unsolved = program.start(ca.horzcat(*(_padded(program, e) for e in ca.horzsplit(past, orders))), h, p)
-    after, _, left = program.step(state, used[:, : program.order + 1], h, p)
-    guess = program.guess_residual(state, used[:, : program.guess_residual.size2_in(1)], h, p)
-    results: dict[str, tuple[list[ca.MX], list[ca.MX]]] = {
-        "begin": ([path, p], [first, seen(first), residual]),
-        "past": ([past, h, p], [earlier, unsolved]),
-        "step": ([state, path, h, p], [after, seen(after), left]),
-        "guess": ([state, path, h, p], [guess]),
+    jets = [known(each, time + k * h) for each, k in zip(ca.horzsplit(past, orders), instants, strict=True)]
+    by_search = inversion(array).by_search()
+    start = compile_start(array, by_search, dae, program.reduced, program.discretization, order)
+    first, _, residual = start(ca.horzcat(*jets), h, p)
+    then, arguments = known(path, time + h), [state, path, h, p, time]
+    after, _, left = program.step(state, then[:, : program.order + 1], h, p)
+    found = {
+        "begin": ([none, past, h, p, time], [first, read(first, jets[0], p), residual]),
+        "step": (arguments, [after, read(after, then, p), left]),
     }
+    if guess:
+        used = then[:, : program.guess_residual.size2_in(1)]
+        found["guess"] = arguments, [program.guess_residual(state, used, h, p)]
     return {
-        key: ca.Function(f"{name}_{key}", arguments, [ca.densify(each) for each in found])
-        for key, (arguments, found) in results.items()
+        key: ca.Function(f"{name}_{key}", given, [ca.densify(each) for each in results])
+        for key, (given, results) in found.items()
     }

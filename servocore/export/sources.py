@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Mapping
@@ -53,8 +54,14 @@ def compiled_files(model: NativeModel, fmi: int) -> tuple[str, ...]:
 
 
 def token_of(model: NativeModel, fmi: int) -> str:
-    """Return the token of a build, a hash of its sources."""
-    return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")])
+    """Return the token of a build: it changes when, and only when, variables, mathematics or kernel do."""
+    parts = (model.variables, model.choices, model.host, model.limits, model.run_limits)
+    common = [(SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")]
+    digest = hashlib.sha256(repr(parts).encode())
+    for text in (*model.source, *model.more_sources.values(), repr(model.own), *common):
+        digest.update(text.encode())
+    code = digest.hexdigest()
+    return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"
 
 
 def _headers(model: NativeModel) -> tuple[str, ...]:

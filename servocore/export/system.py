@@ -30,16 +30,6 @@ Wire = tuple[tuple[str, str], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Port:
-    """A number, or with a size a vector, among the variables of an FMU: its name, causality and unit."""
-
-    name: str
-    causality: str
-    unit: str
-    size: str = ""
-
-
-@dataclass(frozen=True)
 class Element:
     """An FMU in a system.
 
@@ -61,32 +51,28 @@ class Element:
     starts: Mapping[str, float | str] = field(default_factory=dict)
 
     @cached_property
-    def fmi(self) -> int:
-        """Version of FMI."""
-        return int(self._description.get("fmiVersion", "2")[0])
-
-    @cached_property
-    def ports(self) -> tuple[Port, ...]:
-        """The numbers in the model description."""
-        if self.fmi == 2:
-            rows = [
-                (each.attrib, each[0]) for each in self._description.iter("ScalarVariable") if each[0].tag == "Real"
-            ]
-        else:
-            rows = [(each.attrib, each) for each in self._description.iter("Float64")]
-        return tuple(
-            Port(each["name"], each["causality"], number.get("unit", "1"), "".join(d.get("start", "") for d in number))
-            for each, number in rows
-        )
-
-    @cached_property
-    def _description(self) -> ET.Element:
+    def description(self) -> ET.Element:
+        """The model description."""
         with zipfile.ZipFile(io.BytesIO(self.fmu)) as archive:
             return ET.fromstring(archive.read("modelDescription.xml"))
 
+    @property
+    def ports(self) -> list[dict[str, str]]:
+        """Its numbers with their attributes, such as name, causality and unit; of a vector also the size."""
+        if self.fmi == 2:
+            every = self.description.iter("ScalarVariable")
+            return [{**each.attrib, **each[0].attrib} for each in every if each[0].tag == "Real"]
+        vectors = self.description.iter("Float64")
+        return [{**each.attrib, **({"size": each[0].attrib["start"]} if len(each) else {})} for each in vectors]
+
+    @property
+    def fmi(self) -> int:
+        """Version of FMI."""
+        return int(self.description.attrib["fmiVersion"][0])
+
     def named(self, causality: str) -> list[str]:
         """Return the names of its numbers of one causality."""
-        return [each.name for each in self.ports if each.causality == causality]
+        return [each["name"] for each in self.ports if each["causality"] == causality]
 
 
 def wires_by_name(elements: Sequence[Element]) -> list[Wire]:
@@ -117,24 +103,9 @@ def packed_system(
     shared : sequence of Variable, optional
         Parameters with their values for all components that have them: to be changed in one place.
     """
-    members = {f"resources/{each.model}.fmu": each.fmu for each in elements}
+    fmi, members = elements[0].fmi, {f"resources/{each.model}.fmu": each.fmu for each in elements}
     if shared:
-        members[_SET] = parameter_set(title, shared, elements[0].fmi)
-    for each in elements:
-        if names := _common(each, shared):
-            members[f"resources/{each.name}.ssm"] = parameter_mapping(names, each.fmi)
-    return zipped(members | {_STRUCTURE: structure(title, elements, wires, duration, shared)}, _STRUCTURE)
-
-
-def _common(element: Element, shared: Sequence[Variable]) -> list[str]:
-    return [each.name for each in shared if each.name in element.named("parameter")]
-
-
-def structure(
-    title: str, elements: Sequence[Element], wires: Sequence[Wire], duration: float, shared: Sequence[Variable] = ()
-) -> bytes:
-    """Return the description of a system; arguments as of `packed_system`."""
-    fmi = elements[0].fmi
+        members[_SET] = parameter_set(title, shared, fmi)
     root = ET.Element("ssd:SystemStructureDescription", {**SPACES, "version": SSP[fmi], "name": title})
     system = add(root, "ssd:System", name=title)
     parts, fed, units = add(system, "ssd:Elements"), {sink for _, sink in wires}, {"s"}
@@ -143,22 +114,24 @@ def structure(
         part = add(parts, "ssd:Component", name=element.name, type="application/x-fmu-sharedlibrary", source=source)
         connectors = add(part, "ssd:Connectors")
         for port in element.ports:  # connected inputs, and all outputs
-            if port.causality == "output" or (element.name, port.name) in fed:
-                place = add(connectors, "ssd:Connector", name=port.name, kind=port.causality)
-                add(place, f"ssc:{NUMBER[fmi]}", unit=port.unit)
-                if port.size:
-                    add(place, "ssc:Dimension", size=port.size)
-                units.add(port.unit)
-        if _common(element, shared):
+            if port["causality"] == "output" or (element.name, port["name"]) in fed:
+                place = add(connectors, "ssd:Connector", name=port["name"], kind=port["causality"])
+                add(place, f"ssc:{NUMBER[fmi]}", unit=port["unit"])
+                if "size" in port:
+                    add(place, "ssc:Dimension", size=port["size"])
+                units.add(port["unit"])
+        if common := [each.name for each in shared if each.name in element.named("parameter")]:
+            mapping = f"resources/{element.name}.ssm"
+            members[mapping] = parameter_mapping(common, fmi)
             binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
-            add(binding, "ssd:ParameterMapping", source=f"resources/{element.name}.ssm")
+            add(binding, "ssd:ParameterMapping", source=mapping)
         _bind(part, {name: element.starts[name] for name in element.named("parameter") if name in element.starts})
     joints = add(system, "ssd:Connections")
     for (begin, output), (end, given) in wires:
         add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
     declare_units(root, "ssd:Units", units)
     add(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
-    return xml_document(root)
+    return zipped(members | {_STRUCTURE: xml_document(root)}, _STRUCTURE)
 
 
 def _bind(part: ET.Element, bound: Mapping[str, float | str]) -> None:

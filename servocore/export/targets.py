@@ -6,14 +6,13 @@ import hashlib
 import importlib.util
 import os
 import platform
-import re
 import shlex
-import shutil
 import struct
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import cast
 
 from servocore.errors import InvalidSetting, install
 from servocore.numerics.code_cache import CodeCache
-from servocore.numerics.machine_code import c_compiler, compile_in
+from servocore.numerics.machine_code import c_compiler, compile_in, compiler_state
 
 Progress = Callable[[str], None]
 
@@ -34,7 +33,6 @@ _LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": (
 # Compilers write the frames of all functions beside an object; zig does so by an option of clang alone.
 _FRAMES = ("-fstack-usage",)
 _FRAMES_OF_ZIG = ("-Xclang", "-stack-usage-file", "-Xclang")
-_INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
 
 
@@ -189,7 +187,10 @@ def libraries(
         If there is no compiler, or it does not compile.
     """
     found, compiled = dict[str, list[Library]](), list[tuple[_Compiler, list[Future[str]]]]()
-    cross = None if tuple(targets) == (host(),) and _has_own_compiler() else zig()
+    cross = zig()
+    if tuple(targets) == (host(),):
+        with suppress(InvalidSetting):
+            cross = None if c_compiler() else cross
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
@@ -239,7 +240,9 @@ class _Compiler:
 
     def _make(self, results: Sequence[str], options: Sequence[str], inputs: Sequence[str]) -> None:
         """Let the compiler make files, or take what it made of the same inputs before from the cache."""
-        key, kept = _key([*self.command, *options, *inputs]), CodeCache.of_user()
+        version = metadata.version("ziglang") if "ziglang" in self.command else ""
+        content = (version, *compiler_state(self.command), *self.command, *options, *inputs)
+        key, kept = hashlib.sha256(repr(content).encode()).hexdigest()[:40], CodeCache.of_user()
         parts = {f"{k}-{key}": self.folder / name for k, name in enumerate(results)}
         found = {name: kept.find(name) for name in parts}
         if all(found.values()):
@@ -253,32 +256,9 @@ class _Compiler:
 
 
 def _texts(file: str, sources: Mapping[str, str]) -> list[str]:
-    """Return the text of a file and of the sources that it includes."""
-    waiting, found = [file], {}
-    while waiting:
-        name = waiting.pop()
-        if name in sources and name not in found:
-            found[name] = sources[name]
-            # a macro in an include may be any header
-            every = [each for each in sources if each.endswith(".h")] if "#include KERNEL" in sources[name] else []
-            waiting += [*_INCLUDED.findall(sources[name]), *every]
-    return [each for name in sorted(found) for each in (name, found[name])]
-
-
-def _key(parts: Sequence[str]) -> str:
-    """Return a hash of a command, its version and its inputs."""
-    tool = shutil.which(parts[0])
-    about = Path(tool).resolve().stat() if tool else None
-    version = metadata.version("ziglang") if "ziglang" in parts else ""
-    which = version or (about and (about.st_size, about.st_mtime_ns))
-    return hashlib.sha256(repr((which, *parts)).encode()).hexdigest()[:40]
-
-
-def _has_own_compiler() -> bool:
-    try:
-        return bool(c_compiler())
-    except InvalidSetting:
-        return False
+    """Return the text of a file, and all headers if it includes any of ours: a macro may be one of their names."""
+    headers = [name for name in sorted(sources) if name.endswith(".h") and '#include "' in sources[file]]
+    return [sources[file], *(text for name in headers for text in (name, sources[name]))]
 
 
 def universal(slices: Sequence[Library]) -> Library:

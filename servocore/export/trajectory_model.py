@@ -9,12 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.checks.before_run import require_feasible
 from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
 from servocore.export.building import require_limits_kept
-from servocore.export.identifiers import identifier_of, require_different
-from servocore.export.native_model import NativeModel
+from servocore.export.native_model import NativeModel, identifier_of
 from servocore.export.variables import Choice
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -24,6 +22,7 @@ from servocore.references.periodic import Periodic
 from servocore.references.piecewise import PiecewisePolynomial, hermite
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
 from servocore.references.rest_to_rest import RestToRest, rest_to_rest
+from servocore.solvers.runs import require_derivatives
 
 LAWS = {
     name: f"one polynomial of degree {law.degree}"
@@ -36,7 +35,6 @@ LAWS = {
 FROM_FILE = "file"
 """The choice of the built-in path."""
 
-TERMINALS = {"path": ("output", "the path with its derivatives")}
 
 _ROWS = 256  # at least, of a path that is no polynomial
 
@@ -94,18 +92,18 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
     if options.path is not None:
         scene.with_reference(options.path)  # which refuses units that are implausible for the scene
-    require_feasible(replace(problem, reference=baked or scene.reference))
-    require_limits_kept(scene if baked is None else replace(scene, reference=baked), model)
+    path = baked or scene.reference
+    require_derivatives(replace(problem, reference=path), orders - 1, "the inputs need")
+    require_limits_kept(replace(scene, reference=path), model)
     identifier = options.identifier or identifier_of(f"{scene.name}_trajectory")
     profile = options.profile or (law if baked is None else FROM_FILE)
     ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
     times = begin, scene.reference.duration, ramp if law == profile else 0.0
-    path = rows.path_variables(servo, scene.tracked, orders, None, "")
-    variables = rows.placed([*path, *rows.line_settings(servo, scene.tracked, ends, times)])
+    played = rows.path_variables(servo, scene.tracked, orders, None, "")
+    variables = rows.placed([*played, *rows.line_settings(servo, scene.tracked, ends, times)])
     choice = _choice(baked is not None or options.offers_file, profile)
-    start_time = min(0.0, (baked or scene.reference).start_time)  # a run starts at zero unless the path starts earlier
-    require_different(problem, variables, (choice.name, "time"))
-    outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(path, 2)]
+    start_time = min(0.0, path.start_time)  # a run starts at zero unless the path starts earlier
+    outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(played, 2)]
     return NativeModel(
         identifier=identifier,
         title=f"{scene.name} trajectory",
@@ -128,13 +126,10 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         variables=variables,
         choices=(choice,),
         outputs=tuple(outputs),
-        limits=(),
         depends=np.zeros((len(outputs), 0), dtype=bool),
         timed=True,
         start_time=start_time,
-        duration=(baked or scene.reference).end_time - start_time,
-        differentiable=False,
-        terminals=TERMINALS,
+        duration=path.end_time - start_time,
     ).with_starts(options.start)
 
 
@@ -185,10 +180,6 @@ def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
 def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
     """Return a path, or one period of it, as piecewise polynomial, interpolated at many instants if it is none."""
     order = max(4, orders - 1)
-    if path.max_order < orders - 1:
-        raise InvalidReference(
-            f"the path has derivatives up to order {path.max_order}, the inputs need order {orders - 1}"
-        )
     if isinstance(path, PiecewisePolynomial):
         return path
     if isinstance(path, Periodic):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
-from servocore.errors import InvalidSetting
-from servocore.export.units import per_time
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array
@@ -166,6 +165,18 @@ def order_name(order: int) -> str:
     return ORDERS[order] if order < len(ORDERS) else f"derivative{order}"
 
 
+def per_time(unit: str, order: int) -> str:
+    """Return the unit of a derivative by time: ``m`` becomes ``m/s``, ``m/s2``; ``N.m/s`` becomes ``N.m/s2``."""
+    if order == 0:
+        return unit
+    match = re.fullmatch(r"(.*)/s(\d*)", unit)
+    if match:
+        unit, order = match[1], order + int(match[2] or 1)
+    if "/" in unit:  # N/m becomes N/(m.s), in FMI with a negative exponent
+        return f"{unit}.s{order if order > 1 else ''}"
+    return f"{unit}/s{order if order > 1 else ''}"
+
+
 def listed(variables: Iterable[Variable], fmi: int) -> tuple[Variable, ...]:
     """Return variables as a version of FMI has them: the second knows no vectors."""
     return tuple(variables) if fmi == 3 else tuple(scalar for each in variables for scalar in each.scalars)
@@ -233,15 +244,11 @@ def path_variables(
     return variables
 
 
-def output_variables(quantities: Sequence[Quantity]) -> list[Variable]:
-    """Return the outputs: inputs of the mechanical system, and observables of its model."""
-    return [
-        Variable(
-            each.name, "output", each.unit, each.description or each.name,
-            low=0.0 if each.positive else -math.inf, nominal=each.nominal,
-        )
-        for each in quantities
-    ]  # fmt: skip
+def of_quantity(quantity: Quantity, causality: Causality, starts: tuple[float, ...] = ()) -> Variable:
+    """Return a quantity as a variable; an output that must be positive has the lower bound zero."""
+    low = 0.0 if causality == "output" and quantity.positive else -math.inf
+    text = quantity.description or quantity.name
+    return Variable(quantity.name, causality, quantity.unit, text, starts, low=low, nominal=quantity.nominal)
 
 
 def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Variable]:
@@ -276,16 +283,11 @@ def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> l
 # Of a feedback -------------------------------------------------------------------------------------------------------
 
 
-def measured_variables(measured: Sequence[tuple[Quantity, int | None]]) -> list[Variable]:
-    """Return the inputs of measured values; if all are zero there is no feedback."""
-    text = "measured {}; all zero: no feedback"
-    return [
-        Variable(
-            f"measured.{each.name}", "input", each.unit, text.format(each.description or each.name),
-            (0.0,) * (size or 1), size=size,
-        )
-        for each, size in measured
-    ]  # fmt: skip
+def measured_variable(quantity: Quantity, size: int | None) -> Variable:
+    """Return the input of a measured value; if all are zero there is no feedback."""
+    form = of_quantity(quantity, "input", (0.0,) * (size or 1))
+    text = f"measured {form.description}; all zero: no feedback"
+    return replace(form, name=f"measured.{form.name}", description=text, size=size, nominal=None)
 
 
 def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Variable]:
@@ -335,25 +337,6 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     size = len(units) if len(units) > 1 else None
     text = "added to the coordinates at rest at the start"
     return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
-
-
-def with_item(choice: Choice, item: float | str) -> Choice:
-    """Return a choice with another default item; raises `InvalidSetting` if there is no such item."""
-    names = [name for name, _ in choice.items]
-    if item not in names:
-        raise InvalidSetting(f"{choice.name} = {item!r} is unknown; it may be {', '.join(names)}")
-    return replace(choice, start=names.index(str(item)) + 1)
-
-
-def with_start(variable: Variable, k: int, value: float | str) -> Variable:
-    """Return a variable with another start value of a component; raises `InvalidSetting` for an impossible one."""
-    name, unit = variable.scalars[k].name, variable.unit_behind
-    if isinstance(value, str) or not math.isfinite(value):
-        raise InvalidSetting(f"{name} = {value!r}{unit} is not a finite number")
-    if not variable.low <= value <= variable.high:
-        bounds = f"[{variable.low:g}, {variable.high:g}]{unit}"
-        raise InvalidSetting(f"{name} = {value:g}{unit} is outside its range {bounds}")
-    return replace(variable, starts=(*variable.starts[:k], float(value), *variable.starts[k + 1 :]))
 
 
 def _setting(

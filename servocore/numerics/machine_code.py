@@ -86,11 +86,16 @@ class Build:
 
     def key(self, command: list[str]) -> str:
         """Return a hash of all that the machine code depends on."""
-        tool = Path(shutil.which(command[0]) or command[0]).resolve()
-        about = tool.stat() if tool.exists() else None
-        inputs = (self.source, *command, str(tool), about and (about.st_size, about.st_mtime_ns), *self.options())
+        inputs = (self.source, *command, *compiler_state(command), *self.options())
         machine = (platform.system(), platform.machine(), _processor() if self.vectors else "")
         return hashlib.sha256(repr((inputs, machine)).encode()).hexdigest()[:40]
+
+
+def compiler_state(command: Sequence[str]) -> tuple[object, ...]:
+    """Return the file of a compiler, with its size and its time: another compiler makes other code."""
+    tool = Path(shutil.which(command[0]) or command[0]).resolve()
+    about = tool.stat() if tool.exists() else None
+    return str(tool), about and (about.st_size, about.st_mtime_ns)
 
 
 def _processor() -> str:

@@ -36,23 +36,33 @@ static Outcome require_path(Instance *instance, const double *path, double time)
     return require_limits(instance, time, LIMITS, N_LIMITS, instance->scratch.margins);
 }
 
+/* Compute a start from the paths in `past`; returns whether its equations are solved. */
+static int start_route(Instance *instance, const Route *route, Moment *moment, double h)
+{
+    double residual = NAN;
+    instance->arguments[1] = instance->scratch.past;
+    instance->arguments[2] = &h;
+    instance->arguments[3] = instance->state.parameters;
+    instance->arguments[4] = &moment->time;
+    instance->results[0] = moment->state;
+    instance->results[1] = moment->outputs;
+    instance->results[2] = &residual;
+    return !call(instance, route->begin) && all_finite(moment->state, route->size) && fabs(residual) <= DBL_MAX;
+}
+
 /* Compute exact values at moment->path. */
 static Outcome begin_route(Instance *instance, Moment *moment, double time)
 {
     const Route *route = chosen_route(&instance->state);
-    double residual = NAN;
     int solved;
     Outcome outcome = require_path(instance, moment->path, time);
     if (outcome != GOOD) return outcome;
     if (route->begin == NULL)
         solved = solve_instant(instance, moment);
     else {
-        instance->arguments[0] = moment->path;
-        instance->arguments[1] = instance->state.parameters;
-        instance->results[0] = moment->state;
-        instance->results[1] = moment->outputs;
-        instance->results[2] = &residual;
-        solved = !call(instance, route->begin) && all_finite(moment->state, route->size) && fabs(residual) <= DBL_MAX;
+        for (size_t k = 0; k < route->instants; k++)
+            memcpy(instance->scratch.past + k * N_PATH, moment->path, sizeof moment->path);
+        solved = start_route(instance, route, moment, 0.0);
     }
     if (!solved) return say(instance, DISCARD, "%s: no consistent values at t = %.6g s", route->name, time);
     return require_route_branch(instance, moment, time);
@@ -67,6 +77,7 @@ static int solve_route(Instance *instance, const Route *route, Moment *moment, d
     instance->arguments[1] = moment->path;
     instance->arguments[2] = &h;
     instance->arguments[3] = instance->state.parameters;
+    instance->arguments[4] = &moment->time;
     instance->results[0] = instance->scratch.next;
     instance->results[1] = moment->outputs;
     instance->results[2] = &residual;
@@ -86,6 +97,7 @@ static Outcome refuse_step(Instance *instance, const Route *route, const double 
     instance->arguments[1] = path;
     instance->arguments[2] = &h;
     instance->arguments[3] = instance->state.parameters;
+    instance->arguments[4] = &begin;
     instance->results[0] = left;
     call(instance, route->guess);
     for (size_t k = 0; k < route->equations && !isnan(left[worst]); k++)
@@ -99,20 +111,17 @@ static Outcome refuse_step(Instance *instance, const Route *route, const double 
 static Outcome rebuild(Instance *instance, const Route *route, Moment *moment, double h)
 {
     const double settle = moment->inner > 0.0 ? route->settle : 0.0;
-    double *past = instance->scratch.past, residual = NAN, present[N_PATH];
+    double *past = instance->scratch.past, present[N_PATH];
     Moment *then = &instance->scratch.then;
     int solved;
     for (size_t k = 0; k < route->instants; k++) continued(moment->path, (route->at[k] - settle) * h, past + k * N_PATH);
-    instance->arguments[0] = past;
-    instance->arguments[1] = &h;
-    instance->arguments[2] = instance->state.parameters;
-    instance->results[0] = then->state;
-    instance->results[1] = &residual;
-    solved = !call(instance, route->past) && all_finite(then->state, route->size) && fabs(residual) <= DBL_MAX;
+    then->time = moment->time - settle * h;
+    solved = start_route(instance, route, then, h);
     memcpy(present, moment->path, sizeof present);
     for (double k = 0.0; k < settle && solved; k += 1.0) {
         continued(present, (k + 1.0 - settle) * h, then->path);
         solved = solve_route(instance, route, then, h);
+        then->time += h;
     }
     if (!solved)
         return say(instance, DISCARD, "%s: at t = %.6g s the step cannot change from %.6g s to %.6g s; the path continued"
