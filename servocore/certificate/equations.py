@@ -18,7 +18,6 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from typing import TypeAlias
 
 import casadi as ca
@@ -117,18 +116,11 @@ class Equations:
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
         self.free = ~self.curved
         self.free[: len(array.determined)] |= [each not in resolved.array.unknowns for each in array.determined]
-        self._pattern = J.sparsity()
-        _, rows, columns, bounds, *_ = self._pattern.T.btf()
-        self._find_blocks(rows, columns, bounds)
+        self._find_blocks(J.sparsity())
 
-    def in_one_block(self) -> Equations:
-        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
-        found = copy(self)
-        found._find_blocks(self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
-        return found
-
-    def _find_blocks(self, rows: list[int], columns: list[int], bounds: list[int]) -> None:
-        pattern, size = self._pattern, len(rows)
+    def _find_blocks(self, pattern: ca.Sparsity) -> None:
+        _, rows, columns, bounds, *_ = pattern.T.btf()
+        size = len(rows)
         self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
         permuted, entry = pattern.sub(columns, rows)
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
@@ -147,8 +139,8 @@ class Equations:
         return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
-equations_of, in_one_block = made_once(Equations), made_once(Equations.in_one_block)
-"""Return the equations of a system, and the same in one block, prepared once."""
+equations_of = made_once(Equations)
+"""Return the equations of a system, prepared once."""
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

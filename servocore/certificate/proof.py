@@ -8,7 +8,6 @@ that the motion begins and ends as the path does outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -17,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import Model, arithmetic, model_of
-from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
+from servocore.certificate.equations import Box, equations_of, given_models, radii
 from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
@@ -41,8 +40,7 @@ _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
-_FEW = 64  # unknowns in one block
-_CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
+_TRIES = 4  # of D, and steps of Newton's method to the middle of what inputs jump from and to
 
 
 def grid_of(path: Reference, count: int) -> Array:
@@ -74,8 +72,6 @@ class Proof:
 
     Attributes
     ----------
-    narrow : float
-        Radius of the inputs, of their peaks, at which no interval is halved any more.
     equations : Equations
         The equations.
     ring : Arithmetic
@@ -86,9 +82,8 @@ class Proof:
         Of the intervals in their order, in s.
     depth : ndarray of int, shape (N,)
         How often an interval was halved.
-    fresh, followed, tested, switches : ndarray of bool, shape (N,)
-        Whether an interval has no answers yet; its answers continue the motion beside it, and do not come from the
-        guess of the model; it was tested; equations may jump within.
+    tested, switches : ndarray of bool, shape (N,)
+        Whether an interval was tested, or has no answers to be tested; equations may jump within.
     before : ndarray, shape (2, N)
         `relative` of the intervals that it is a quarter of, and a half.
     x, given : Model, shape (terms + 1, unknowns, N) and (terms + 1, givens, N)
@@ -103,10 +98,7 @@ class Proof:
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
-        p = problem.p.copy()
-        p[list(boxed)] = [sum(interval) / 2.0 for interval in boxed.values()]
-        self.problem, self.boxed, self.tolerance = replace(problem, p=p), boxed, tolerance
-        self.narrow = tolerance if boxed else _NARROW * tolerance
+        self.problem, self.boxed, self.tolerance = problem, boxed, tolerance
         self.equations = equations_of(problem.resolved, raised)
         of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
@@ -116,15 +108,13 @@ class Proof:
         grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
-        self.fresh, self.followed, self.tested, self.switches = (np.full(n, k == 0) for k in range(4))
+        self.tested, self.switches = np.zeros((2, n), dtype=bool)
         self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
         self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
         self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
-        while len(self.begin) <= _MOST and (self._refined() or self._followed()):
-            pass
-        if self.proved.all() and len(self.peaks) <= _FEW and not self.boxed:
-            self._test_whole((self.relative > tolerance) & ~self.jumping)
-        self.joints = self._joints()
+        self._refine()
+        for step in (1, -1):
+            self._follow(step)
 
     @cached_property
     def peaks(self) -> Array:
@@ -160,48 +150,73 @@ class Proof:
         """Whether inputs may jump within intervals, and the motion does not."""
         return np.asarray(self.proved & self.switches & (self.relative > self.tolerance))
 
-    def _refined(self) -> bool:
-        """Answer and test what is open, and halve what is not proved well enough; return whether there was any."""
-        while (fresh := self.fresh & ~self.followed).any():
-            self._answer(fresh)
-            self._halve(fresh & self._coarse())
-        fresh = self.solved & ~self.tested
-        self._test(fresh, self.equations)
-        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), self.equations)
-        halved = self._too_wide()
-        if self.switches.sum() > _SWITCHING:
-            halved &= ~self.switches
-        self._halve(halved)
-        return bool(halved.any())
+    def _refine(self) -> None:
+        """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
+        while not self.tested.all() and len(self.begin) <= _MOST:
+            fresh = ~self.tested & ~self.solved
+            if fresh.any():
+                self._answer(fresh)
+                self._halve(fresh & self._coarse())
+            else:
+                self._test(~self.tested)
+                halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
+                self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
+
+    def _follow(self, step: int) -> None:
+        """Answer intervals that are not on the branch of the proved one beside them again, from that one.
+
+        From the first proved interval to the end, or to the beginning. Those that are not proved then are halved.
+        """
+        k, tried, self.joints, wide = int(self.proved.argmax()), False, self._joints(), self._too_wide()
+        while 0 <= (n := k + step) < len(self.begin) <= _MOST:
+            joint, count, one = self.joints[min(k, n)], len(self.begin), np.arange(len(self.begin)) == n
+            joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
+            if not self.proved[k] and not self.tested[n]:  # the branch is lost: later answers come from the guess
+                self._refine()
+            elif not self.proved[k] or (joined and not wide[n]) or (tried and ended):
+                k, tried = n, False
+                continue
+            elif tried or joined:
+                self._halve(one)
+                tried = False
+            else:
+                self._answer(one, k)
+                self._test(one & ~self.tested)
+                tried = True
+            k += (len(self.begin) - count) * (step < 0)
+            self.joints, wide = self._joints(), self._too_wide()
 
     def _halve(self, halved: Mask) -> None:
         """Replace intervals by their halves, of which nothing is known."""
         parts, middle = np.repeat(np.arange(len(halved)), 1 + halved), (self.begin + self.end) / 2.0
         late = np.diff(parts, prepend=-1) == 0
-        for name in ("begin", "end", "depth", "failed", "fresh", "followed", "tested", "switches", "relative", "before",
-                     "x", "D", "given"):  # fmt: skip
+        for name in "begin", "end", "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
             setattr(self, name, getattr(self, name)[..., parts])
         new, middle = halved[parts], middle[parts]
         self.begin, self.end = np.where(late, middle, self.begin), np.where(new & ~late, middle, self.end)
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
-        self.fresh[new], self.tested[new], self.relative[new], self.x[..., new] = True, False, np.inf, np.nan
+        self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
     def _coarse(self) -> Mask:
         """Return whether answers from the guess have polynomials in time with large last coefficients."""
         chosen = self.equations.curved.copy()
         chosen[self.equations.inputs] = True
         last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
-        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self.narrow, 1e-12, 1e-8)
+        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
         return np.asarray(large & (self.depth < _GUESSED))
 
+    @property
+    def _narrow(self) -> float:
+        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
+        return self.tolerance if self.boxed else _NARROW * self.tolerance
+
     def _too_wide(self) -> Mask:
-        """Return whether intervals are not proved well enough, and halves may help.
+        """Return whether intervals are proved, not well enough, and halves may help.
 
         They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of.
         """
-        wide = (self.narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
-        wide = np.where(self.jumping, self.within, wide) & (self.depth < _DEEPEST)
-        return np.where(self.proved, wide, ~self.followed & (self.depth < _GUESSED))
+        wide = (self._narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
+        return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
 
     # Answers and test -----------------------------------------------------------------------------------------------
 
@@ -228,41 +243,34 @@ class Proof:
         x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
-        self.fresh[some], self.tested[some], self.relative[some] = False, False, np.inf
+        self.tested[some], self.relative[some] = ~self.solved[some], np.inf
 
     def _interpolated(self, x: Array) -> Model:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test_whole(self, some: Mask) -> None:
-        """Test intervals with all unknowns as one block, which counts where it proves more."""
-        if some.any():
-            names = "x", "D", "failed", "relative"
-            before = {name: getattr(self, name).copy() for name in names}
-            self._test(some, in_one_block(self.equations))
-            worse = self.relative > before["relative"]
-            for name, old in before.items():
-                getattr(self, name)[..., worse] = old[..., worse]
-
-    def _test(self, some: Mask, equations: Equations) -> None:
+    def _test(self, some: Mask) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
-        It is least for what equations switch by: they are known wherever that is not about to pass a jump.
+        It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
+        jump, steps of Newton's method go between what inputs jump from and to.
         """
         if not some.any():
             return
         model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-        D = _REACH * peaks * 0.5 ** self.depth[some]
-        D[equations.switching] = _TIGHT * peaks[equations.switching]
-        x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
-        for left in reversed(range(_CENTRED)):
-            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
-            if not left or not switches.any():
+        x, D = model[:-1], _REACH * peaks * 0.5 ** self.depth[some]
+        D[self.equations.switching] = _TIGHT * peaks[self.equations.switching]
+        for left in reversed(range(_TRIES)):
+            rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, peaks)
+            finite = np.isfinite(rho).all(axis=0)
+            within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & finite)
+            again = switches | (finite & ~within)
+            if not left or not again.any():
                 break
-            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
-        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
-        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
+            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
+            D = np.maximum(D, np.where(finite & ~within, _ENLARGED * rho, 0.0))
+        within &= ~switches | (rho <= _STEADY * peaks)[self.equations.steady].all(axis=0)
+        relative = np.where(within, (rho / peaks)[self.equations.inputs].max(axis=0, initial=0.0), np.inf)
         self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
         self.relative[some] = relative
         self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
@@ -304,33 +312,6 @@ class Proof:
         conditions = [~both, fits.all(axis=1).any(axis=0), ~of_path, jumps, fits[:, motion].all(axis=1).any(axis=0)]
         kinds = ["not proved", "one branch", "apart", "motion jumps", "inputs jump"]
         return np.select(conditions, kinds, "apart").tolist()  # type: ignore[no-any-return]  # NumPy's stubs
-
-    def _followed(self) -> bool:
-        """Answer the first interval that is not on the branch of a proved one beside it again, from that one.
-
-        From the first proved interval to the end, and to the beginning. Intervals that following did not prove are
-        halved.
-        """
-        joints, proved, numbers = self._joints(), self.proved, np.arange(len(self.begin) + 1)
-        first = int(proved.argmax())
-        for order in (range(first, len(proved)), range(first, -1, -1)):
-            for k, n in pairwise(order):
-                joint = joints[min(k, n)]
-                if not proved[k] and self.fresh[n]:  # the branch is lost: later answers come from the guess
-                    self.followed[n] = False
-                    return True
-                if not proved[k] or joint in {"one branch", "inputs jump"}:
-                    continue
-                again = bool(self.followed[n] and not self.fresh[n])
-                if again and (self.depth[n] >= _DEEPEST or joint == "motion jumps"):
-                    continue
-                if again:
-                    self._halve(numbers[:-1] == n)
-                one, shift = numbers[: len(self.begin)], int(again and n < k)
-                self.followed[n + shift] = True
-                self._answer(one == n + shift, k + shift)
-                return True
-        return False
 
 
 @made_once
