@@ -22,7 +22,7 @@ from servocore.certificate import proof
 from servocore.certificate.certify import Certificate
 from servocore.certificate.proof import Proof
 from servocore.problem import Problem
-from servocore.references.profiles import DEGREE3, DEGREE7, DEGREE9
+from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9
 from servocore.references.rest_to_rest import RestToRest
 
 INTERNAL = ["mass_on_car", "passive_joint_arm", "loop_manipulator"]
@@ -165,6 +165,13 @@ def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
     assert certificate.jumps == (0.0, 3.0)
 
 
+def test_what_linear_equations_make_unique_jumps_with_a_rough_path_too() -> None:
+    cars = sc.scenes.cars()
+    found = [sc.certify(line(cars, (0,), (1,), 3.0, profile=each)) for each in (DEGREE9, DEGREE7, DEGREE5)]
+    assert [(each.verdict, each.jumps) for each in found] == [("proved", ()), ("proved", (0.0, 3.0)), ("refuted", ())]
+    assert "coordinates or velocities jump at t = 0 s" in str(found[2])
+
+
 def rubbing() -> sc.Scene:
     """A car that is pushed there and back against dry friction."""
     scene = car(lambda x: x)
@@ -274,7 +281,9 @@ def test_internal_dynamics_of_coarse_solutions_and_of_paths_with_jumps_start_at_
 ) -> None:
     scene = line(sc.scenes.mass_on_car(), (0,), (1,), 4.0, profile=profile)
     solution = sc.solve(scene, step=step, checks=False)
-    bound, exact = sc.certify(solution).error_bounds["u"], scene.exact(solution.t)["u"]
+    certificate, exact = sc.certify(solution), scene.exact(solution.t)["u"]
+    bound = certificate.error_bounds["u"]
+    assert certificate.jumps == ((0.0, 4.0) if profile is DEGREE3 else ())
     assert bound.at_instants == pytest.approx(np.abs(solution["u"] - exact).max(), rel=1e-6)
 
 
@@ -284,8 +293,9 @@ def test_without_a_bound_of_internal_states_equations_are_proved_at_the_computed
     solution = sc.solve(scene)
 
     def stated(solution: sc.Solution) -> float:
-        motion, algebraic = sc.certify(solution).statements
-        assert (motion.verdict, algebraic.verdict) == ("undecided", "proved")
+        motion, algebraic, limit = sc.certify(solution, {"u": 1e6}).statements
+        assert [each.verdict for each in (motion, algebraic, limit)] == ["undecided", "proved", "undecided"]
+        assert limit.what == "limit of u"
         assert "logarithmic norm from 1.79 to 1.79 1/s no bound of their error is known from t = -" in str(motion)
         return float(re.findall(r"within (\S+) of", algebraic.sentence)[0])
 

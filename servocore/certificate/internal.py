@@ -79,7 +79,10 @@ class InternalProof(Proof):
         self.ring, t, path = arithmetic((_DEGREE,)), solution.t, problem.reference
         outside = t[(t < path.start_time) | (t > path.end_time)]
         grid = np.union1d(grid_of(path, max(len(t) // _INSTANTS, _FEWEST)), outside)
-        if grid[-1] == path.end_time:  # inputs may jump there, and have the value behind it
+        # Inputs may jump at the ends of the path: a motion from rest is at rest before it.
+        if grid[0] == path.start_time and not problem.start:
+            grid = np.append(path.start_time - OUTSIDE * path.duration, grid)
+        if grid[-1] == path.end_time:
             grid = np.append(grid, path.end_time + OUTSIDE * path.duration)
         self.begin, self.end = grid[:-1], grid[1:]
         self.switches, self.relative = np.zeros(len(grid) - 1, dtype=bool), np.full(len(grid) - 1, np.inf)
@@ -98,15 +101,15 @@ class InternalProof(Proof):
         reported = [solution[each.name] for each in problem.system.inputs]
         off = ((np.abs(reported - shown[0]) + magnitude(shown[1:])) / self.peaks[inputs]).max()
         self.algebraic = Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")
-        self._bound(x, rho, s, self._first(s))
+        self._bound(x, rho, s, self._first(s, bool(t[0] < path.start_time)))
 
-    def _first(self, s: Model) -> Array:
+    def _first(self, s: Model, before: bool) -> Array:
         """Return the first states of the motion: given ones, those at rest, or computed ones."""
         array, own = self.problem.array, guessed_unknowns(self.problem, self.begin[:1])[:, 0]
         names = [array.names[j].removeprefix("q.") + "_dot" * order for j, order in array.states]
-        own, begun = own[array.places(array.states)], self.ring.ends(s)[0][0, :, 0]
-        near = [_REST[order] for _, order in array.states] * self._sizes(s)
-        if (np.abs(begun - own) <= near).all() and self.begin[0] == self.problem.reference.start_time:
+        own, early = own[array.places(array.states)], self.ring.ends(s)[0][0]
+        near, begun = [_REST[order] for _, order in array.states] * self._sizes(s), early[:, 0]
+        if (np.abs(early[:, self.within.argmax()] - own) <= near).all() and not before:
             begun = own
         elif not self.problem.start:
             self._from = f" on the motion from their computed values at t = {self.begin[0]:.6g} s"

@@ -305,12 +305,13 @@ class Proof:
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
         fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
         fits |= self.equations.free[:, None]
-        motion = self.equations.motion
+        motion, inputs = self.equations.motion, self.equations.inputs
+        both, one = self.proved[:-1] & self.proved[1:], fits.all(axis=1).any(axis=0)
         of_path = np.isin(self.end[:-1], self.problem.reference.joints)
-        both = self.proved[:-1] & self.proved[1:]
-        jumps = (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0)
-        conditions = [~both, fits.all(axis=1).any(axis=0), ~of_path, jumps, fits[:, motion].all(axis=1).any(axis=0)]
-        kinds = ["not proved", "one branch", "apart", "motion jumps", "inputs jump"]
+        leaps = of_path & (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])  # also of what is unique wherever it is
+        conditions = [~both, leaps[motion].any(axis=0), one & ~leaps[inputs].any(axis=0), ~of_path]
+        conditions.append(fits[:, motion].all(axis=1).any(axis=0))
+        kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]
         return np.select(conditions, kinds, "apart").tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
