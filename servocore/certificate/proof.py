@@ -30,7 +30,7 @@ Mask = npt.NDArray[np.bool_]
 """Marks of intervals."""
 
 _DEGREE = 10
-_FIRST = 8  # intervals of a path to begin with, each piece of it one at the least
+_FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
@@ -105,7 +105,7 @@ class Proof:
         machine_code(self.equations.array).best(1)
         path = problem.reference
         margin = OUTSIDE * path.duration
-        grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
+        grid = np.array([path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
         self.tested, self.switches = np.zeros((2, n), dtype=bool)
@@ -169,13 +169,14 @@ class Proof:
         """
         k, tried, self.joints, wide = int(self.proved.argmax()), False, self._joints(), self._too_wide()
         while 0 <= (n := k + step) < len(self.begin) <= _MOST:
-            joint, count, one = self.joints[min(k, n)], len(self.begin), np.arange(len(self.begin)) == n
+            joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
             joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
-            if not self.proved[k] and not self.tested[n]:  # the branch is lost: later answers come from the guess
-                self._refine()
-            elif not self.proved[k] or (joined and not wide[n]) or (tried and ended):
+            if (lost and self.tested[n]) or (joined and not wide[n]) or (tried and ended):
                 k, tried = n, False
                 continue
+            count, one = len(self.begin), np.arange(len(self.begin)) == n
+            if lost:  # later answers come from the guess
+                self._refine()
             elif tried or joined:
                 self._halve(one)
                 tried = False
