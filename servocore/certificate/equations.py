@@ -24,8 +24,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
-from servocore.certificate.programs import UP, norm
+from servocore.certificate.chebyshev import UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -76,7 +75,8 @@ class Equations:
     steady, curved : ndarray of bool
         Unknowns that may not jump with the equations, of motion or switching; that the Jacobian or the steps depend on.
     free : ndarray of bool
-        Unknowns that may differ at joints: rates may jump, and others are unique wherever they are.
+        Unknowns that may differ at joints: rates and derivatives by the states may jump, others are unique wherever
+        they are.
     rows, columns : ndarray of int
         Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
     ends : ndarray of int
@@ -114,8 +114,8 @@ class Equations:
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
-        self.free = ~self.curved
-        self.free[: len(array.determined)] |= [each not in resolved.array.unknowns for each in array.determined]
+        held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
+        self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
         self._find_blocks(J.sparsity())
 
     def _find_blocks(self, pattern: ca.Sparsity) -> None:

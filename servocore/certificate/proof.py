@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import Model, arithmetic, model_of
+from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
 from servocore.certificate.equations import Box, equations_of, given_models, radii
-from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -124,7 +123,7 @@ class Proof:
         """
         array, inputs = self.equations.array, self.equations.inputs
         least = smallest_peaks(self.problem, array.determined)
-        largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
+        largest = np.fmax.reduce(np.abs(self.ring.values(self.x[:, : len(least)])), axis=(0, 2))
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
 

@@ -10,9 +10,8 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, magnitude
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
 from servocore.certificate.equations import Equations
-from servocore.certificate.programs import UNIT, norm
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
@@ -157,21 +156,16 @@ def boxes_of(proof: Proof) -> Model:
     return proof.enclosures[..., proof.within]
 
 
-def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
-    """Return the halves of boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
-    size = np.maximum(norm(c), 1e-300)
-    by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in ring.orders], axis=0)
-    halves = (half for k in range(len(ring.degrees)) for half in ring.halved(boxes[..., by == k], k))
-    return np.concatenate(list(halves), axis=2)
-
-
 Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
 """Whether a quantity keeps its bounds; where it fails or is not decided the arguments of the walk and the quantity, NaN
 if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
 def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
-    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
+    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not.
+
+    They are halved by the variable that the quantities vary most with.
+    """
     found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
     least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
     lower, upper = lower[:, None], upper[:, None]
@@ -200,7 +194,9 @@ def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Arr
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
-        boxes = _halved(ring, boxes[..., again], c[:, open_][..., again])
+        c = c[:, open_][..., again] / np.maximum(norm(c[:, open_][..., again]), 1e-300)
+        widest = int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders]))
+        boxes = np.concatenate(ring.halved(boxes[..., again], widest), axis=2)
     extents = zip(least.tolist(), most.tolist(), strict=True)
     return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
 
