@@ -18,6 +18,7 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import TypeAlias
 
 import casadi as ca
@@ -116,11 +117,11 @@ class Equations:
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
         held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
         self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
-        self._find_blocks(J.sparsity())
+        _, rows, columns, bounds, *_ = J.sparsity().T.btf()
+        self._find_blocks(J.sparsity(), rows, columns, bounds)
 
-    def _find_blocks(self, pattern: ca.Sparsity) -> None:
-        _, rows, columns, bounds, *_ = pattern.T.btf()
-        size = len(rows)
+    def _find_blocks(self, pattern: ca.Sparsity, rows: list[int], columns: list[int], bounds: list[int]) -> None:
+        self._pattern, size = pattern, len(rows)
         self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
         permuted, entry = pattern.sub(columns, rows)
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
@@ -133,14 +134,20 @@ class Equations:
         self.test = Walk(off.nz[:], ca.vertcat(Y, J))
         self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
 
+    def in_one_block(self) -> Equations:
+        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
+        found = copy(self)
+        found._find_blocks(self._pattern, self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
+        return found
+
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
         last = int(np.searchsorted(self.ends, np.flatnonzero(self.columns == unknown)[0], side="right"))
         return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
-equations_of = made_once(Equations)
-"""Return the equations of a system, prepared once."""
+equations_of, in_one_block = made_once(Equations), made_once(Equations.in_one_block)
+"""Return the equations of a system, and the same in one block, prepared once."""
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
-from servocore.certificate.equations import Box, equations_of, given_models, radii
+from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -39,6 +39,7 @@ _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
+_FEW = 64  # unknowns in one block
 _TRIES = 4  # of D, and steps of Newton's method to the middle of what inputs jump from and to
 
 
@@ -114,6 +115,14 @@ class Proof:
         self._refine()
         for step in (1, -1):
             self._follow(step)
+        wide = (self.relative > tolerance) & ~self.jumping
+        if self.proved.all() and wide.any() and len(self.peaks) <= _FEW and not boxed:
+            before = {name: getattr(self, name).copy() for name in ("x", "D", "relative")}
+            self._test(wide, in_one_block(self.equations))
+            worse = self.relative > before["relative"]
+            for name, old in before.items():
+                getattr(self, name)[..., worse] = old[..., worse]
+            self.joints = self._joints()
 
     @cached_property
     def peaks(self) -> Array:
@@ -157,7 +166,7 @@ class Proof:
                 self._answer(fresh)
                 self._halve(fresh & self._coarse())
             else:
-                self._test(~self.tested)
+                self._test(~self.tested, self.equations)
                 halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
                 self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
 
@@ -181,7 +190,7 @@ class Proof:
                 tried = False
             else:
                 self._answer(one, k)
-                self._test(one & ~self.tested)
+                self._test(one & ~self.tested, self.equations)
                 tried = True
             k += (len(self.begin) - count) * (step < 0)
             self.joints, wide = self._joints(), self._too_wide()
@@ -249,7 +258,7 @@ class Proof:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask) -> None:
+    def _test(self, some: Mask, equations: Equations) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
@@ -261,7 +270,7 @@ class Proof:
         x, D = model[:-1], _REACH * peaks * 0.5 ** self.depth[some]
         D[self.equations.switching] = _TIGHT * peaks[self.equations.switching]
         for left in reversed(range(_TRIES)):
-            rho, switches, failed, shift = radii(self.equations, self.ring, x, given, D, peaks)
+            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
             finite = np.isfinite(rho).all(axis=0)
             within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & finite)
             again = switches | (finite & ~within)
