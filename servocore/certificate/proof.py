@@ -40,7 +40,7 @@ _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations tha
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
 _FEW = 64  # unknowns in one block
-_TRIES = 4  # of D, and steps of Newton's method to the middle of what inputs jump from and to
+_CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
 
 
 def grid_of(path: Reference, count: int) -> Array:
@@ -258,7 +258,7 @@ class Proof:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask, equations: Equations) -> None:
+    def _test(self, some: Mask, equations: Equations, enlarged: bool = False) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
@@ -267,22 +267,22 @@ class Proof:
         if not some.any():
             return
         model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-        x, D = model[:-1], _REACH * peaks * 0.5 ** self.depth[some]
-        D[self.equations.switching] = _TIGHT * peaks[self.equations.switching]
-        for left in reversed(range(_TRIES)):
+        D = _REACH * peaks * 0.5 ** self.depth[some]
+        D[equations.switching] = _TIGHT * peaks[equations.switching]
+        x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+        for left in reversed(range(_CENTRED)):
             rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
-            finite = np.isfinite(rho).all(axis=0)
-            within = np.asarray((rho <= D)[self.equations.curved].all(axis=0) & finite)
-            again = switches | (finite & ~within)
-            if not left or not again.any():
+            if not left or not switches.any():
                 break
             x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
-            D = np.maximum(D, np.where(finite & ~within, _ENLARGED * rho, 0.0))
-        within &= ~switches | (rho <= _STEADY * peaks)[self.equations.steady].all(axis=0)
-        relative = np.where(within, (rho / peaks)[self.equations.inputs].max(axis=0, initial=0.0), np.inf)
+        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
+        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
         self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
         self.relative[some] = relative
         self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
+        if not enlarged:
+            self._test(some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), equations, enlarged=True)
 
     @cached_property
     def enclosures(self) -> Model:
