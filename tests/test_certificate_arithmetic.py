@@ -39,9 +39,8 @@ def random_model(rng: np.random.Generator, ring: Arithmetic, count: int, positiv
     """Models of any smoothness and size; positive ones vary by less than their middle."""
     terms = len(ring.nodes)
     decay = 10.0 ** rng.uniform(-3.0, -0.2, count)
-    orders = np.indices([d + 1 for d in ring.degrees]).reshape(len(ring.degrees), -1).sum(axis=0)
     size = 10.0 ** rng.uniform(-3.0, 3.0, count)
-    c = rng.normal(size=(terms, count)) * decay ** orders[:, None]
+    c = rng.normal(size=(terms, count)) * decay ** ring.orders.sum(axis=0)[:, None]
     if positive:
         c[0] = np.abs(c[1:]).sum(axis=0) * rng.uniform(1.05, 3.0, count) + rng.uniform(0.1, 1.0, count)
     else:
