@@ -16,8 +16,7 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, bounded
-from servocore.certificate.programs import LANES, MINUS, PLUS, TIMES, UP, carry_out, norm
+from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, UP, Arithmetic, Model, bounded, carry_out, norm
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
