@@ -70,29 +70,18 @@ class Passage:
     ----------
     before, after, time : float
         The instants, and the time itself, in s.
-    equations : tuple of str
-        Equations of the diagonal block whose determinant changes its sign.
-    at_once : bool
-        Whether all constraints taken together lose rank there, not only those of the block for its variables.
+    constraints : str
+        The constraints that lose rank there; empty if none do.
     """
 
     before: float
     after: float
     time: float
-    equations: tuple[str, ...]
-    at_once: bool = True
-
-    @cached_property
-    def of_constraints(self) -> bool:
-        """Whether holonomic constraints lose rank, by themselves or together with the servo constraints."""
-        holonomic = self.at_once and any(name.startswith("holonomic") for name in self.equations)
-        return holonomic and all(name.startswith(("holonomic", "servo")) for name in self.equations)
+    constraints: str
 
     def __str__(self) -> str:
-        if self.of_constraints:
-            servo = any(name.startswith("servo") for name in self.equations)
-            which = "the holonomic and servo constraints together" if servo else "the holonomic constraints"
-            return f"at t = {self.time:.6g} s {which} lose rank and two motions go on from there"
+        if self.constraints:
+            return f"at t = {self.time:.6g} s {self.constraints} lose rank and two motions go on from there"
         return f"between t = {self.before:.6g} s and {self.after:.6g} s the equations are singular"
 
 
@@ -275,7 +264,7 @@ def on_one_branch(
                 if replaced or not is_closed_form(problem, t, states):
                     raise
                 return states, CLOSED_FORM, ()
-            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
+            passages.append(_passage(branch, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
         if (off[:, 0] <= _SLIGHT * branch.scale).all():
             continue
@@ -311,25 +300,25 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
-def _equations_of(problem: Problem, blocks: Places) -> list[tuple[str, ...]]:
-    """Return the names of the equations of each of some diagonal blocks."""
+def _constraints_of(problem: Problem, blocks: Places) -> str:
+    """Name the constraints of the first of some diagonal blocks that holds nothing else; empty if there is none."""
     names, every = problem.signature.equations.equations, diagonal_blocks(problem.array)
-    return [tuple(names[row] for row in every[k].rows) for k in blocks]
+    for k in blocks:
+        kinds = {names[row].partition(" ")[0] for row in every[k].rows}
+        if "holonomic" in kinds and kinds <= {"holonomic", "servo"}:
+            together = "the holonomic and servo constraints together"
+            return together if "servo" in kinds else "the holonomic constraints"
+    return ""
 
 
-def _passage(
-    branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
-) -> Passage:
-    ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
-    changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
+def _passage(branch: Branch, first: Array, last: Array, begin: float, end: float, time: float) -> Passage:
+    problem, ends = branch.problem, branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
     least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
-    at_once = least[1] < _LESS * max(least[0], least[2])
-    passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
-    return next(
-        (each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ()), at_once)
-    )
+    at_once = least[1] < _LESS * max(least[0], least[2])
+    changed = np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
+    return Passage(begin, end, time, _constraints_of(problem, changed) if at_once else "")
 
 
 @made_once
@@ -360,8 +349,8 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
-        passages += [each for each in found if each.of_constraints][:1]
+        if constraints := _constraints_of(problem, lost):
+            passages.append(Passage(time, time, time, constraints))
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():
         k = int(small.any(axis=0).argmax()) + 1
