@@ -126,7 +126,7 @@ def _advice(problem: Problem, formulation: Formulation, method: Method | None) -
     from servocore.methods.collocation import RadauIIA  # noqa: PLC0415
 
     if method is None:
-        return "leave its horizon to StableInversion, with a smaller tolerance"
+        return "take a smaller tolerance for StableInversion"
     index = problem.dae(formulation).index
     advice = list[str]()
     if problem.flat:

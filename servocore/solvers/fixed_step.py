@@ -234,7 +234,7 @@ def _candidates(array: DerivativeArray) -> list[tuple[Places, Places]]:
 # are repeated with half the step until the inputs agree.
 
 _STAGNATION = 1.3  # a halved step that improves the inputs by less has met a floor
-_MOST_HALVINGS = 14
+_MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -263,15 +263,10 @@ class ToTolerance(Stepped):
         """
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         control, order = self.control, self.method.orders(program.index).forces
-        inputs, coarse, last_change, total = len(problem.system.inputs), None, None, 0
-        for halvings in range(_MOST_HALVINGS):
-            division = 2**halvings
-            count = (len(times) - 1) * division
-            if total + count > control.max_steps:
-                raise IntegrationFailed(f"{program.name}: {control.max_steps} steps are not enough")
-            total += count
+        inputs, coarse, last_change, division = len(problem.system.inputs), None, None, 1
+        while (count := (len(times) - 1) * division) <= _MOST_STEPS:
             done = run_steps(problem, program, subdivided(times, division), progress)
-            fine = solution_of(problem, [done.at(slice(None, None, division))], refuse_turns=False, steps=total)
+            fine = solution_of(problem, [done.at(slice(None, None, division))], refuse_turns=False)
             if coarse is not None:
                 peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
                 change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
@@ -282,14 +277,14 @@ class ToTolerance(Stepped):
                 estimate = change / (2.0**observed - 1.0)
                 unmet, relative = estimate > control.allowed(peaks), estimate / np.maximum(peaks, 1e-300)
                 if not unmet.any():
-                    summary = replace(fine.statistics, error_estimate=float(relative.max()))
-                    return replace(fine, statistics=summary)
+                    total, error = 2 * count - len(times) + 1, float(relative.max())  # of all runs
+                    return replace(fine, statistics=replace(fine.statistics, steps=total, error_estimate=error))
                 # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
                 if ratio is not None and ratio[unmet].min() < _STAGNATION:
                     raise IntegrationFailed(_stagnation(problem, program, control, relative, count))
                 last_change = change
-            coarse = fine
-        raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
+            coarse, division = fine, 2 * division
+        raise IntegrationFailed(f"{program.name}: {_MOST_STEPS} steps are not enough")
 
 
 def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:

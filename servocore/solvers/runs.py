@@ -74,7 +74,6 @@ def solution_of(
     refuse_turns: bool = True,
     motion: Motion | None = None,
     branch: str = "",
-    steps: int | None = None,
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -92,8 +91,6 @@ def solution_of(
         The exact motion, for checks.
     branch : str
         How the run is known to be on one branch.
-    steps : int, optional
-        Taken in all, if the instants do not count them.
 
     Raises
     ------
@@ -112,7 +109,7 @@ def solution_of(
                 values[:, k] = np.unwrap(values[:, k])
     servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
     summary = Statistics(
-        len(t) - 1 if steps is None else steps,
+        len(t) - 1,
         sum(segment.newton_iterations for segment in segments),
         sum(segment.factorizations for segment in segments),
         max(segment.worst_residual for segment in segments),
