@@ -94,12 +94,15 @@ class Stepped(JudgedRoute):
                 exact = motion.values[:, ::parts].T
                 comparison = Comparison(problem.system.inputs, solution, exact, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
-        elif not internal_dynamics(problem).grows and self.is_doubtful(problem, solution):
+        elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
             comparison = compared_closely(problem, self.better(problem), solution)
         return stated_branch(problem, solution, (self.formulation, self.method), comparison)
 
-    def is_doubtful(self, problem: Problem, solution: Solution) -> bool:
+    def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow."""
+        estimate = solution.statistics.error_estimate
+        if estimate is not None:
+            return not estimate <= NOTICED
         return not is_smooth(problem, self.formulation, self.method, solution)
 
 
@@ -248,10 +251,6 @@ class ToTolerance(Stepped):
     """
 
     control: Adaptive = field(default_factory=Adaptive)
-
-    def is_doubtful(self, _: Problem, solution: Solution) -> bool:
-        """Whether the tolerance was too loose to prove that inputs are right."""
-        return not (solution.statistics.error_estimate or np.inf) <= NOTICED
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Solve to the tolerance; see `Route`.
