@@ -177,21 +177,17 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
     """Make the angles among observed values (channels, N) continuous, in place, however far they turn between instants.
 
     An inversion determines angles up to full turns, at each instant independently. Where an angle turns by more than a
-    quarter turn from one to the next, or would at its rate there, instants in between are solved.
+    quarter turn from one to the next, instants in between are solved.
 
     Raises
     ------
     IntegrationFailed
         If the angle cannot be followed: the path comes too close to a configuration at which it is undefined.
     """
-    array, names = motion.problem.array, motion.problem.system.coordinates.names
     for k, channel in enumerate(program.channels):
         if not channel.wraps:
             continue
         unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN)
-        if channel.name in names:
-            rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
-            unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
         # A branch that is followed may pass places where angles are not defined.
         clear = motion.problem.follow_branch or not unclear.any()
         values[k] = np.unwrap(values[k]) if clear else _followed(motion, program, k, values[k], unclear)

@@ -41,8 +41,6 @@ FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
-_JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
-_MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
@@ -250,8 +248,6 @@ def on_one_branch(
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
-    if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
-        return states, CLOSED_FORM, ()
     while waiting:
         k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])
@@ -291,11 +287,8 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
     every = -(-(len(t) - 1) // MANY)
     looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
-    some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
-    _, velocities = _velocity_rows(branch.problem.array)
-    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps)
-    jolts = velocities.missed(some[:, :-1], some[:, 1:], steps)
-    far |= (jolts > _JOLT * velocities.ranges(some)[:, None]).any(axis=0)
+    some = states if every == 1 else states[:, looked]
+    far = branch.apart(some[:, :-1], some[:, 1:], np.diff(t[looked]))
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
@@ -346,6 +339,8 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
         For an instant that is singular itself.
     """
     problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
+    if not len(known):
+        return [], []
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
         if constraints := _constraints_of(problem, lost):
