@@ -80,7 +80,8 @@ def look(
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
         worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
-        kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
+        kept = np.flatnonzero(worst > 1.0)
+        kept = kept[np.argsort(-worst[kept], kind="stable")[:_MOST]]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break

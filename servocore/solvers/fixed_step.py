@@ -51,7 +51,7 @@ from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import inversion, system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
-_EVERY, _GOOD = 4, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
+_EVERY, _GOOD = 8, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
