@@ -19,7 +19,8 @@ from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.exact_inversion import require_answers
-from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, reading
+from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation
+from servocore.stepping.readings import reading
 
 _CHUNK = 250  # instants in one call: one length of compiled maps serves all paths
 

@@ -17,9 +17,9 @@ from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solvers.dynamic_inversion import DynamicCases, DynamicInversion
 from servocore.solvers.solve import solve
-from servocore.stepping.exact_evaluation import exact_quantities
 from servocore.stepping.observation import observed
 from servocore.stepping.prescribed_initial_values import require_start
+from servocore.stepping.readings import exact_quantities
 
 
 class Batch:

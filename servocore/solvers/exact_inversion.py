@@ -31,10 +31,10 @@ from servocore.stepping.exact_evaluation import (
     ExactEvaluation,
     along_path,
     exact_evaluation,
-    exact_quantities,
     unknowns_from,
 )
 from servocore.stepping.program import Program, program_of
+from servocore.stepping.readings import exact_quantities
 from servocore.structure.inversion import block_determinants, determinants
 
 
