@@ -15,7 +15,7 @@ from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
-from servocore.solvers.dynamic_inversion import DynamicCases, DynamicInversion
+from servocore.solvers.dynamic_inversion import DynamicInversion
 from servocore.solvers.solve import solve
 from servocore.stepping.observation import observed
 from servocore.stepping.prescribed_initial_values import require_start
@@ -92,10 +92,9 @@ class Batch:
         wrong = [name for name in self.names if name not in known]
         if wrong:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
-        self._dynamic: DynamicCases | None = None
+        self._dynamic: DynamicInversion | None = None
         if not problem.flat:
-            prepared = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
-            self._dynamic = DynamicCases(problem, self.names, tolerance, prepared.steps, native)
+            self._dynamic = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
         else:
             positive = (quantity.name for quantity, _ in problem.resolved.must_be_positive)
             self._evaluation = exact_quantities(problem.resolved, (*self.names, *positive), native)
@@ -136,7 +135,8 @@ class Batch:
         times = numbers_of(t, "the times of a batch").reshape(-1)
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
-            return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
+            paths = references or [self._problem.reference]
+            return self._dynamic.of_cases(self.names, paths, times, p).transpose(0, 2, 1)
         if not times.size:
             return np.empty((_count(p, references), 0, len(self.names)))
         inputs = self._evaluation.of_cases(references or [self._problem.reference], times, p)[0]
