@@ -21,7 +21,8 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.components import condition_number
+from servocore.numerics.components import condition_number, singular_values
+from servocore.numerics.constraint_ranks import unit_rows
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
@@ -51,7 +52,7 @@ DISAGREEMENT = 0.05
 _LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
 
 Places = npt.NDArray[np.intp]
-MANY = 1000
+MANY = 500
 """Intervals that are compared, of more some are left out, though of no instant the determinants; and steps from one
 instant to the next, which shrink without end near a singularity."""
 
@@ -326,8 +327,7 @@ def _least_singular_value(problem: Problem, t: float, q: Array) -> float:
     """Return the least singular value of the Jacobian of all constraints, with rows of unit length."""
     residual, S = constraint_rows(problem.resolved)(q, problem.reference.jet(t, 0)[0], problem.p)
     rows = S.reshape(len(residual), -1) * np.array(problem.system.coordinates.nominal)
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return float(np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
+    return float(singular_values(unit_rows(rows))[-1])
 
 
 def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
@@ -338,9 +338,11 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
-    if not len(known):
+    ends = known.min(axis=1), known.max(axis=1)
+    # Of one sign and one size, they neither change it nor vanish.
+    if (np.minimum(*np.abs(ends)) * np.sign(ends[0]) * np.sign(ends[1]) > _ON_IT * np.maximum(*np.abs(ends))).all():
         return [], []
+    problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
         if constraints := _constraints_of(problem, lost):

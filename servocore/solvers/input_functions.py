@@ -12,6 +12,7 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed, InvalidSetting, described
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.references.base import numbers_of
 from servocore.solution import Solution
 
 Inputs = Callable[[float], Array]
@@ -26,10 +27,7 @@ def rising_times(t: Any, what: str = "the times at which to report") -> Array:
     InvalidSetting
         If there are none, or they are no finite numbers in rising order.
     """
-    try:
-        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
-    except (TypeError, ValueError):
-        raise InvalidSetting(f"{what} must be numbers in s, not {described(t)}") from None
+    times = np.atleast_1d(numbers_of(t, what, InvalidSetting))
     if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
         raise InvalidSetting(
             f"{what} must be one row of finite numbers in s, not an array of shape {times.shape}"
