@@ -186,7 +186,7 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
         If the angle cannot be followed: the path comes too close to a configuration at which it is undefined.
     """
     for k, channel in enumerate(program.channels):
-        if not channel.wraps:
+        if not channel.wraps or (np.abs(np.diff(values[k])) < _QUARTER_TURN).all():
             continue
         unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN)
         # A branch that is followed may pass places where angles are not defined.
