@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places, Rows
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, MANY, Passage, Places, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -154,12 +154,6 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
     between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
-    if len(between.t):  # less regular, values are all round-off
-        branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
-        sizes = np.abs(branch.determinants(motion.t, motion.states))
-        least = LOST * np.minimum(sizes[:, after - 1], sizes[:, np.minimum(after, len(motion.t) - 1)])
-        regular: npt.NDArray[np.bool_] = np.abs(branch.determinants(between.t, between.states)) > least
-        between = between.of(np.logical_and.reduce(regular, axis=0, dtype=bool))
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)

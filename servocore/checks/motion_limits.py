@@ -209,13 +209,13 @@ def with_limits_required(problem: Problem, solution: Solution) -> Solution:
     return replace(solution, margins=margins_of(reported, [solution[each.quantity] for each in reported], t))
 
 
-def require_reported(problem: Problem, solution: Solution) -> None:
-    """Raise `LimitBroken` if a quantity of a solution of a flat problem breaks its limit.
-
-    The exact motion keeps it by then; a step that errs may not.
-    """
-    for limit in problem.motion_limits:
+def with_limits_kept(motion: Motion, solution: Solution) -> Solution:
+    """Return a solution with its margins; raise `LimitBroken` if the exact motion or the solution breaks a limit."""
+    values, limits, t = require_limits(motion), motion.problem.motion_limits, solution.t
+    for limit in limits:
         if not limit.rate and limit.reported in solution:
-            broken = first_broken(solution.route, limit, solution.t, solution[limit.reported])
+            broken = first_broken(solution.route, limit, t, solution[limit.reported])
             if broken is not None:
                 raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
+    parts = (len(motion.t) - 1) // (len(t) - 1)
+    return replace(solution, margins=margins_of(limits, [*values[:, ::parts]], t))
