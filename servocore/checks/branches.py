@@ -243,7 +243,8 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    branch, kept, solved = Branch.of(problem, states), states, np.isfinite(states).all(axis=0)
+    branch, kept = Branch.of(problem, states), states
+    solved: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(states), axis=0)
     if not solved[0]:
         how = f"not solved at t = {t[0]:.6g} s" if solved.any() else "solved at no instant"
         raise IntegrationFailed(f"{problem.system.name}: the equations were {how}, from the guess of the model")
