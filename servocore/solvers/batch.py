@@ -229,14 +229,10 @@ def _count(p: Array, references: Sequence[Reference]) -> int:
 
 def _require_allowed(parameter: Parameter, values: Array) -> None:
     """Raise `InvalidModel` for the first value of a parameter that it must not have, with the number of its case."""
-    if not values.size:
-        return
-    try:
-        parameter.check(float(values.min()))  # NaN spreads to both
-        parameter.check(float(values.max()))
-    except InvalidModel:
-        for case, value in enumerate(values.ravel().tolist()):
-            try:
-                parameter.check(value)
-            except InvalidModel as error:
-                raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None
+    allowed = np.isfinite(values) & (values >= parameter.lower) & (values <= parameter.upper)
+    if not allowed.all():
+        case = int(np.argmin(allowed))
+        try:
+            parameter.check(float(values.ravel()[case]))
+        except InvalidModel as error:
+            raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None

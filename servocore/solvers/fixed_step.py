@@ -45,10 +45,10 @@ from servocore.solvers.runs import (
     step_of,
 )
 from servocore.solvers.stable_inversion import StableInversion
-from servocore.stepping.exact_evaluation import along_path
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
-from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.inversion import system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
 _EVERY, _GOOD = 8, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
@@ -195,9 +195,8 @@ def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
 
 def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
     """Return a form with the best states at the guess of the model where the path starts."""
-    array, time = formulation.array(problem.system), problem.reference.start_time
-    jet = problem.reference.jet(np.array([time]), array.reference_order)
-    values = np.asarray(inversion(array).guess(side_by_side(jet), problem.p)).ravel()
+    array, time = problem.array, problem.reference.start_time
+    values = guessed_unknowns(problem, np.array([time]))[:, 0]
     names = tuple((array.names[j], order) for j, order in _best_states(problem, array, time, values))
     return replace(formulation, states=names)
 
