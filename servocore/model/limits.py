@@ -94,6 +94,12 @@ class Limit:
         """Name of the reported quantity that it bounds, or whose rate; empty if it bounds another expression."""
         return self.expression.name if isinstance(self.expression, Named | RunQuantity) else ""
 
+    def counts_turns(self, system: MechanicalSystem) -> bool:
+        """Whether it bounds an angle that is known up to full turns only."""
+        if self.rate or not isinstance(self.expression, Named):
+            return False
+        return reported_quantities(system)[self.expression.name].wraps
+
     def with_unit(self, value: float) -> str:
         """Return a value of the quantity as a text, in the unit in which the limit was given.
 

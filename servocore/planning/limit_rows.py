@@ -13,7 +13,6 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from servocore.checks.motion_limits import compile_watched, limited_expressions, next_derivatives
 from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -21,6 +20,7 @@ from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.readings import compile_watched, next_derivatives, with_rates
 from servocore.structure.inversion import inversion
 
 _SLIGHT = 1e-3  # of derivatives: where the guess of a motion is no formula, it is off by then
@@ -168,7 +168,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[
     array, system = resolved.array, resolved.system
     order = compile_watched(resolved, tuple((limit.expression, limit.rate) for limit in limits)).order
     marked = [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
-    values, y = limited_expressions(resolved, marked)
+    values, y = with_rates(resolved, marked)
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())

@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit, RunQuantity, expression_of, run_quantities
 from servocore.model.quantity import Quantity
@@ -23,7 +22,8 @@ from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
-from servocore.stepping.exact_evaluation import exact_evaluation, reading
+from servocore.stepping.exact_evaluation import exact_evaluation
+from servocore.stepping.readings import reading
 
 SWING = "swing"
 """The observable whose peak is reported beside those of the inputs, where a model has it."""
@@ -117,9 +117,7 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
     bounds = tuple((limit.quantity, limit.bound, limit.upper) for limit in limits)
     inputs = tuple(quantity.name for quantity in system.inputs)
-    turns = tuple(
-        len(peaks) + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system)
-    )
+    turns = tuple(len(peaks) + k for k, limit in enumerate(limits) if limit.counts_turns(system))
     rows = enumerate([*peaks.values(), *(limit.expression for limit in limits)])
     of_run = tuple((k, each) for k, each in rows if isinstance(each, RunQuantity))
     return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, of_run, kept, native)
