@@ -2,7 +2,7 @@
 
 A run ends with the files that are over theirs; ``--most-of-budget 2`` makes it fail where one takes more than twice.
 FMUs that many files run are built by the first that needs them and counted apart. ``--write-slow`` writes the list of
-cases that ``--quick`` leaves out, from what they have just taken; with ``--quick`` it adds those that took long there.
+cases that take more than a moment; with ``--quick`` it adds those that took long there.
 """
 
 from __future__ import annotations
@@ -13,26 +13,32 @@ from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import concerned
 import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
-FURTHER = Path(__file__).with_name("further_cases.txt")
-"""Cases beside the first of their functions, of little cost, that run lines which few others of `--quick` run;
-functions of which each case claims something of its own, as refusals do."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
-A_MOMENT = 0.3
-"""Processor seconds of a case that `--quick` may take."""
+A_MOMENT = 0.2
+"""Processor seconds of a case that `--quick` runs whatever has changed."""
 A_SECOND = 1.0
 """Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
+A_SHORT_CASE = 0.03
+"""Processor seconds of a case that is not listed as slow, about."""
+BESIDES = 32.0
+"""Processor seconds of the cases that `--quick` adds for the modules that have changed."""
 LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
+ADDED = ("added", "for changed modules")
+"""Property of a case that `--quick` runs besides."""
 _TAKEN, _SHARED = "processor_seconds", "shared_seconds"
+Case = TypeVar("Case")
 _shared = [0.0]  # since the last report of this process
 
 
@@ -73,51 +79,57 @@ def function_of(case: str) -> str:
 
 def budget_of(item: pytest.Item) -> float:
     """Return the budget of a test's file: the longest begin, so that both processes end together."""
-    return budgets().get(item.nodeid.partition("::")[0].removeprefix("tests/"), UNLISTED)
+    return budgets().get(file_of(item), UNLISTED)
 
 
 def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
-    """Return of every test function the first case that is not listed as slow, and those that are listed besides.
+    """Return of every test function the first case that takes a moment, of a file without one the shortest.
 
-    A function that is listed there without a case is listed with all. What prepares something for seconds is left out.
+    What prepares something for seconds is left out.
     """
-    slow, further = listed(SLOW), listed(FURTHER)
     first: dict[str, pytest.Item] = {}
     for item in items:
-        if item.nodeid not in slow and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            listed_too = further & {item.nodeid, function_of(item.nodeid)}
-            first.setdefault(item.nodeid if listed_too else function_of(item.nodeid), item)
+        if item.nodeid not in slow() and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
+            first.setdefault(function_of(item.nodeid), item)
+    for cases in grouped(items, file_of).values():
+        if first.keys().isdisjoint(function_of(item.nodeid) for item in cases):
+            shortest = min(cases, key=seconds_of)
+            first[function_of(shortest.nodeid)] = shortest
     return list(first.values())
 
 
-def listed(table: Path) -> set[str]:
-    """Return the cases of a list."""
-    return set(table.read_text(encoding="utf-8").splitlines())
+def besides(items: Sequence[pytest.Item], chosen: Iterable[pytest.Item], files: Sequence[str]) -> list[pytest.Item]:
+    """Return further cases of test files, the most important of which stand first, as far as the time allows.
 
-
-def slow_cases(taken: Mapping[str, float]) -> list[str]:
-    """Return the cases that take more than a moment and stand before one of their function that does not.
-
-    The shortest case of a file without such a one is not among them: every file is asked something.
+    Short cases precede long ones, of which those of the first files count as shorter.
     """
-    functions, files = grouped(taken, function_of), grouped(taken, lambda case: case.partition("::")[0])
-    found: set[str] = set()
-    for cases in functions.values():
-        quick = next((k for k, case in enumerate(cases) if taken[case] <= A_MOMENT), len(cases))
-        found.update(cases[:quick])
-    shortest = {min(cases, key=lambda case: taken[case]) for cases in files.values() if found.issuperset(cases)}
-    return sorted(found - shortest)
+    rank, taken = {file: place for place, file in enumerate(files, 1)}, {item.nodeid for item in chosen}
+    left = [item for item in items if file_of(item) in rank and item.nodeid not in taken]
+    left.sort(key=lambda item: seconds_of(item) * rank[file_of(item)])
+    spent = accumulate(map(seconds_of, left))
+    return [item for item, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
 
 
-def slow_alone(taken: Mapping[str, float]) -> list[str]:
-    """Return the cases of a quick run that took more than a second, but for the only ones of their files."""
-    files = grouped(taken, lambda case: case.partition("::")[0])
-    return [case for cases in files.values() for case in cases if taken[case] > A_SECOND and len(cases) > 1]
+def file_of(item: pytest.Item) -> str:
+    """Return the file of a test below the folder of the tests."""
+    return item.nodeid.partition("::")[0].removeprefix("tests/")
 
 
-def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[str]]:
+def seconds_of(item: pytest.Item) -> float:
+    """Return the processor seconds that a case takes, about."""
+    return slow().get(item.nodeid, A_SHORT_CASE)
+
+
+@cache
+def slow() -> dict[str, float]:
+    """Return the processor seconds of the cases that take more than a moment."""
+    rows = (line.partition(" ") for line in SLOW.read_text(encoding="utf-8").splitlines())
+    return {case: float(seconds) for seconds, _, case in rows}
+
+
+def grouped(cases: Iterable[Case], key: Callable[[Case], str]) -> dict[str, list[Case]]:
     """Return cases in their order, by a part of their names."""
-    found: defaultdict[str, list[str]] = defaultdict(list)
+    found: defaultdict[str, list[Case]] = defaultdict(list)
     for case in cases:
         found[key(case)].append(case)
     return found
@@ -130,6 +142,7 @@ class Meter:
         self.times, self.writes, self.quick = times, writes, quick
         self.files: defaultdict[str, float] = defaultdict(float)
         self.cases: defaultdict[str, float] = defaultdict(float)
+        self.added: set[str] = set()
         self._before = processor_seconds()
 
     def pytest_collection_finish(self) -> None:
@@ -152,10 +165,15 @@ class Meter:
         taken = float(getattr(report, _TAKEN, 0.0))
         self.cases[report.nodeid] += taken
         self.files[file.removeprefix("tests/")] += taken
+        if ADDED in report.user_properties:
+            self.added.add(report.nodeid)
         self.files[BUILT] += float(getattr(report, _SHARED, 0.0))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """List the files over budget."""
+        """List the files over budget, and those that have changed where a quick run asks more of them."""
+        if self.quick:
+            files = " ".join(concerned.changed()) or "no file (or no git clone)"
+            terminalreporter.write_line(f"{len(self.added)} cases were added for changes of {files}")
         terminalreporter.section(f"{sum(self.files.values()):.0f} processor seconds in tests")
         for line in over_budget(self.files, budgets()) or ["no file is over its budget"]:
             terminalreporter.write_line(line)
@@ -165,8 +183,10 @@ class Meter:
         if hasattr(session.config, "workerinput"):
             return
         if self.writes:
-            slow = {*listed(SLOW), *slow_alone(self.cases)} if self.quick else slow_cases(self.cases)
-            SLOW.write_text("".join(f"{case}\n" for case in sorted(slow)), encoding="utf-8")
+            least = A_SECOND if self.quick else A_MOMENT
+            found = {case: taken for case, taken in self.cases.items() if taken > least}
+            rows = sorted(({**slow(), **found} if self.quick else found).items())
+            SLOW.write_text("".join(f"{taken:.1f} {case}\n" for case, taken in rows), encoding="utf-8")
         beyond = self.times is not None and over_budget(self.files, budgets(), self.times)
         if beyond and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import concerned
 import pytest
 from present import present
 
@@ -224,6 +225,11 @@ def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> No
     for story in stories:
         title, line = story.read_text(encoding="utf-8").splitlines()[1:3]
         assert line == "=" * len(title), f"{story.name}: the title is not underlined"
+
+
+def test_the_table_of_concerned_tests_names_modules_and_test_files_that_exist() -> None:
+    names = {*concerned.table(), *(f"tests/{name}" for files in concerned.table().values() for name in files)}
+    assert [name for name in names if not (ROOT / name).is_file()] == []
 
 
 # Pages ---------------------------------------------------------------------------------------------------------------

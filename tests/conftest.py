@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import budgets
+import concerned
 import kept_compiler
 import pytest
 from hypothesis import HealthCheck, settings
@@ -21,7 +22,7 @@ pytest.register_assert_rewrite("problems", "suite")
 BUILT = "SERVOCORE_TEST_FMUS"
 """Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
 MAKEFILE_TARGETS = {
-    "quick": "of every test function the first case that takes a moment: make quick",
+    "quick": "of every function the first case that takes a moment, and more of files that concern changes: make quick",
     "nightly": "also what takes minutes, and all members of families: make nightly",
 }
 
@@ -98,7 +99,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--nightly"):
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
     if config.getoption("--quick"):
-        select(config, items, budgets.representatives(items))
+        chosen = budgets.representatives(items)
+        besides = budgets.besides(items, chosen, concerned.in_turn(map(concerned.files_of, concerned.changed())))
+        for item in besides:
+            item.user_properties.append(budgets.ADDED)
+        select(config, items, [*chosen, *besides])
     items.sort(key=budgets.budget_of, reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)

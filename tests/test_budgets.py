@@ -6,8 +6,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import budgets
+import concerned
 import kept_compiler
 import pytest
 from thinned import thinned
@@ -26,18 +28,70 @@ def test_every_budget_is_that_of_a_file() -> None:
     assert [name for name in budgets.budgets() if name != budgets.BUILT and not (TESTS / name).is_file()] == []
 
 
-def test_of_every_function_the_slow_cases_before_the_first_quick_one_are_left_out() -> None:
-    long = 2 * budgets.A_MOMENT
-    taken = {"f::a[1]": long, "f::a[2]": 0.0, "f::a[3]": long, "f::b": long, "f::c[x[0]]": 0.0}
-    assert budgets.slow_cases(taken) == ["f::a[1]", "f::b"]
-    assert budgets.slow_cases({**taken, "g::a": 3 * long, "g::b[1]": 2 * long, "g::b[2]": 3 * long}) == [
-        "f::a[1]", "f::b", "g::a", "g::b[2]"
-    ]  # fmt: skip
+def named(case: str) -> pytest.Item:
+    return SimpleNamespace(nodeid=f"tests/{case}")  # type: ignore[return-value]  # all that is read of a test
 
 
-def test_a_quick_run_lists_what_took_long_but_leaves_every_file_a_case() -> None:
-    long, short = 2 * budgets.A_SECOND, budgets.A_SECOND / 2
-    assert budgets.slow_alone({"f::a": long, "f::b": short, "g::a": long}) == ["f::a"]
+def test_quick_runs_the_first_short_case_of_a_function_and_the_shortest_of_a_file_without_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seconds = {"tests/f::a[1]": 3.0, "tests/g::a": 2.0, "tests/g::b": 1.0}
+    monkeypatch.setattr(budgets, "slow", lambda: seconds)
+    items = [named(case) for case in ("f::a[1]", "f::a[2]", "f::a[3]", "f::b", "g::a", "g::b")]
+    assert [each.nodeid for each in budgets.representatives(items)] == ["tests/f::a[2]", "tests/f::b", "tests/g::b"]
+
+
+def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_allows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    long = budgets.BESIDES - 1.0
+    monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long})
+    items = [named(case) for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
+    added = budgets.besides(items, [items[1]], ["f", "g"])
+    assert [each.nodeid for each in added] == ["tests/f::c", "tests/g::b", "tests/f::a"]
+
+
+def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_those_of_the_last_commit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(concerned, "ROOT", tmp_path)
+    assert concerned.changed() == []
+
+    def git(*words: str) -> None:
+        user = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "init.defaultBranch=main")
+        subprocess.run(["git", *user, *words], cwd=tmp_path, check=True, capture_output=True)
+
+    def commit(name: str) -> None:
+        (tmp_path / name).write_text("x")
+        git("add", name)
+        git("commit", "-m", name)
+
+    for folder in ("servocore", "crane_fmu", "tests"):
+        (tmp_path / folder).mkdir()
+    git("init")
+    commit("servocore/a.py")
+    commit("README.md")
+    assert concerned.changed() == []
+    commit("tests/b.py")
+    assert concerned.changed() == ["tests/b.py"]
+    git("checkout", "-b", "other")
+    commit("crane_fmu/c.py")
+    commit("servocore/d.py")
+    assert concerned.changed() == ["crane_fmu/c.py", "servocore/d.py"]
+    (tmp_path / "servocore/a.py").write_text("y")
+    (tmp_path / "servocore/e.py").write_text("z")
+    assert concerned.changed() == ["servocore/a.py", "servocore/e.py"]
+
+
+def test_test_files_of_a_change_are_those_that_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    rare, common, other = ("servocore/a.py", 1), ("servocore/a.py", 2), ("servocore/x/b.py", 1)
+    table = concerned.weighed({"all.py": {common, other}, "own.py": {rare, common}, "third.py": {other}})
+    assert table == {"servocore/a.py": ["own.py", "all.py"], "servocore/x/b.py": ["all.py", "third.py"]}
+    monkeypatch.setattr(concerned, "table", lambda: table)
+    assert concerned.files_of("servocore/a.py") == ["own.py", "all.py"]
+    assert concerned.files_of("servocore/x/c/new.h") == ["all.py", "third.py"]
+    assert concerned.files_of("servocore/new.py") == ["own.py", "all.py", "third.py"]
+    assert concerned.files_of("tests/outside/test_a.py") == ["outside/test_a.py"]
 
 
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
@@ -48,12 +102,11 @@ def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request
     chosen = budgets.representatives(items)
     assert {item.path.name for item in items} == {item.path.name for item in chosen}
     functions, asked = ({budgets.function_of(item.nodeid) for item in each} for each in (items, chosen))
-    assert len(asked) > 0.7 * len(functions)
+    assert len(asked) > 0.65 * len(functions)
     if request.config.getoption("--quick"):
         return  # the others are not at hand
-    cases = functions | {item.nodeid for item in items}
-    gone = (budgets.listed(budgets.SLOW) | budgets.listed(budgets.FURTHER)) - cases
-    files = {case.partition("::")[0] for case in cases}
+    files = {item.nodeid.partition("::")[0] for item in items}
+    gone = budgets.slow().keys() - {item.nodeid for item in items}
     assert [case for case in gone if case.partition("::")[0] in files] == []
 
 
