@@ -15,9 +15,8 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
-import concerned
 import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
@@ -38,6 +37,16 @@ BUILT = "FMUs for all files"
 ADDED = ("added", "for changed modules")
 """Property of a case that `--quick` runs besides."""
 _TAKEN, _SHARED = "processor_seconds", "shared_seconds"
+
+
+class Named(Protocol):
+    """A test, of which the name is read."""
+
+    @property
+    def nodeid(self) -> str: ...
+
+
+Test = TypeVar("Test", bound=Named)
 Case = TypeVar("Case")
 _shared = [0.0]  # since the last report of this process
 
@@ -82,12 +91,12 @@ def budget_of(item: pytest.Item) -> float:
     return budgets().get(file_of(item), UNLISTED)
 
 
-def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
+def representatives(items: Sequence[Test]) -> list[Test]:
     """Return of every test function the first case that takes a moment, of a file without one the shortest.
 
     What prepares something for seconds is left out.
     """
-    first: dict[str, pytest.Item] = {}
+    first: dict[str, Test] = {}
     for item in items:
         if item.nodeid not in slow() and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
             first.setdefault(function_of(item.nodeid), item)
@@ -98,24 +107,28 @@ def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
     return list(first.values())
 
 
-def besides(items: Sequence[pytest.Item], chosen: Iterable[pytest.Item], files: Sequence[str]) -> list[pytest.Item]:
-    """Return further cases of test files, the most important of which stand first, as far as the time allows.
+def besides(items: Sequence[Test], chosen: Iterable[Test], names: Sequence[str]) -> list[Test]:
+    """Return further cases, named or of named files, as far as the time allows.
 
-    Short cases precede long ones, of which those of the first files count as shorter.
+    Short cases precede long ones, of which those of the first files count as shorter; cases that are named precede all.
     """
-    rank, taken = {file: place for place, file in enumerate(files, 1)}, {item.nodeid for item in chosen}
-    left = [item for item in items if file_of(item) in rank and item.nodeid not in taken]
-    left.sort(key=lambda item: seconds_of(item) * rank[file_of(item)])
+    rank, taken = {name: place for place, name in enumerate(names, 1)}, {item.nodeid for item in chosen}
+    weighed = [
+        (0.0 if item.nodeid.removeprefix("tests/") in rank else seconds_of(item) * rank[file_of(item)], k)
+        for k, item in enumerate(items)
+        if item.nodeid not in taken and not rank.keys().isdisjoint((file_of(item), item.nodeid.removeprefix("tests/")))
+    ]
+    left = [items[k] for _, k in sorted(weighed)]
     spent = accumulate(map(seconds_of, left))
     return [item for item, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
 
 
-def file_of(item: pytest.Item) -> str:
+def file_of(item: Named) -> str:
     """Return the file of a test below the folder of the tests."""
     return item.nodeid.partition("::")[0].removeprefix("tests/")
 
 
-def seconds_of(item: pytest.Item) -> float:
+def seconds_of(item: Named) -> float:
     """Return the processor seconds that a case takes, about."""
     return slow().get(item.nodeid, A_SHORT_CASE)
 
@@ -142,7 +155,6 @@ class Meter:
         self.times, self.writes, self.quick = times, writes, quick
         self.files: defaultdict[str, float] = defaultdict(float)
         self.cases: defaultdict[str, float] = defaultdict(float)
-        self.added: set[str] = set()
         self._before = processor_seconds()
 
     def pytest_collection_finish(self) -> None:
@@ -165,15 +177,10 @@ class Meter:
         taken = float(getattr(report, _TAKEN, 0.0))
         self.cases[report.nodeid] += taken
         self.files[file.removeprefix("tests/")] += taken
-        if ADDED in report.user_properties:
-            self.added.add(report.nodeid)
         self.files[BUILT] += float(getattr(report, _SHARED, 0.0))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """List the files over budget, and those that have changed where a quick run asks more of them."""
-        if self.quick:
-            files = " ".join(concerned.changed()) or "no file (or no git clone)"
-            terminalreporter.write_line(f"{len(self.added)} cases were added for changes of {files}")
+        """List the files over budget."""
         terminalreporter.section(f"{sum(self.files.values()):.0f} processor seconds in tests")
         for line in over_budget(self.files, budgets()) or ["no file is over its budget"]:
             terminalreporter.write_line(line)

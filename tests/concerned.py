@@ -1,8 +1,8 @@
-"""Which test files concern a module: `concerned.toml`, which this file writes, and the cases that `--quick` adds.
+"""Which tests concern a module: `concerned.toml`, which this file writes, for the cases that `--quick` adds.
 
-``.venv/newest/bin/python tests/concerned.py`` runs every test file once and notes the lines of the packages that it
-runs (half an hour; needs `sys.monitoring` of Python 3.12). The first file of a module is the one that runs most of its
-lines that few other files run.
+``.venv/newest/bin/python tests/concerned.py`` runs every test file once and notes the lines of the packages that each
+case runs (half an hour; needs `sys.monitoring` of Python 3.12). The first file of a module is the one that runs most of
+its lines that few other files run. Cases are listed before the files for lines that hardly any other of these runs.
 """
 
 from __future__ import annotations
@@ -12,23 +12,24 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from functools import cache
 from heapq import nlargest
 from itertools import chain, zip_longest
 from pathlib import Path
-from types import CodeType
 from typing import Any
 
+import budgets
 import pytest
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 TABLE = TESTS / "concerned.toml"
 PACKAGES = ("servocore", "crane_fmu")
-MOST_FILES = 8
-"""Test files of a module."""
+MOST_FILES, LEAST_CASES = 8, 2
+"""Test files of a module, and cases that a quick run asks about a line of it where there are as many."""
 _watch: Any = getattr(sys, "monitoring", None)
 
 
@@ -57,12 +58,12 @@ def git(*words: str) -> list[str]:
 
 @cache
 def table() -> Mapping[str, list[str]]:
-    """Return the test files of every module, those that concern it most first."""
+    """Return cases and test files of every module, those that concern it most first."""
     return tomllib.loads(TABLE.read_text(encoding="utf-8"))
 
 
-def files_of(path: str) -> list[str]:
-    """Return the test files that concern a changed file, by its package where it is new or no module of Python's."""
+def tests_of(path: str) -> list[str]:
+    """Return what concerns a changed file, by its package where it is new or no module of Python's."""
     if path.startswith("tests/"):
         return [path.removeprefix("tests/")] if Path(path).name.startswith("test_") else []
     for part in (path, *(f"{parent.as_posix()}/" for parent in Path(path).parents)):
@@ -79,54 +80,85 @@ def in_turn(ranked: Iterable[Iterable[str]]) -> list[str]:
 # The table -----------------------------------------------------------------------------------------------------------
 
 
+@dataclass
+class Case:
+    """A test that has run: its name, its fixtures and the lines of the packages, by module and number."""
+
+    nodeid: str
+    fixturenames: Sequence[str] = ()
+    lines: set[tuple[str, int]] = field(default_factory=set)
+
+
 class Watch:
-    """Notes the lines of the packages that a run executes."""
+    """Notes the lines of the packages that every case of a run executes."""
 
     def __init__(self) -> None:
-        self.lines: set[tuple[str, int]] = set()
-
-    def pytest_configure(self) -> None:
-        """Begin before the tests import the packages: lines of an import are run by all files, and weigh little."""
+        self.cases = [Case("")]
         _watch.use_tool_id(_watch.COVERAGE_ID, "concerned")
         _watch.register_callback(_watch.COVERAGE_ID, _watch.events.LINE, self.line)
         _watch.set_events(_watch.COVERAGE_ID, _watch.events.LINE)
 
-    def line(self, code: CodeType, number: int) -> object:
-        """Note a line the first time that it is run."""
+    def line(self, code: Any, number: int) -> object:
+        """Note a line the first time that a case runs it."""
         name = code.co_filename.removeprefix(f"{ROOT}/")
         if name.startswith(PACKAGES):
-            self.lines.add((name, number))
+            self.cases[-1].lines.add((name, number))
         return _watch.DISABLE
 
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Begin a case."""
+        self.cases.append(Case(item.nodeid, getattr(item, "fixturenames", ())))
+        _watch.restart_events()
+        return (yield)
 
-def lines_of(file: str) -> set[tuple[str, int]]:
-    """Return the lines of the packages, by module and number, that a test file runs in a process of its own."""
-    with ProcessPoolExecutor(1) as process:
-        return process.submit(watched, file).result()
 
-
-def watched(file: str) -> set[tuple[str, int]]:
-    """Run a test file and return the lines of the packages that it runs."""
+def watched(file: str) -> list[Case]:
+    """Run a test file and return its cases."""
     watch = Watch()
-    pytest.main(["-q", "-n", "0", str(TESTS / file)], plugins=[watch])
-    return watch.lines
+    pytest.main(["-q", "-n", "0", file], plugins=[watch])
+    return watch.cases[1:]
 
 
-def weighed(lines: Mapping[str, Set[tuple[str, int]]]) -> dict[str, list[str]]:
-    """Return the test files of every module from the lines of each file.
+def table_of(cases: Sequence[Case]) -> dict[str, list[str]]:
+    """Return cases and test files of every module.
 
-    The weight of a line is divided among the files that run it.
+    The weight of a line is divided among the files that run it. Where the quick run would ask a line of fewer than
+    `LEAST_CASES` cases, the shortest that run it are listed.
     """
-    counts = Counter(chain.from_iterable(lines.values()))
-    weights: defaultdict[str, defaultdict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for file, run in lines.items():
-        for module, number in run:
-            weights[module][file] += 1 / counts[module, number]
-    return {module: nlargest(MOST_FILES, found, key=found.__getitem__) for module, found in sorted(weights.items())}
+    always = budgets.representatives(cases)
+    lines: defaultdict[str, defaultdict[int, list[Case]]] = defaultdict(lambda: defaultdict(list))
+    for case in cases:
+        for module, number in case.lines:
+            lines[module][number].append(case)
+    table = {}
+    for module, found in sorted(lines.items()):
+        weights: Counter[str] = Counter()
+        for runs in found.values():
+            files = {budgets.file_of(case) for case in runs}
+            weights.update({file: 1 / len(files) for file in files})
+        named = nlargest(MOST_FILES, weights, key=weights.__getitem__)
+        asked = {case.nodeid for case in (*always, *budgets.besides(cases, always, named))}
+        rare: list[str] = []
+        for runs in found.values():
+            lacking = LEAST_CASES - sum(case.nodeid in asked for case in runs)
+            further = sorted((case for case in runs if case.nodeid not in asked), key=budgets.seconds_of)
+            rare += [case.nodeid for case in further[: max(lacking, 0)]]
+            asked.update(rare)
+        table[module] = [*(case.removeprefix("tests/") for case in rare), *named]
+    return table
+
+
+def write(table: Mapping[str, list[str]]) -> None:
+    """Write the table, a module a paragraph."""
+    rows = (
+        f"{json.dumps(module)} = {json.dumps(names, indent=0, ensure_ascii=False)}\n" for module, names in table.items()
+    )
+    TABLE.write_text(
+        "# Cases and files that concern a module: tests/concerned.py writes them.\n\n" + "".join(rows), "utf-8"
+    )
 
 
 if __name__ == "__main__":
-    names = sorted(path.relative_to(TESTS).as_posix() for path in TESTS.rglob("test_*.py"))
-    rows = weighed({name: lines_of(name) for name in names}).items()
-    head = "# Test files that concern a module, most first: tests/concerned.py writes them.\n\n"
-    TABLE.write_text(head + "".join(f"{json.dumps(module)} = {json.dumps(files)}\n" for module, files in rows), "utf-8")
+    with ProcessPoolExecutor(2, max_tasks_per_child=1) as processes:
+        write(table_of(list(chain.from_iterable(processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py"))))))))

@@ -6,7 +6,9 @@ import os
 import shutil
 import sys
 import tempfile
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import budgets
 import concerned
@@ -100,13 +102,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
     if config.getoption("--quick"):
         chosen = budgets.representatives(items)
-        besides = budgets.besides(items, chosen, concerned.in_turn(map(concerned.files_of, concerned.changed())))
+        besides = budgets.besides(items, chosen, concerned.in_turn(map(concerned.tests_of, concerned.changed())))
         for item in besides:
             item.user_properties.append(budgets.ADDED)
         select(config, items, [*chosen, *besides])
     items.sort(key=budgets.budget_of, reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Name the changed files and count the cases that a quick run has added for them."""
+    if config.getoption("--quick"):
+        reports = chain.from_iterable(terminalreporter.stats.values())
+        added = {each.nodeid for each in reports if budgets.ADDED in getattr(each, "user_properties", ())}
+        files = " ".join(concerned.changed()) or "no file (or outside of a git clone)"
+        terminalreporter.write_line(f"{len(added)} cases were added for changes of {files}")
 
 
 def select(config: pytest.Config, items: list[pytest.Item], chosen: list[pytest.Item]) -> None:

@@ -47,8 +47,8 @@ def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_a
     long = budgets.BESIDES - 1.0
     monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long})
     items = [named(case) for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
-    added = budgets.besides(items, [items[1]], ["f", "g"])
-    assert [each.nodeid for each in added] == ["tests/f::c", "tests/g::b", "tests/f::a"]
+    added = budgets.besides(items, [items[1]], ["h::a", "f", "g"])
+    assert [each.nodeid for each in added] == ["tests/h::a", "tests/f::c", "tests/g::b", "tests/f::a"]
 
 
 def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_those_of_the_last_commit(
@@ -83,15 +83,16 @@ def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_t
     assert concerned.changed() == ["servocore/a.py", "servocore/e.py"]
 
 
-def test_test_files_of_a_change_are_those_that_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
     rare, common, other = ("servocore/a.py", 1), ("servocore/a.py", 2), ("servocore/x/b.py", 1)
-    table = concerned.weighed({"all.py": {common, other}, "own.py": {rare, common}, "third.py": {other}})
+    runs = {"all.py::a": {common, other}, "own.py::a": {rare, common}, "third.py::a": {other}}
+    table = concerned.table_of([concerned.Case(name, (), lines) for name, lines in runs.items()])
     assert table == {"servocore/a.py": ["own.py", "all.py"], "servocore/x/b.py": ["all.py", "third.py"]}
     monkeypatch.setattr(concerned, "table", lambda: table)
-    assert concerned.files_of("servocore/a.py") == ["own.py", "all.py"]
-    assert concerned.files_of("servocore/x/c/new.h") == ["all.py", "third.py"]
-    assert concerned.files_of("servocore/new.py") == ["own.py", "all.py", "third.py"]
-    assert concerned.files_of("tests/outside/test_a.py") == ["outside/test_a.py"]
+    assert concerned.tests_of("servocore/a.py") == ["own.py", "all.py"]
+    assert concerned.tests_of("servocore/x/c/new.h") == ["all.py", "third.py"]
+    assert concerned.tests_of("servocore/new.py") == ["own.py", "all.py", "third.py"]
+    assert concerned.tests_of("tests/outside/test_a.py") == ["outside/test_a.py"]
 
 
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
@@ -106,7 +107,11 @@ def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request
     if request.config.getoption("--quick"):
         return  # the others are not at hand
     files = {item.nodeid.partition("::")[0] for item in items}
-    gone = budgets.slow().keys() - {item.nodeid for item in items}
+    listed = {
+        *budgets.slow(),
+        *(f"tests/{name}" for names in concerned.table().values() for name in names if "::" in name),
+    }
+    gone = listed - {item.nodeid for item in items}
     assert [case for case in gone if case.partition("::")[0] in files] == []
 
 
