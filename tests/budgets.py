@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import pytest
 
@@ -37,17 +37,6 @@ BUILT = "FMUs for all files"
 ADDED = ("added", "for changed modules")
 """Property of a case that `--quick` runs besides."""
 _TAKEN, _SHARED = "processor_seconds", "shared_seconds"
-
-
-class Named(Protocol):
-    """A test, of which the name is read."""
-
-    @property
-    def nodeid(self) -> str: ...
-
-
-Test = TypeVar("Test", bound=Named)
-Case = TypeVar("Case")
 _shared = [0.0]  # since the last report of this process
 
 
@@ -86,51 +75,44 @@ def function_of(case: str) -> str:
     return case.partition("[")[0]
 
 
+def file_of(case: str) -> str:
+    """Return the file of a case below the folder of the tests."""
+    return case.partition("::")[0].removeprefix("tests/")
+
+
+def seconds_of(case: str) -> float:
+    """Return the processor seconds that a case takes, about."""
+    return slow().get(case, A_SHORT_CASE)
+
+
 def budget_of(item: pytest.Item) -> float:
     """Return the budget of a test's file: the longest begin, so that both processes end together."""
-    return budgets().get(file_of(item), UNLISTED)
+    return budgets().get(file_of(item.nodeid), UNLISTED)
 
 
-def representatives(items: Sequence[Test]) -> list[Test]:
-    """Return of every test function the first case that takes a moment, of a file without one the shortest.
-
-    What prepares something for seconds is left out.
-    """
-    first: dict[str, Test] = {}
-    for item in items:
-        if item.nodeid not in slow() and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            first.setdefault(function_of(item.nodeid), item)
-    for cases in grouped(items, file_of).values():
-        if first.keys().isdisjoint(function_of(item.nodeid) for item in cases):
-            shortest = min(cases, key=seconds_of)
-            first[function_of(shortest.nodeid)] = shortest
-    return list(first.values())
+def representatives(cases: Iterable[str]) -> list[str]:
+    """Return of every test function the first case that takes a moment, of a file without one the shortest."""
+    first: dict[str, str] = {}
+    for case in cases:
+        if case not in slow():
+            first.setdefault(function_of(case), case)
+    files = grouped(cases, file_of)
+    without = files.keys() - {file_of(case) for case in first.values()}
+    return [*first.values(), *(min(files[file], key=seconds_of) for file in sorted(without))]
 
 
-def besides(items: Sequence[Test], chosen: Iterable[Test], names: Sequence[str]) -> list[Test]:
+def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -> list[str]:
     """Return further cases, named or of named files, as far as the time allows.
 
-    Short cases precede long ones, of which those of the first files count as shorter; cases that are named precede all.
+    Cases that are named precede short ones, and these long ones, of which those of the first files count as shorter.
     """
-    rank, taken = {name: place for place, name in enumerate(names, 1)}, {item.nodeid for item in chosen}
-    weighed = [
-        (0.0 if item.nodeid.removeprefix("tests/") in rank else seconds_of(item) * rank[file_of(item)], k)
-        for k, item in enumerate(items)
-        if item.nodeid not in taken and not rank.keys().isdisjoint((file_of(item), item.nodeid.removeprefix("tests/")))
-    ]
-    left = [items[k] for _, k in sorted(weighed)]
+    rank = {f"tests/{name}": place for place, name in enumerate(names, 1)}
+    weights = {case: 0.0 for case in cases if case in rank}
+    for file, members in grouped(cases, lambda case: case.partition("::")[0]).items():
+        weights = {case: seconds_of(case) * rank[file] for case in members if file in rank} | weights
+    left = sorted(weights.keys() - set(chosen), key=lambda case: (weights[case], case))
     spent = accumulate(map(seconds_of, left))
-    return [item for item, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
-
-
-def file_of(item: Named) -> str:
-    """Return the file of a test below the folder of the tests."""
-    return item.nodeid.partition("::")[0].removeprefix("tests/")
-
-
-def seconds_of(item: Named) -> float:
-    """Return the processor seconds that a case takes, about."""
-    return slow().get(item.nodeid, A_SHORT_CASE)
+    return [case for case, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
 
 
 @cache
@@ -140,9 +122,9 @@ def slow() -> dict[str, float]:
     return {case: float(seconds) for seconds, _, case in rows}
 
 
-def grouped(cases: Iterable[Case], key: Callable[[Case], str]) -> dict[str, list[Case]]:
+def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[str]]:
     """Return cases in their order, by a part of their names."""
-    found: defaultdict[str, list[Case]] = defaultdict(list)
+    found: defaultdict[str, list[str]] = defaultdict(list)
     for case in cases:
         found[key(case)].append(case)
     return found

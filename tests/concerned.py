@@ -1,4 +1,4 @@
-"""Which tests concern a module: `concerned.toml`, which this file writes, for the cases that `--quick` adds.
+"""Which tests concern a module: `concerned.json`, which this file writes, for the cases that `--quick` adds.
 
 ``.venv/newest/bin/python tests/concerned.py`` runs every test file once and notes the lines of the packages that each
 case runs (half an hour; needs `sys.monitoring` of Python 3.12). The first file of a module is the one that runs most of
@@ -10,26 +10,25 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
 from functools import cache
 from heapq import nlargest
 from itertools import chain, zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import budgets
 import pytest
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
-TABLE = TESTS / "concerned.toml"
+TABLE = TESTS / "concerned.json"
 PACKAGES = ("servocore", "crane_fmu")
 MOST_FILES, LEAST_CASES = 8, 2
 """Test files of a module, and cases that a quick run asks about a line of it where there are as many."""
+Lines: TypeAlias = set[tuple[str, int]]
 _watch: Any = getattr(sys, "monitoring", None)
 
 
@@ -57,9 +56,9 @@ def git(*words: str) -> list[str]:
 
 
 @cache
-def table() -> Mapping[str, list[str]]:
+def table() -> dict[str, list[str]]:
     """Return cases and test files of every module, those that concern it most first."""
-    return tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    return dict(json.loads(TABLE.read_text(encoding="utf-8")))
 
 
 def tests_of(path: str) -> list[str]:
@@ -80,20 +79,12 @@ def in_turn(ranked: Iterable[Iterable[str]]) -> list[str]:
 # The table -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Case:
-    """A test that has run: its name, its fixtures and the lines of the packages, by module and number."""
-
-    nodeid: str
-    fixturenames: Sequence[str] = ()
-    lines: set[tuple[str, int]] = field(default_factory=set)
-
-
 class Watch:
-    """Notes the lines of the packages that every case of a run executes."""
+    """Notes the lines of the packages, by module and number, that every case of a run executes."""
 
     def __init__(self) -> None:
-        self.cases = [Case("")]
+        self.cases: dict[str, Lines] = {}
+        self.lines: Lines = set()
         _watch.use_tool_id(_watch.COVERAGE_ID, "concerned")
         _watch.register_callback(_watch.COVERAGE_ID, _watch.events.LINE, self.line)
         _watch.set_events(_watch.COVERAGE_ID, _watch.events.LINE)
@@ -102,63 +93,51 @@ class Watch:
         """Note a line the first time that a case runs it."""
         name = code.co_filename.removeprefix(f"{ROOT}/")
         if name.startswith(PACKAGES):
-            self.cases[-1].lines.add((name, number))
+            self.lines.add((name, number))
         return _watch.DISABLE
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Begin a case."""
-        self.cases.append(Case(item.nodeid, getattr(item, "fixturenames", ())))
+        self.lines = self.cases[nodeid] = set()
         _watch.restart_events()
-        return (yield)
 
 
-def watched(file: str) -> list[Case]:
-    """Run a test file and return its cases."""
+def watched(file: str) -> dict[str, Lines]:
+    """Run a test file and return the lines that its cases run."""
     watch = Watch()
     pytest.main(["-q", "-n", "0", file], plugins=[watch])
-    return watch.cases[1:]
+    return watch.cases
 
 
-def table_of(cases: Sequence[Case]) -> dict[str, list[str]]:
-    """Return cases and test files of every module.
+def table_of(lines: Mapping[str, Lines]) -> dict[str, list[str]]:
+    """Return cases and test files of every module, given the lines that each case runs.
 
     The weight of a line is divided among the files that run it. Where the quick run would ask a line of fewer than
     `LEAST_CASES` cases, the shortest that run it are listed.
     """
-    always = budgets.representatives(cases)
-    lines: defaultdict[str, defaultdict[int, list[Case]]] = defaultdict(lambda: defaultdict(list))
-    for case in cases:
-        for module, number in case.lines:
-            lines[module][number].append(case)
+    always = budgets.representatives(lines)
+    modules: defaultdict[str, defaultdict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for case, run in lines.items():
+        for module, number in run:
+            modules[module][number].append(case)
     table = {}
-    for module, found in sorted(lines.items()):
+    for module, found in sorted(modules.items()):
         weights: Counter[str] = Counter()
-        for runs in found.values():
-            files = {budgets.file_of(case) for case in runs}
+        for cases in found.values():
+            files = set(map(budgets.file_of, cases))
             weights.update({file: 1 / len(files) for file in files})
-        named = nlargest(MOST_FILES, weights, key=weights.__getitem__)
-        asked = {case.nodeid for case in (*always, *budgets.besides(cases, always, named))}
-        rare: list[str] = []
-        for runs in found.values():
-            lacking = LEAST_CASES - sum(case.nodeid in asked for case in runs)
-            further = sorted((case for case in runs if case.nodeid not in asked), key=budgets.seconds_of)
-            rare += [case.nodeid for case in further[: max(lacking, 0)]]
+        named = nlargest(MOST_FILES, sorted(weights), key=weights.__getitem__)
+        asked, rare = {*always, *budgets.besides(lines, always, named)}, []
+        for cases in found.values():
+            further = sorted(set(cases) - asked, key=lambda case: (budgets.seconds_of(case), case))
+            rare += further[: max(LEAST_CASES + len(further) - len(cases), 0)]
             asked.update(rare)
-        table[module] = [*(case.removeprefix("tests/") for case in rare), *named]
+        table[module] = [case.removeprefix("tests/") for case in rare] + named
     return table
-
-
-def write(table: Mapping[str, list[str]]) -> None:
-    """Write the table, a module a paragraph."""
-    rows = (
-        f"{json.dumps(module)} = {json.dumps(names, indent=0, ensure_ascii=False)}\n" for module, names in table.items()
-    )
-    TABLE.write_text(
-        "# Cases and files that concern a module: tests/concerned.py writes them.\n\n" + "".join(rows), "utf-8"
-    )
 
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2, max_tasks_per_child=1) as processes:
-        write(table_of(list(chain.from_iterable(processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py"))))))))
+        runs = processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py"))))
+        lines = dict(chain.from_iterable(run.items() for run in runs))
+    TABLE.write_text(json.dumps(table_of(lines), indent=0, ensure_ascii=False) + "\n", encoding="utf-8")

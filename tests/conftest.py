@@ -101,11 +101,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--nightly"):
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
     if config.getoption("--quick"):
-        chosen = budgets.representatives(items)
-        besides = budgets.besides(items, chosen, concerned.in_turn(map(concerned.tests_of, concerned.changed())))
-        for item in besides:
-            item.user_properties.append(budgets.ADDED)
-        select(config, items, [*chosen, *besides])
+        asked = {
+            item.nodeid: item for item in items if budgets.LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        }
+        chosen = budgets.representatives(asked)
+        besides = budgets.besides(asked, chosen, concerned.in_turn(map(concerned.tests_of, concerned.changed())))
+        for case in besides:
+            asked[case].user_properties.append(budgets.ADDED)
+        select(config, items, [asked[case] for case in (*chosen, *besides)])
     items.sort(key=budgets.budget_of, reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)

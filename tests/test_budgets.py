@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
-from types import SimpleNamespace
 
 import budgets
 import concerned
@@ -28,17 +28,12 @@ def test_every_budget_is_that_of_a_file() -> None:
     assert [name for name in budgets.budgets() if name != budgets.BUILT and not (TESTS / name).is_file()] == []
 
 
-def named(case: str) -> pytest.Item:
-    return SimpleNamespace(nodeid=f"tests/{case}")  # type: ignore[return-value]  # all that is read of a test
-
-
 def test_quick_runs_the_first_short_case_of_a_function_and_the_shortest_of_a_file_without_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    seconds = {"tests/f::a[1]": 3.0, "tests/g::a": 2.0, "tests/g::b": 1.0}
-    monkeypatch.setattr(budgets, "slow", lambda: seconds)
-    items = [named(case) for case in ("f::a[1]", "f::a[2]", "f::a[3]", "f::b", "g::a", "g::b")]
-    assert [each.nodeid for each in budgets.representatives(items)] == ["tests/f::a[2]", "tests/f::b", "tests/g::b"]
+    monkeypatch.setattr(budgets, "slow", lambda: {"f::a[1]": 3.0, "g::a": 2.0, "g::b": 1.0})
+    cases = ["f::a[1]", "f::a[2]", "f::a[3]", "f::b", "g::a", "g::b"]
+    assert budgets.representatives(cases) == ["f::a[2]", "f::b", "g::b"]
 
 
 def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_allows(
@@ -46,9 +41,9 @@ def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_a
 ) -> None:
     long = budgets.BESIDES - 1.0
     monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long})
-    items = [named(case) for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
-    added = budgets.besides(items, [items[1]], ["h::a", "f", "g"])
-    assert [each.nodeid for each in added] == ["tests/h::a", "tests/f::c", "tests/g::b", "tests/f::a"]
+    cases = [f"tests/{case}" for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
+    added = budgets.besides(cases, [cases[1]], ["h::a", "f", "g"])
+    assert added == ["tests/h::a", "tests/f::c", "tests/g::b", "tests/f::a"]
 
 
 def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_those_of_the_last_commit(
@@ -57,25 +52,17 @@ def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_t
     monkeypatch.setattr(concerned, "ROOT", tmp_path)
     assert concerned.changed() == []
 
-    def git(*words: str) -> None:
-        user = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "init.defaultBranch=main")
-        subprocess.run(["git", *user, *words], cwd=tmp_path, check=True, capture_output=True)
-
-    def commit(name: str) -> None:
+    def commit(name: str, *before: list[str]) -> None:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("x")
-        git("add", name)
-        git("commit", "-m", name)
+        user = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        for words in (*before, ["add", name], [*user, "commit", "-m", name]):
+            subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
 
-    for folder in ("servocore", "crane_fmu", "tests"):
-        (tmp_path / folder).mkdir()
-    git("init")
-    commit("servocore/a.py")
-    commit("README.md")
-    assert concerned.changed() == []
+    commit("servocore/a.py", ["init", "-b", "main"])
     commit("tests/b.py")
     assert concerned.changed() == ["tests/b.py"]
-    git("checkout", "-b", "other")
-    commit("crane_fmu/c.py")
+    commit("crane_fmu/c.py", ["checkout", "-b", "other"])
     commit("servocore/d.py")
     assert concerned.changed() == ["crane_fmu/c.py", "servocore/d.py"]
     (tmp_path / "servocore/a.py").write_text("y")
@@ -86,7 +73,7 @@ def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_t
 def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
     rare, common, other = ("servocore/a.py", 1), ("servocore/a.py", 2), ("servocore/x/b.py", 1)
     runs = {"all.py::a": {common, other}, "own.py::a": {rare, common}, "third.py::a": {other}}
-    table = concerned.table_of([concerned.Case(name, (), lines) for name, lines in runs.items()])
+    table = concerned.table_of(runs)
     assert table == {"servocore/a.py": ["own.py", "all.py"], "servocore/x/b.py": ["all.py", "third.py"]}
     monkeypatch.setattr(concerned, "table", lambda: table)
     assert concerned.tests_of("servocore/a.py") == ["own.py", "all.py"]
@@ -97,22 +84,18 @@ def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.Monk
 
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
     """Most: some claims cannot be asked in a moment."""
-    items = request.session.items
-    if len({item.path for item in items}) < 100:
+    cases = [item.nodeid for item in request.session.items]
+    if len(set(map(budgets.file_of, cases))) < 100:
         pytest.skip("a part of the suite is run")
-    chosen = budgets.representatives(items)
-    assert {item.path.name for item in items} == {item.path.name for item in chosen}
-    functions, asked = ({budgets.function_of(item.nodeid) for item in each} for each in (items, chosen))
+    chosen = budgets.representatives(cases)
+    assert set(map(budgets.file_of, cases)) == set(map(budgets.file_of, chosen))
+    functions, asked = (set(map(budgets.function_of, each)) for each in (cases, chosen))
     assert len(asked) > 0.65 * len(functions)
     if request.config.getoption("--quick"):
         return  # the others are not at hand
-    files = {item.nodeid.partition("::")[0] for item in items}
-    listed = {
-        *budgets.slow(),
-        *(f"tests/{name}" for names in concerned.table().values() for name in names if "::" in name),
-    }
-    gone = listed - {item.nodeid for item in items}
-    assert [case for case in gone if case.partition("::")[0] in files] == []
+    listed = {*budgets.slow(), *(f"tests/{name}" for name in chain(*concerned.table().values()) if "::" in name)}
+    files = set(map(budgets.file_of, cases))
+    assert [case for case in listed.difference(cases) if budgets.file_of(case) in files] == []
 
 
 def test_members_that_are_not_kept_are_for_the_night() -> None:

@@ -64,11 +64,11 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(
         patch.setattr(kernel, "__file__", str(broken))
         # PythonFMU's own look at the slave meets it first
         with pytest.raises(RuntimeError, match="broken"):
-            build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
+            build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     broken.unlink()
     monkeypatch.setattr(build, "packed", lambda *_: b"no archive")
     with pytest.raises(sc.ServocoreError, match="failed its check"):
-        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
+        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     assert [each.read_text() for each in tmp_path.iterdir()] == ["older"]
 
 
@@ -85,7 +85,7 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
     monkeypatch.setattr(build, "native_model", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
-        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY)
+        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     assert not list(tmp_path.iterdir())
 
 
