@@ -1,8 +1,7 @@
 """Processor seconds of every test file, children included, beside the budget that `budgets.toml` gives it.
 
 A run ends with the files that are over theirs; ``--most-of-budget 2`` makes it fail where one takes more than twice.
-FMUs that many files run are built by the first that needs them and counted apart. ``--write-slow`` writes the list of
-cases that take more than a moment; with ``--quick`` it adds those that took long there.
+FMUs that many files run are built by the first that needs them and counted apart.
 """
 
 from __future__ import annotations
@@ -21,12 +20,11 @@ import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
+"""Cases that take more than a moment, with their seconds: `concerned.py` writes them."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
 A_MOMENT = 0.2
 """Processor seconds of a case that `--quick` runs whatever has changed."""
-A_SECOND = 1.0
-"""Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
 A_SHORT_CASE = 0.03
 """Processor seconds of a case that is not listed as slow, about."""
 BESIDES = 32.0
@@ -36,7 +34,7 @@ LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
 BUILT = "FMUs for all files"
 ADDED = ("added", "for changed modules")
 """Property of a case that `--quick` runs besides."""
-_TAKEN, _SHARED = "processor_seconds", "shared_seconds"
+TAKEN, _SHARED = "processor_seconds", "shared_seconds"
 _shared = [0.0]  # since the last report of this process
 
 
@@ -106,10 +104,9 @@ def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -
 
     Cases that are named precede short ones, and these long ones, of which those of the first files count as shorter.
     """
-    rank = {f"tests/{name}": place for place, name in enumerate(names, 1)}
-    weights = {case: 0.0 for case in cases if case in rank}
-    for file, members in grouped(cases, lambda case: case.partition("::")[0]).items():
-        weights = {case: seconds_of(case) * rank[file] for case in members if file in rank} | weights
+    rank = {name: place for place, name in enumerate(names, 1)}
+    weights = {case: seconds_of(case) * rank[file_of(case)] for case in cases if file_of(case) in rank}
+    weights |= {case: 0.0 for case in cases if case.removeprefix("tests/") in rank}
     left = sorted(weights.keys() - set(chosen), key=lambda case: (weights[case], case))
     spent = accumulate(map(seconds_of, left))
     return [case for case, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
@@ -133,10 +130,9 @@ def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[s
 class Meter:
     """Adds up what the phases of every test take: in the process that runs them, or in the one that hears of them."""
 
-    def __init__(self, times: float | None, writes: bool, quick: bool) -> None:
-        self.times, self.writes, self.quick = times, writes, quick
+    def __init__(self, times: float | None) -> None:
+        self.times = times
         self.files: defaultdict[str, float] = defaultdict(float)
-        self.cases: defaultdict[str, float] = defaultdict(float)
         self._before = processor_seconds()
 
     def pytest_collection_finish(self) -> None:
@@ -149,16 +145,13 @@ class Meter:
         report = yield
         now = processor_seconds()
         setattr(report, _SHARED, _shared[0])
-        setattr(report, _TAKEN, now - self._before - _shared[0])
+        setattr(report, TAKEN, now - self._before - _shared[0])
         self._before, _shared[0] = now, 0.0
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the phase to its case and file."""
-        file = report.nodeid.partition("::")[0]
-        taken = float(getattr(report, _TAKEN, 0.0))
-        self.cases[report.nodeid] += taken
-        self.files[file.removeprefix("tests/")] += taken
+        """Add the phase to its file."""
+        self.files[file_of(report.nodeid)] += float(getattr(report, TAKEN, 0.0))
         self.files[BUILT] += float(getattr(report, _SHARED, 0.0))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
@@ -168,14 +161,9 @@ class Meter:
             terminalreporter.write_line(line)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Fail a run with a file that took too many times its budget; write what was slow."""
+        """Fail a run with a file that took too many times its budget."""
         if hasattr(session.config, "workerinput"):
             return
-        if self.writes:
-            least = A_SECOND if self.quick else A_MOMENT
-            found = {case: taken for case, taken in self.cases.items() if taken > least}
-            rows = sorted(({**slow(), **found} if self.quick else found).items())
-            SLOW.write_text("".join(f"{taken:.1f} {case}\n" for case, taken in rows), encoding="utf-8")
         beyond = self.times is not None and over_budget(self.files, budgets(), self.times)
         if beyond and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

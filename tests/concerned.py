@@ -1,8 +1,9 @@
-"""Which tests concern a module: `concerned.json`, which this file writes, for the cases that `--quick` adds.
+"""Tests that concern a module, of which `--quick` adds some (`concerned.json`), and slow ones (`slow_cases.txt`).
 
-``.venv/newest/bin/python tests/concerned.py`` runs every test file once and notes the lines of the packages that each
-case runs (half an hour; needs `sys.monitoring` of Python 3.12). The first file of a module is the one that runs most of
-its lines that few other files run. Cases are listed before the files for lines that hardly any other of these runs.
+``.venv/newest/bin/python tests/concerned.py`` writes both. It runs every test file once and notes which lines of the
+packages each case runs, and for how long (half an hour; needs `sys.monitoring` of Python 3.12). The first file of a
+module is the one that runs most of its lines that few other files run. Cases stand before the files for lines that
+hardly any other case of the quick run executes.
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ class Watch:
 
     def __init__(self) -> None:
         self.cases: dict[str, Lines] = {}
+        self.seconds: Counter[str] = Counter()
         self.lines: Lines = set()
         _watch.use_tool_id(_watch.COVERAGE_ID, "concerned")
         _watch.register_callback(_watch.COVERAGE_ID, _watch.events.LINE, self.line)
@@ -101,12 +103,16 @@ class Watch:
         self.lines = self.cases[nodeid] = set()
         _watch.restart_events()
 
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add the processor seconds of a phase."""
+        self.seconds[report.nodeid] += getattr(report, budgets.TAKEN)
 
-def watched(file: str) -> dict[str, Lines]:
-    """Run a test file and return the lines that its cases run."""
+
+def watched(file: str) -> tuple[dict[str, Lines], Counter[str]]:
+    """Run a test file and return the lines and processor seconds of its cases."""
     watch = Watch()
     pytest.main(["-q", "-n", "0", file], plugins=[watch])
-    return watch.cases
+    return watch.cases, watch.seconds
 
 
 def table_of(lines: Mapping[str, Lines]) -> dict[str, list[str]]:
@@ -137,7 +143,12 @@ def table_of(lines: Mapping[str, Lines]) -> dict[str, list[str]]:
 
 
 if __name__ == "__main__":
+    lines: dict[str, Lines] = {}
+    seconds = Counter[str]()
     with ProcessPoolExecutor(2, max_tasks_per_child=1) as processes:
-        runs = processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py"))))
-        lines = dict(chain.from_iterable(run.items() for run in runs))
+        for ran, took in processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py")))):
+            lines |= ran
+            seconds.update(took)
+    slow = sorted(case for case in seconds if seconds[case] > budgets.A_MOMENT)
+    budgets.SLOW.write_text("".join(f"{seconds[case]:.1f} {case}\n" for case in slow), encoding="utf-8")
     TABLE.write_text(json.dumps(table_of(lines), indent=0, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -34,7 +34,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     for name, meaning in MAKEFILE_TARGETS.items():
         group.addoption(f"--{name}", action="store_true", help=meaning)
     group.addoption("--most-of-budget", type=float, help="fail if a file takes more than so many times its budget")
-    group.addoption("--write-slow", action="store_true", help="write the list of cases that --quick leaves out")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -45,8 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
         keep_libraries(config)
-    options = (config.getoption(name) for name in ("--most-of-budget", "--write-slow", "--quick"))
-    config.pluginmanager.register(budgets.Meter(*options))
+    config.pluginmanager.register(budgets.Meter(config.getoption("--most-of-budget")))
 
 
 def keep_libraries(config: pytest.Config) -> None:
