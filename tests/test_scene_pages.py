@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 import servocore as sc
 
-PAGE = (Path(__file__).parents[1] / "docs" / "scenes.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "scenes.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 (PREAMBLE,) = BLOCK.findall(PAGE.partition("\n## ")[0])
@@ -18,6 +20,11 @@ BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 def test_every_scene_has_a_section_and_every_section_a_scene() -> None:
     assert set(SECTIONS) == set(sc.scenes.REGISTRY)
+
+
+def test_the_table_of_parameters_holds_the_defaults_and_bounds_of_all_scenes_and_effects() -> None:
+    script = DOCS / "write_parameters.py"
+    assert runpy.run_path(str(script))["table"]() == (DOCS / "parameters.csv").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", SECTIONS)
