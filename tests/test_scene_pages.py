@@ -23,7 +23,7 @@ def test_every_scene_has_a_section_and_every_section_a_scene() -> None:
     assert set(SECTIONS) == set(sc.scenes.REGISTRY)
 
 
-def test_the_table_of_parameters_holds_the_defaults_and_bounds_of_all_scenes_and_effects() -> None:
+def test_the_table_of_parameters_is_that_of_all_scenes_and_effects() -> None:
     script = DOCS / "write_parameters.py"
     assert runpy.run_path(str(script))["table"]() == (DOCS / "parameters.csv").read_text(encoding="utf-8")
 
