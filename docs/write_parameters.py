@@ -14,7 +14,7 @@ HEADINGS = ("scene", "parameter", "default", "unit", "lower bound", "upper bound
 
 
 def table() -> str:
-    """Return the table as CSV: rows for the default path and for each parameter, those of effects last, of each scene."""
+    """Return the table as CSV: of each scene a row for the default path and one for each parameter, of effects last."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADINGS)
