@@ -197,6 +197,16 @@ def test_what_follows_the_path_is_drawn_on_it(name: str) -> None:
     axes = {1: [0], 2: [0, 2], 3: [0, 1, 2]}[len(system.outputs)]  # of outputs: along, upwards, across if there is more
     for axis, output in zip(axes, system.outputs, strict=True):
         np.testing.assert_allclose(points[3 * present(found.tracked) + axis], solution[output.name], atol=1e-9)
+    assert found.about()["grounded"] == (name not in {"cars", "elastic_bar"})  # which have springs and boxes only
+    places = points.reshape(found.points, 3, -1)
+    for part in found.parts:  # each touches another, a rail anywhere along it
+        others = [(each, place) for each in found.parts if each is not part for place in each["places"]]
+        gaps = [
+            np.delete(places[own] - places[place], [k["along"] for k in (part, each) if k["kind"] == "rail"], axis=0)
+            for each, place in others
+            for own in part["places"]
+        ]
+        assert part["name"] == "tracked point" or min(np.abs(gap).max() for gap in gaps) < 1e-9
 
 
 @pytest.mark.parametrize(
