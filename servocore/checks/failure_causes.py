@@ -148,8 +148,10 @@ def _guess(problem: Problem, time: float) -> Array:
 def guessed_configuration(problem: Problem, time: float) -> Array:
     """Return the guess of the model at an instant, shape (n,); home where that is not finite."""
     system, reference = problem.system, problem.reference
-    order = min(system.gamma.size2() - 1, reference.max_order)
-    guess = system.guessed_configuration(reference.jet(time, order), problem.p)
+    gamma = np.zeros(system.gamma.shape)
+    order = min(gamma.shape[1] - 1, reference.max_order)
+    gamma[:, : order + 1] = reference.jet(time, order).T
+    guess = np.asarray(system.guess_function(gamma, problem.p)).ravel()
     return guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
 
 

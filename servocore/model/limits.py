@@ -95,7 +95,18 @@ class Limit:
         return self.expression.name if isinstance(self.expression, Named | RunQuantity) else ""
 
     def counts_turns(self, system: MechanicalSystem) -> bool:
-        """Whether it bounds an angle that is known up to full turns only."""
+        """Whether it bounds an angle that is known up to full turns only.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            It reports the quantity.
+
+        Returns
+        -------
+        bool
+            False for a rate.
+        """
         if self.rate or not isinstance(self.expression, Named):
             return False
         return reported_quantities(system)[self.expression.name].wraps

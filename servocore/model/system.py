@@ -355,29 +355,12 @@ class MechanicalSystem:
         """
         if p is None:
             return self._guess_at_home.copy(), np.array(self.home_parameters, dtype=np.float64)
-        return self.guessed_configuration(np.array([self.home], dtype=np.float64), p), p
-
-    def guessed_configuration(self, jet: Array, p: Array) -> Array:
-        """Return the guess at a point of a path.
-
-        Parameters
-        ----------
-        jet : ndarray, shape (orders, m)
-            The path and its derivatives, zero where they are missing.
-        p : ndarray, shape (n_p,)
-            Parameter values.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            The configuration, not finite where there is none.
-        """
-        gamma = np.zeros(self.gamma.shape)
-        gamma[:, : len(jet)] = jet[: gamma.shape[1]].T
-        return np.asarray(self._compiled_guess(gamma, p)).ravel()
+        gamma = ca.horzcat(ca.DM(list(self.home)), ca.DM(self.gamma.size1(), self.gamma.size2() - 1))
+        return np.asarray(self.guess_function(gamma, p)).ravel(), p
 
     @cached_property  # evaluated at many points where a path is out of reach
-    def _compiled_guess(self) -> ca.Function:
+    def guess_function(self) -> ca.Function:
+        """(gamma, p) -> guess of the configuration."""
         return ca.Function("guess", [self.gamma, self.p], [ca.densify(self.guess)])
 
     @cached_property  # every part of an analysis starts from it

@@ -55,9 +55,9 @@ class Vectorized:
     def _source(self, code: ModuleType) -> str:
         return str(code.vector_source(self.function, self._along))
 
-    def ready(self, count: int) -> bool:
-        """Whether machine code for so many instants is compiled; counts a call."""
-        return self._code.best(count) is not None
+    def ready(self, count: int, called: bool = True) -> bool:
+        """Whether machine code for so many instants is compiled; with `called`, count a call."""
+        return self._code.best(count, called) is not None
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate.

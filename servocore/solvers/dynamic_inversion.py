@@ -155,10 +155,30 @@ class DynamicInversion:
         return known
 
     def of_cases(self, names: tuple[str, ...], references: Sequence[Reference], t: Array, p: Array) -> Array:
-        """Return quantities of many cases, shape (cases, names, N), NaN for a case that is not solved; for `Batch`.
+        """Return quantities of many cases, for `Batch`.
 
-        There is one path a case, or one for all; `p` has shape (cases, size), or (size,) for all. Every case is
-        compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
+        Every case is compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
+
+        Parameters
+        ----------
+        names : tuple of str
+            The quantities, as `solve` reports them.
+        references : sequence of Reference
+            One a case, or one for all.
+        t : ndarray, shape (N,)
+            Times in s within the paths.
+        p : ndarray, shape (cases, size) or (size,)
+            Parameter values, of each case or of all.
+
+        Returns
+        -------
+        ndarray, shape (cases, names, N)
+            NaN for a case that is not solved.
+
+        Raises
+        ------
+        InvalidReference
+            If a time lies outside a path.
         """
         count = len(p) if p.ndim == 2 else len(references)
         p = np.broadcast_to(p, (count, p.shape[-1]))

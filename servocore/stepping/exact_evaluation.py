@@ -90,6 +90,10 @@ class PathFunction:
         jets = np.stack([reference.jet(t, self.order).reshape(len(t), -1).T for reference in references])
         return self._of_jets(np.ascontiguousarray(jets if len(references) > 1 else jets[0]), p)
 
+    def ready(self, problem: Problem, count: int) -> bool:
+        """Whether machine code for so many instants is compiled."""
+        return self._on_path(problem.reference, count)[0].ready(count, called=False)
+
     @cached_property  # not needed where all paths are formulas in machine code
     def _of_jets(self) -> Vectorized:
         return Vectorized(self.function, (True, False), self._native, self._of_what)
