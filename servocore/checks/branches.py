@@ -243,12 +243,10 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    branch, kept = Branch.of(problem, states), states
-    solved: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(states), axis=0)
-    if not solved[0]:
-        how = f"not solved at t = {t[0]:.6g} s" if solved.any() else "solved at no instant"
-        raise IntegrationFailed(f"{problem.system.name}: the equations were {how}, from the guess of the model")
-    known = branch.determinants(t, states) if known is None or not solved.all() else known
+    branch = Branch.of(problem, states)
+    kept = _with_a_beginning(branch, t, states)
+    incomplete = kept is not states
+    known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
     while waiting:
@@ -270,7 +268,20 @@ def on_one_branch(
         kept[:, k + 1], replaced = reached, True
         if k + 2 < len(t) and (not waiting or waiting[-1] != k + 1):
             waiting.append(k + 1)
-    return kept, FOLLOWED if replaced else CONTINUOUS, tuple(passages)
+    return kept, FOLLOWED if replaced or incomplete else CONTINUOUS, tuple(passages)
+
+
+def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
+    """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
+    solved, name = np.flatnonzero(np.isfinite(states).all(axis=0)), branch.problem.system.name
+    if not len(solved):
+        raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
+    kept = states.copy() if len(solved) < len(t) else states
+    for k in range(int(solved[0]), 0, -1):
+        kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
+        if time != t[k - 1]:
+            raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
+    return kept
 
 
 def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:

@@ -17,7 +17,7 @@ import numpy as np
 from servocore.checks.findings import ROUND_OFF, bisected, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidReference, LimitBroken
-from servocore.model.limits import Expression, Limit, Named
+from servocore.model.limits import Expression, Limit
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import time_derivative

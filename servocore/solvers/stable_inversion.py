@@ -255,10 +255,9 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
             change = scipy.sparse.linalg.splu(assemble(y)).solve(-residual)
         except RuntimeError:  # exactly singular
             break
-        y += change
-        if np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
+        y, residual, length = _damped(evaluate, y, residual, change)
+        if length == 1.0 and np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
             return y[ends].T, iteration
-        residual = evaluate(y)
         if not np.isfinite(residual).all():
             break
     resonance, short = "undamped internal dynamics in resonance with it", "a horizon that is too short"
@@ -266,6 +265,17 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
         f"{bounded.problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
         f" likely causes: a path too fast for the system, or {resonance if bounded.periodic else short}"
     )
+
+
+def _damped(evaluate: Callable[[Array], Array], y: Array, residual: Array, change: Array) -> tuple[Array, Array, float]:
+    """Halve a Newton correction until the residual does not grow."""
+    size, length = float(np.linalg.norm(residual)), 1.0
+    while True:
+        tried = y + length * change
+        tried_residual = evaluate(tried)
+        if np.linalg.norm(tried_residual) <= size * (1.0 + 1e-6) + 1e-9 or length < 1e-3:
+            return tried, tried_residual, length
+        length /= 2.0
 
 
 def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], Array], Callable[[Array], Any], Places]:
