@@ -23,16 +23,14 @@ pytest.register_assert_rewrite("problems", "suite")
 
 BUILT = "SERVOCORE_TEST_FMUS"
 """Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
-MAKEFILE_TARGETS = {
-    "quick": "of every function the first case that takes a moment, and more of files that concern changes: make quick",
-    "nightly": "also what takes minutes, and all members of families: make nightly",
-}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("servocore")
-    for name, meaning in MAKEFILE_TARGETS.items():
-        group.addoption(f"--{name}", action="store_true", help=meaning)
+    group.addoption(
+        "--quick", action="store_true", help="short cases, and cases that concern changed files: make quick"
+    )
+    group.addoption("--nightly", action="store_true", help="also what takes minutes, and all of families: make nightly")
     group.addoption("--most-of-budget", type=float, help="fail if a file takes more than so many times its budget")
 
 
