@@ -312,12 +312,13 @@ class Proof:
         (early, late), size, rho, D = self.ring.ends(self.x), norm(self.x[:-1]), self.x[-1], self.D
         noise = 2.0 * (_DEGREE + 2) * UNIT * (size[:, :-1] + size[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
-        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
-        fits |= self.equations.free[:, None]
+        near = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
+        fits = near | self.equations.free[:, None]
         motion, inputs = self.equations.motion, self.equations.inputs
         both, one = self.proved[:-1] & self.proved[1:], fits.all(axis=1).any(axis=0)
         of_path = np.isin(self.end[:-1], self.problem.reference.joints)
-        leaps = of_path & (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])  # also of what is unique wherever it is
+        # Also of what is unique wherever it is; what changes by less than D is a rounding error of the path.
+        leaps = of_path & (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:]) & ~near.any(axis=0)
         conditions = [~both, leaps[motion].any(axis=0), one & ~leaps[inputs].any(axis=0), ~of_path]
         conditions.append(fits[:, motion].all(axis=1).any(axis=0))
         kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]
