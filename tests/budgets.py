@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate
@@ -45,18 +45,18 @@ def processor_seconds() -> float:
 
 
 @cache
-def budgets(table: Path = TABLE) -> dict[str, float]:
+def budgets() -> dict[str, float]:
     """Return the processor seconds that each listed file may take, by its path below the folder of the tests."""
-    return {name: float(seconds) for name, seconds in tomllib.loads(table.read_text())["seconds"].items()}
+    return {name: float(seconds) for name, seconds in tomllib.loads(TABLE.read_text())["seconds"].items()}
 
 
 def over_budget(taken: Mapping[str, float], allowed: Mapping[str, float], times: float = 1.0) -> list[str]:
     """Return a line for every file that took more than so many times its budget, the worst first."""
-    worst = sorted(taken, key=lambda name: taken[name] - times * allowed.get(name, UNLISTED), reverse=True)
+    beyond = {name: seconds - times * allowed.get(name, UNLISTED) for name, seconds in taken.items()}
     return [
         f"{name} took {taken[name]:.1f} s, its budget is {allowed.get(name, UNLISTED):g} s"
-        for name in worst
-        if taken[name] > times * allowed.get(name, UNLISTED)
+        for name in sorted(beyond, key=beyond.__getitem__, reverse=True)
+        if beyond[name] > 0
     ]
 
 
@@ -83,20 +83,15 @@ def seconds_of(case: str) -> float:
     return slow().get(case, A_SHORT_CASE)
 
 
-def budget_of(item: pytest.Item) -> float:
-    """Return the budget of a test's file: the longest begin, so that both processes end together."""
-    return budgets().get(file_of(item.nodeid), UNLISTED)
-
-
-def representatives(cases: Iterable[str]) -> list[str]:
+def representatives(cases: Collection[str]) -> list[str]:
     """Return of every test function the first case that takes a moment, of a file without one the shortest."""
     first: dict[str, str] = {}
     for case in cases:
         if case not in slow():
             first.setdefault(function_of(case), case)
-    files = grouped(cases, file_of)
-    without = files.keys() - {file_of(case) for case in first.values()}
-    return [*first.values(), *(min(files[file], key=seconds_of) for file in sorted(without))]
+    shortest = {file_of(case): case for case in sorted(cases, key=seconds_of, reverse=True)}
+    without = shortest.keys() - set(map(file_of, first.values()))
+    return [*first.values(), *(shortest[file] for file in sorted(without))]
 
 
 def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -> list[str]:
@@ -117,14 +112,6 @@ def slow() -> dict[str, float]:
     """Return the processor seconds of the cases that take more than a moment."""
     rows = (line.partition(" ") for line in SLOW.read_text(encoding="utf-8").splitlines())
     return {case: float(seconds) for seconds, _, case in rows}
-
-
-def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[str]]:
-    """Return cases in their order, by a part of their names."""
-    found: defaultdict[str, list[str]] = defaultdict(list)
-    for case in cases:
-        found[key(case)].append(case)
-    return found
 
 
 class Meter:

@@ -34,11 +34,12 @@ _watch: Any = getattr(sys, "monitoring", None)
 
 
 def changed() -> list[str]:
-    """Return the files of packages and tests that differ from the last commit.
+    """Return the files of packages and tests, and the pages, that differ from the last commit.
 
     Of a clean tree those that its branch changes, or the last commit on the main branch; none outside of a git clone.
     """
-    for since in ("HEAD", "main...HEAD", "HEAD~1"):
+    # a clone of a branch knows the main branch by its remote name alone, a shallow one by none
+    for since in ("HEAD", "main...HEAD", "origin/main...HEAD", "HEAD~1"):
         files = git("diff", "--name-only", since)
         if since == "HEAD":
             files += git("ls-files", "--others", "--exclude-standard")
@@ -48,8 +49,8 @@ def changed() -> list[str]:
 
 
 def git(*words: str) -> list[str]:
-    """Return the lines that git prints about packages and tests, none where it fails."""
-    command = ["git", *words, "--", *PACKAGES, "tests"]
+    """Return the lines that git prints about packages, tests and pages, none where it fails."""
+    command = ["git", *words, "--", *PACKAGES, "tests", "*.md"]
     try:
         return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()
     except OSError:
@@ -63,9 +64,12 @@ def table() -> dict[str, list[str]]:
 
 
 def tests_of(path: str) -> list[str]:
-    """Return what concerns a changed file, by its package where it is new or no module of Python's."""
+    """Return what concerns a changed file, by its package where the table does not list it."""
     if path.startswith("tests/"):
         return [path.removeprefix("tests/")] if Path(path).name.startswith("test_") else []
+    if path.endswith(".md"):
+        blocks = f"test_pages.py::test_python_blocks_of_a_page_run_one_after_another[{path}]"
+        return [blocks, "test_documented_lines.py"]
     for part in (path, *(f"{parent.as_posix()}/" for parent in Path(path).parents)):
         if found := [files for module, files in table().items() if module.startswith(part)]:
             return in_turn(found)

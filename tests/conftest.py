@@ -105,7 +105,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for case in besides:
             asked[case].user_properties.append(budgets.ADDED)
         select(config, items, [asked[case] for case in (*chosen, *besides)])
-    items.sort(key=budgets.budget_of, reverse=True)
+    # the longest files begin, so that both processes end together
+    items.sort(key=lambda item: budgets.budgets().get(budgets.file_of(item.nodeid), budgets.UNLISTED), reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)
 
@@ -115,7 +116,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     if config.getoption("--quick"):
         reports = chain.from_iterable(terminalreporter.stats.values())
         added = {each.nodeid for each in reports if budgets.ADDED in getattr(each, "user_properties", ())}
-        files = " ".join(concerned.changed()) or "no file (or outside of a git clone)"
+        files = " ".join(concerned.changed()) or "no file (git knows of none)"
         terminalreporter.write_line(f"{len(added)} cases were added for changes of {files}")
 
 

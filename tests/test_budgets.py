@@ -65,9 +65,12 @@ def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_t
     commit("crane_fmu/c.py", ["checkout", "-b", "other"])
     commit("servocore/d.py")
     assert concerned.changed() == ["crane_fmu/c.py", "servocore/d.py"]
-    (tmp_path / "servocore/a.py").write_text("y")
-    (tmp_path / "servocore/e.py").write_text("z")
-    assert concerned.changed() == ["servocore/a.py", "servocore/e.py"]
+    for change in (["branch", "-m", "main", "old"], ["update-ref", "refs/remotes/origin/main", "old"]):
+        subprocess.run(["git", *change], cwd=tmp_path, check=True, capture_output=True)
+    assert concerned.changed() == ["crane_fmu/c.py", "servocore/d.py"]  # as in a clone of the branch
+    (tmp_path / "servocore/a.py").unlink()
+    (tmp_path / "README.md").write_text("z")
+    assert concerned.changed() == ["servocore/a.py", "README.md"]
 
 
 def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,6 +83,7 @@ def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.Monk
     assert concerned.tests_of("servocore/x/c/new.h") == ["all.py", "third.py"]
     assert concerned.tests_of("servocore/new.py") == ["own.py", "all.py", "third.py"]
     assert concerned.tests_of("tests/outside/test_a.py") == ["outside/test_a.py"]
+    assert concerned.tests_of("docs/a.md")[0].endswith("[docs/a.md]")
 
 
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
