@@ -94,4 +94,3 @@ def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:
     assert list(table) == ["time", *(f"{each}/load_mass" for each in ("F", "M_w", "x drift", "z drift"))]
     assert table["M_w/load_mass"][0] == pytest.approx(-0.981)
     assert "<svg" in Path("s.svg").read_text(encoding="utf-8")
-    run.assert_refused(run("sensitivities", "cars", "--wrt", "load"), "has no parameter load; there are")
