@@ -255,7 +255,8 @@ WRONG = [
       for command in ("feedforward", "view", "ssp", "drive p.fmu")
       for other in ("--waypoints b.csv", "--from 5 0 -5", "--duration 3", "--profile degree9")],
     *[(f"crane-fmu {command} --tolerance 1mm {CRANE} {more}", "--tolerance belongs to --reference")
-      for command, more in (("feedforward", "--duration 20"), ("plan", "--limit F=60"), ("view", "--duration 20"))],
+      for command, more in (("feedforward", "--duration 20"), ("plan", "--limit F=60"), ("view", "--duration 20"),
+                            ("ssp", "--duration 20"))],
     ("servocore effects rotary_crane --tolerance 5mm", "the allowed tracking error is --deviation, as in"),
     (f"{FF} {CRANE} --duration 20 --ramp 3", "--ramp belongs to --profile three-phase"),
     (f"{FF} {CRANE} --duration 20 --profile three-phase --ramp 11", "at least 22.0 s, but its duration is 20.0 s"),
@@ -269,9 +270,8 @@ WRONG = [
     ("servocore export cars --c d --targets host", "name it with -o FILE.fmu"),
     ("servocore effects cars --open-loop --bandwidth 3", "--open-loop excludes --bandwidth: there are no position"),
     # tolerances and deviations
-    ("crane-fmu feedforward --reference path.csv --tolerance 1kg", "write it as in --tolerance 1mm"),
-    ("crane-fmu feedforward --reference path.csv --tolerance wide", "write it as in --tolerance 1mm"),
-    ("servocore view rotary_crane --reference path.csv --tolerance 1deg", "write it as in --tolerance 1mm"),
+    *[(f"{FF} --reference path.csv --tolerance {value}", "write it as in --tolerance 1mm")
+      for value in ("1kg", "wide", "inf", "1deg")],
     *[(f"servocore effects overhead_crane --deviation {value}", "write it as in --deviation 5mm")
       for value in ("5", "5kg", "far", "5deg")],
     # names

@@ -97,7 +97,6 @@ def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path: Path) ->
     [
         (["--map", "M_b=none"], "Other.fmu has no input 'none'; its inputs are slew.torque, trolley.force"),
         ([], "Other.fmu has no input 'M_b'; map one with --map M_b=NAME; its inputs are slew.torque"),
-        (["--map", "torque=a"], "there is no signal 'torque' to map; there are M_b, F, M_w, x, y, z"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(arguments: list[str], sentence: str) -> None:
