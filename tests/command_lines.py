@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click import Group
 from click.testing import CliRunner
 
 from servocore.cli.console import PatientProgress
+from servocore.numerics.compiled_calls import Array
 
 
 class CommandLine:
@@ -38,3 +41,15 @@ class CommandLine:
 def write(name: str, text: str) -> str:
     Path(name).write_text(text, encoding="utf-8")
     return name
+
+
+def table(text: str) -> tuple[list[str], Array]:
+    """Return the header and the rows (N, columns) of a table in CSV."""
+    header, *rows = csv.reader(text.splitlines())
+    return header, np.array(rows, dtype=float)
+
+
+def columns(file: str) -> dict[str, Array]:
+    """Return the columns (N,) of a file by their names."""
+    header, rows = table(Path(file).read_text(encoding="utf-8"))
+    return dict(zip(header, rows.T, strict=True))

@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import CommandLine, write
+from command_lines import CommandLine, columns, table, write
 from present import present
+from test_reference_files import table as rows_of
+from test_reference_files import write as write_rows
 
 import servocore as sc
 from crane_fmu.catalogue import METHODS, MODELS
 from crane_fmu.cli.commands import app
 from servocore.cli import feedforward
-from servocore.numerics.compiled_calls import Array
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
-HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
+HEADER = ["time", "M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension"]
 INPUTS = ((1, "M_b"), (2, "F"), (3, "M_w"))
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
 PAPER = ["--formulation", "projected", "--method", "backward-euler"]
@@ -29,19 +30,10 @@ run = CommandLine(app, "crane-fmu")
 assert_refused = run.assert_refused
 
 
-def table(text: str) -> tuple[str, Array]:
-    lines = text.splitlines()
-    return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-
-
-def reference_csv(groups: int = 5, count: int = 41) -> str:
+def reference_csv(groups: int = 5) -> str:
     """Write the default manoeuvre with so many groups of columns."""
-    reference = sc.scenes.rotary_crane().reference
-    t = np.linspace(0.0, reference.duration, count)
-    values = np.column_stack([t, reference.jet(t, 4)[:, :groups].reshape(count, -1)])
-    names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s")[:groups] for axis in "xyz")]
-    rows = [",".join(repr(float(value)) for value in row) for row in values]
-    return write("path.csv", "\n".join([",".join(names), *rows]) + "\n")
+    write_rows(Path("path.csv"), rows_of(sc.scenes.rotary_crane().reference, 0.1, groups), groups)
+    return "path.csv"
 
 
 class TestFeedforward:
@@ -63,7 +55,7 @@ class TestFeedforward:
         solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1, model=model)
         assert header == HEADER
         np.testing.assert_array_equal(values[:, 0], solution.t)
-        for k, name in enumerate(HEADER.split(",")[1:], start=1):
+        for k, name in enumerate(HEADER[1:], start=1):
             np.testing.assert_array_equal(values[:, k], solution[name], err_msg=name)
         assert os.listdir() == ["inputs.csv"]
 
@@ -127,7 +119,7 @@ class TestFeedforward:
         )
         assert said is not None, result.stderr
         name, (share, time, found, right) = said[1], map(float, said.groups()[1:])
-        values = np.genfromtxt("inputs.csv", delimiter=",", names=True)
+        values = columns("inputs.csv")
         exact = sc.scenes.rotary_crane().exact(values["time"])[name]
         k = int(np.abs(values["time"] - time).argmin())
         assert (found, right) == pytest.approx((values[name][k], exact[k]), rel=1e-3, abs=1e-9)
@@ -193,7 +185,7 @@ class TestFeedforward:
         assert 3e-5 < float(found[1]) < 3e-4  # the true error of M_b is 7e-5
 
     def test_a_path_that_does_not_rest_is_told_with_what_moves(self) -> None:
-        moving = reference_csv(count=201, groups=1)
+        moving = reference_csv(groups=1)
         rows = Path(moving).read_text().splitlines()
         Path(moving).write_text("\n".join([rows[0], *rows[20:]]) + "\n")
         path = sc.scenes.rotary_crane().reference
@@ -270,7 +262,7 @@ EXAMPLES = [
 
 @pytest.mark.parametrize("arguments", EXAMPLES, ids=" ".join)
 def test_the_examples_of_the_page_run(arguments: Sequence[str]) -> None:
-    reference_csv(count=201)
+    reference_csv()
     write("way.csv", re.findall(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1])
     write("crane.toml", present(re.search(r"^```toml\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))[1])
     result = run(*arguments)
@@ -281,4 +273,4 @@ def test_the_examples_of_the_page_run(arguments: Sequence[str]) -> None:
 
 
 def test_the_page_shows_the_header_of_the_table() -> None:
-    assert f"`{HEADER}`" in PAGE
+    assert f"`{','.join(HEADER)}`" in PAGE

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from browser import Page, require_browser
 from click.testing import CliRunner
+from command_lines import table
 from fmu_host import fmu_file
 
 import crane_fmu.demo
@@ -43,10 +44,8 @@ class TestDemo:
         assert [each.name for each in done.folder.parent.iterdir()] == ["out"]
 
     def test_the_table_of_inputs_is_the_closed_form_to_1e_9_of_the_peaks(self, done: Demo) -> None:
-        lines = (done.folder / "inputs.csv").read_text().splitlines()
-        names = lines[0].split(",")
+        names, values = table((done.folder / "inputs.csv").read_text())
         assert names == ["time", "M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension"]
-        values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
         exact = sc.scenes.rotary_crane().exact(values[:, 0])
         for k, name in enumerate(names[1:], start=1):
             off = np.abs(values[:, k] - exact[name]).max()

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import CommandLine, table
 from thinned import thinned
 
 import servocore as sc
@@ -20,11 +20,6 @@ from servocore.scenes import REGISTRY
 servocore_command = CommandLine(app, NAME)
 SCENES = thinned(REGISTRY, lambda name: name not in ("heavy_rope", "loop_manipulator"))  # which take seconds
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-
-
-def table(text: str) -> tuple[list[str], np.ndarray]:
-    header, *rows = text.splitlines()
-    return header.split(","), np.array([[float(cell) for cell in row.split(",")] for row in rows])
 
 
 @pytest.mark.parametrize("name", SCENES)

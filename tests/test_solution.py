@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import pickle
 from collections.abc import Callable
@@ -11,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import table
 from problems import problem, scene, solved
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 from servocore.references.piecewise import PiecewisePolynomial
 
 CRANE = scene("rotary_crane")
@@ -77,33 +76,27 @@ def test_violations_are_those_of_the_theory(solution: sc.Solution) -> None:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
-def read(path: Path) -> tuple[list[str], Array]:
-    with Path(path).open(newline="") as stream:
-        header, *rows = csv.reader(stream)
-    return header, np.array(rows, dtype=float)
-
-
 def test_csv_brings_every_digit_back(solution: sc.Solution, tmp_path: Path) -> None:
     solution.to_csv(tmp_path / "inputs.csv")
-    header, table = read(tmp_path / "inputs.csv")
+    header, found = table((tmp_path / "inputs.csv").read_text())
     assert header == ["time", *solution.names]
-    np.testing.assert_array_equal(table[:, 0], solution.t)
-    np.testing.assert_array_equal(table[:, 1:], solution.values)
+    np.testing.assert_array_equal(found[:, 0], solution.t)
+    np.testing.assert_array_equal(found[:, 1:], solution.values)
 
 
 def test_csv_holds_the_names_asked_for_in_their_order(solution: sc.Solution, tmp_path: Path) -> None:
     solution.to_csv(tmp_path / "some.csv", ["z", "M_b"])
-    header, table = read(tmp_path / "some.csv")
+    header, found = table((tmp_path / "some.csv").read_text())
     assert header == ["time", "z", "M_b"]
-    np.testing.assert_array_equal(table[:, 2], solution["M_b"])
+    np.testing.assert_array_equal(found[:, 2], solution["M_b"])
 
 
 def test_csv_holds_numbers_that_are_hard_to_write(tmp_path: Path) -> None:
     values = np.array([[np.pi], [1e-310], [-0.0], [np.nan], [np.inf], [1 / 3]])
     sc.Solution(np.arange(6.0), (sc.Quantity("v", "m"),), values, "by hand").to_csv(tmp_path / "hard.csv")
-    _, table = read(tmp_path / "hard.csv")
-    np.testing.assert_array_equal(table[:, 1:], values)
-    assert np.signbit(table[2, 1])
+    _, found = table((tmp_path / "hard.csv").read_text())
+    np.testing.assert_array_equal(found[:, 1:], values)
+    assert np.signbit(found[2, 1])
 
 
 def test_unknown_names_write_nothing(solution: sc.Solution, tmp_path: Path) -> None:
