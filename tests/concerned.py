@@ -50,7 +50,7 @@ def changed() -> list[str]:
 
 def git(*words: str) -> list[str]:
     """Return the lines that git prints about packages, tests and pages, none where it fails."""
-    command = ["git", *words, "--", *PACKAGES, "tests", "*.md"]
+    command = ["git", *words, "--", *PACKAGES, "tests", "docs/*.md", "README.md"]
     try:
         return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()
     except OSError:
