@@ -263,6 +263,16 @@ SET = """const row = [...document.querySelectorAll(".control")].find((each) => e
 const field = row.querySelector("input[type=number]"); field.value = %r; field.dispatchEvent(new Event("input"))"""
 
 
+STATUS = 'document.querySelector(".status").textContent'
+LABELLED = '[...document.querySelectorAll("input")].find((each) => each.ariaLabel === "%s in N m")'
+
+
+def bound(page: Page, label: str, value: float | str) -> None:
+    """Fill the field of a limit of M_b or M_w."""
+    change = 'field.dispatchEvent(new Event("input"))'
+    settled(page, f"const field = {LABELLED % label}; field.value = {json.dumps(value)}; {change}")
+
+
 def outline(page: Page, number: int) -> str:
     return str(page.run(f'document.querySelectorAll(".plot .curve.exact")[{number}].getAttribute("d")'))
 
@@ -308,23 +318,14 @@ def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -
 def test_limits_that_differ_by_more_than_the_sign_have_a_field_each(tmp_path: Path) -> None:
     require_browser()
     crane = sc.scenes.rotary_crane().with_limits(M_w=(-104.0, -92.0))
-    field = (
-        """((about) => [...document.querySelectorAll("input")].find((each) => each.ariaLabel === `${about} in N m`))"""
-    )
-    status = 'document.querySelector(".status").textContent'
     with Page(sc.view(sc.solve(crane), tmp_path / "crane.html"), tmp_path / "profile") as page:
-        assert [page.run(f'{field}("{side} limit of M_w").value') for side in ("lower", "upper")] == ["-104", "-92"]
-        assert page.run(status) == "All limits are kept."
-        settled(
-            page,
-            f'const upper = {field}("upper limit of M_w"); upper.value = -99; upper.dispatchEvent(new Event("input"))',
-        )
-        assert re.match("Limit exceeded: M_w reaches −9", str(page.run(status)))
-        settled(
-            page,
-            f'const upper = {field}("upper limit of M_w"); upper.value = ""; upper.dispatchEvent(new Event("input"))',
-        )
-        assert page.run(status) == "All limits are kept."  # the lower one is left
+        labels = ("lower limit of M_w", "upper limit of M_w")
+        assert [page.run(f"{LABELLED % each}.value") for each in labels] == ["-104", "-92"]
+        assert page.run(STATUS) == "All limits are kept."
+        bound(page, labels[1], -99)
+        assert re.match("Limit exceeded: M_w reaches −9", str(page.run(STATUS)))
+        bound(page, labels[1], "")
+        assert page.run(STATUS) == "All limits are kept."  # the lower one is left
         assert page.errors == []
 
 
@@ -358,34 +359,29 @@ def test_other_time_laws_and_ends_are_those_of_the_library(opened: Page) -> None
 
 
 def test_a_limit_lights_up_where_it_is_exceeded(opened: Page) -> None:
-    status = 'document.querySelector(".status").textContent'
-    field = (
-        '[...document.querySelectorAll("input")].find((e) => e.ariaLabel === "limit of the magnitude of M_b in N m")'
-    )
-    bound = f'const limit = {field}; limit.value = "%s"; limit.dispatchEvent(new Event("input"))'
-    settled(opened, bound % 180)
-    assert opened.run(status) == "All limits are kept."
+    label = "limit of the magnitude of M_b"
+    bound(opened, label, 180)
+    assert opened.run(STATUS) == "All limits are kept."
     settled(opened, SET % ("duration", 12.0))
-    assert re.match(r"Limit exceeded: M_b reaches −\d+ N m at \d[^;]*$", opened.run(status))
+    assert re.match(r"Limit exceeded: M_b reaches −\d+ N m at \d[^;]*$", opened.run(STATUS))
     assert opened.run('document.querySelectorAll(".plot.exceeded").length') == 1
     settled(opened, "servocore.settings.end[2] = 1; servocore.change()")
-    assert "the load is not below the girder" in opened.run(status)
+    assert "the load is not below the girder" in opened.run(STATUS)
     settled(opened, "servocore.reset()")
-    assert opened.run(status) == "All limits are kept."
-    settled(opened, bound % "")
-    assert opened.run(status) == ""
+    assert opened.run(STATUS) == "All limits are kept."
+    bound(opened, label, "")
+    assert opened.run(STATUS) == ""
 
 
 def test_no_limit_is_judged_that_nobody_set(opened: Page) -> None:
-    status = 'document.querySelector(".status")'
-    assert opened.run(f"{status}.textContent") == ""
-    assert opened.run(f"{status}.offsetHeight") == 0
+    assert opened.run(STATUS) == ""
+    assert opened.run('document.querySelector(".status").offsetHeight') == 0
     assert opened.run('[...document.querySelectorAll(".plot .bound-field input")].every(({ value }) => value === "")')
     settled(opened, SET % ("duration", 6.0))  # large inputs
-    assert opened.run(f"{status}.textContent") == ""
+    assert opened.run(STATUS) == ""
     assert opened.run('document.querySelectorAll(".plot.exceeded").length') == 0
     settled(opened, "servocore.settings.end[2] = 1; servocore.change()")
-    assert "the load is not below the girder" in opened.run(f"{status}.textContent")  # the model is not valid there
+    assert "the load is not below the girder" in opened.run(STATUS)  # the model is not valid there
     settled(opened, "servocore.reset()")
     assert opened.errors == []
 
