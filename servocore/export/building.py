@@ -79,7 +79,7 @@ def inverse_model(
             "order_names": [rows.order_name(order) for order in range(compiled.orders)],
             "follower": scene.tracked or "path",
             "state_size": compiled.state_size,
-            "routes": None,
+            "routes": (),
             "nodes": compiled.nodes,
             "has_quick": int("quick" in compiled.functions),
             "end_conditions": end_conditions(compiled.orders),

@@ -197,7 +197,7 @@ class NativeModel:
     @property
     def settings(self) -> tuple[Variable, ...]:
         """Parameters of the FMU besides those of the model."""
-        return tuple(variable for variable in self.of("parameter") if variable.setting)
+        return tuple(variable for variable in self.of("parameter") if variable.role)
 
     @property
     def measured(self) -> int:

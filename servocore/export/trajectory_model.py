@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -114,10 +113,9 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         own={
             "components": len(servo),
             "orders": orders,
-            "laws": [f"law_{k}" for k in range(1, len(LAWS) + 1)],
             "law_names": [*LAWS, FROM_FILE],
             "ramped": 1 + list(LAWS).index("three-phase"),
-            **_table(None if baked is None else _polynomial(baked, orders), orders),
+            "path": None if baked is None else _polynomial(baked, orders),
             "period": baked.period if isinstance(baked, Periodic) else 0.0,
         },
         functions={
@@ -188,19 +186,3 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
     parts = -(-_ROWS // (len(ends) - 1))
     t = subdivided(ends, parts)
     return hermite(t, path.jet(t, min(order, path.max_order)))[0]
-
-
-def _table(path: PiecewisePolynomial | None, orders: int) -> dict[str, Any]:
-    """Return the coefficients of the pieces, power by power, and the ends."""
-    if path is None:
-        return {"pieces": 0, "degree": 0, "knots": [], "coefficients": [], "ends": [], "rests": (False, False),
-                "rest_order": 0}  # fmt: skip
-    return {
-        "pieces": len(path.knots) - 1,
-        "degree": path.coefficients.shape[1] - 1,
-        "knots": path.knots.tolist(),
-        "coefficients": path.coefficients.reshape(len(path.knots) - 1, -1).tolist(),
-        "ends": path.ends.tolist(),
-        "rests": (path.rests_before, path.rests_after),
-        "rest_order": min(path.smoothness, orders - 1),
-    }
