@@ -6,6 +6,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,12 @@ def token_of(model: NativeModel, fmi: int) -> str:
 
 def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
     """Return a template of a folder, filled in."""
+    text: str = _environment(folder).get_template(template).render(**values)
+    return text
+
+
+@cache  # an export fills some templates in more than once
+def _environment(folder: Path) -> Any:
     with refused_if_missing():
         import jinja2  # noqa: PLC0415 - imported for exports only
 
@@ -73,10 +80,10 @@ def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
         loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
-        autoescape=template.endswith(".html.j2"),
+        autoescape=lambda template: (template or "").endswith(".html.j2"),
     )
     environment.filters.update(text=c_text, number=c_number, remark=c_remark, word=c_word)
-    return environment.get_template(template).render(**values)
+    return environment
 
 
 def c_text(text: str) -> str:
