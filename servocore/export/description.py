@@ -28,10 +28,6 @@ _CATEGORIES = {
     "logStatusDiscard": "Refused steps: a path beyond the limits of the model, inputs that are not finite.",
     "logStatusError": "Invalid calls: unknown variables, values outside bounds, inconsistent times.",
 }
-_ABILITIES = {
-    2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"),
-    3: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"),
-}  # fmt: skip
 _DERIVATIVES = {
     2: ("providesDirectionalDerivative",),
     3: ("providesDirectionalDerivatives", "providesAdjointDerivatives"),
@@ -56,7 +52,8 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
          "description": model.about.description or model.description, **model.about.attributes,
          "generationTool": tool(), **naming},
     )  # fmt: skip
-    abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
+    state, derivatives = "FMUstate" if fmi == 2 else "FMUState", _DERIVATIVES[fmi] if model.differentiable else ()
+    abilities = "canHandleVariableCommunicationStepSize", f"canGetAndSet{state}", f"canSerialize{state}", *derivatives
     simulation = add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     if fmi == 2:
         files = add(simulation, "SourceFiles")

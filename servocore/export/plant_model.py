@@ -158,7 +158,7 @@ def _variables(
 ) -> tuple[Variable, ...]:
     system = problem.system
     variables = [rows.of_quantity(each, "input", (0.0,)) for each in system.inputs]
-    variables += rows.path_variables(system.outputs, tracked, 2, None, "")
+    variables += rows.path_variables(system.outputs, tracked, 2, None)
     variables += [rows.of_quantity(each, "output") for each in outputs[2 * len(system.outputs) :]]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     home = np.zeros((orders, len(system.outputs)))
@@ -176,7 +176,7 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     """Return the limits of the path in its lowest derivatives, and the function (these, p) -> margins."""
     system = problem.system
     orders = min(orders, system.gamma.shape[1])
-    highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.limits if limit.of_path}
+    highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.path_limits}
     kept = tuple(limit for limit, order in highest.items() if 0 <= order < orders)
     return tuple(bound for limit in kept for bound in bounds_of(limit)), compile_margins(system, kept, orders - 1)
 

@@ -89,14 +89,13 @@ def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> Nati
         sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, of_model)
         functions += of_model
     problem = Problem.of(scene, options.models[0])
-    of_path = tuple(limit for limit in problem.limits if limit.of_path)
-    margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
+    margins = compile_margins(problem.system, problem.path_limits, orders - 1)
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),
         choices=(*options.choices, *made.choices),
         own={**made.own, "routes": programs, "formulations": len(options.formulations)},
-        functions={**made.functions, "margins": margins},
+        functions={**made.functions, "margins": renamed(margins, f"{made.identifier}_margins")},
         elsewhere=tuple(functions),
         more_sources=sources,
         differentiable=False,

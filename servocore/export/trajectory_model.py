@@ -98,7 +98,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     profile = options.profile or (law if baked is None else FROM_FILE)
     ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
     times = begin, scene.reference.duration, ramp if law == profile else 0.0
-    played = rows.path_variables(servo, scene.tracked, orders, None, "")
+    played = rows.path_variables(servo, scene.tracked, orders, None)
     variables = rows.placed([*played, *rows.line_settings(servo, scene.tracked, ends, times)])
     choice = _choice(baked is not None or options.offers_file, profile)
     start_time = min(0.0, path.start_time)  # a run starts at zero unless the path starts earlier

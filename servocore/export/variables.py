@@ -227,12 +227,10 @@ def _along(
     ]
 
 
-def path_variables(
-    outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None, verb: str = "prescribed "
-) -> list[Variable]:
+def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None) -> list[Variable]:
     """Return the path and its derivatives, order by order: as inputs, or without a `home` as outputs."""
     form = Variable("", "", "", causality="output" if home is None else "input")
-    components, variables = ", ".join(each.name for each in outputs), []
+    components, verb, variables = ", ".join(each.name for each in outputs), "" if home is None else "prescribed ", []
     for order in range(orders):
         name, starts = order_name(order), home if home is None or order == 0 else np.zeros(len(outputs))
         texts = f"{verb}{name} of the {tracked}, components {components}", f"{verb}{name} of {{name}}{{meant}}"
