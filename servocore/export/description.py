@@ -11,7 +11,7 @@ from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import add, base_units
 from servocore.export.sources import compiled_files
-from servocore.export.variables import INTERNAL_STEP, Causality, Variable, listed
+from servocore.export.variables import INTERNAL_STEP, Causality, Choice, Variable, listed
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -93,29 +93,20 @@ def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
 
 
 def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
-    every = listed(model.variables, fmi)
-    for reference, variable in enumerate(every):
-        common = {"name": variable.name, "valueReference": str(reference), "description": variable.description,
-                  **_causality(variable, fmi)}  # fmt: skip
-        if fmi == 2:
-            number = add(add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
+    every: list[Variable | Choice] = [*listed(model.variables, fmi), *model.choices]
+    for reference, each in enumerate(every):
+        common = {"name": each.name, "valueReference": str(reference), "description": each.description,
+                  "causality": each.causality, "variability": each.variability}  # fmt: skip
+        if isinstance(each, Choice):
+            kind, own = "Enumeration", {"declaredType": each.type_name, "start": str(each.start)}
         else:
-            number = add(table, "Float64", **common, **_attributes(variable))
-        if variable.starts:
-            number.set("start", " ".join(map(repr, variable.starts)))
-        if variable.size is not None:
-            add(number, "Dimension", start=str(variable.size))
-    for reference, choice in enumerate(model.choices, start=len(every)):
-        common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
-                  "causality": "parameter", "variability": choice.variability}  # fmt: skip
-        kind = {"declaredType": choice.type_name, "start": str(choice.start)}
-        if fmi == 2:
-            add(add(table, "ScalarVariable", **common), "Enumeration", **kind)
-        else:
-            add(table, "Enumeration", **common, **kind)
+            kind, own = "Real" if fmi == 2 else "Float64", _attributes(each)
+        parent, own = (add(table, "ScalarVariable", **common), own) if fmi == 2 else (table, common | own)
+        number = add(parent, kind, **own)
+        if isinstance(each, Variable) and each.size is not None:
+            add(number, "Dimension", start=str(each.size))
     if fmi == 3:
-        last = len(every) + len(model.choices)
-        add(table, "Float64", name="time", valueReference=str(last), causality="independent",
+        add(table, "Float64", name="time", valueReference=str(len(every)), causality="independent",
             variability="continuous", unit="s")  # fmt: skip
 
 
@@ -182,19 +173,14 @@ def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
             add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _causality(variable: Variable, fmi: int) -> dict[str, str]:
-    attributes = {"causality": variable.causality, "variability": variable.variability}
-    if variable.causality in ("output", "local"):
-        return attributes | {"initial": "calculated"}
-    return attributes | ({"initial": "exact"} if fmi == 2 and variable.causality == "parameter" else {})
-
-
 def _attributes(variable: Variable) -> dict[str, str]:
     attributes = {"unit": variable.unit, **{name: repr(value) for name, value in variable.bounds.items()}}
     if variable.unit in _SHOWN:
         attributes["displayUnit"] = _SHOWN[variable.unit]
     if variable.nominal:
         attributes["nominal"] = repr(float(variable.nominal))
+    if variable.starts:
+        attributes["start"] = " ".join(map(repr, variable.starts))
     return attributes
 
 

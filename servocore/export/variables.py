@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -131,6 +131,7 @@ class Choice:
     items: tuple[tuple[str, str], ...]
     start: int = 1
     fixed: bool = True
+    causality: ClassVar[Causality] = "parameter"
 
     @property
     def variability(self) -> str:
