@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -126,16 +126,16 @@ def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
         if variable.causality == "output":
             rows = [place - first_output for place in variable.places]
             used = [j for j, columns in of.items() if model.depends[np.ix_(rows, columns)].any()]
-            awaited = [j for j in used if of[j].start < first_output - model.measured]
+            awaited = [j for j in used if not every[j].role]
             known[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
     # FMI 2 counts from 1.
-    parents = [add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
-    for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
+    number, first = ("index", 1) if fmi == 2 else ("valueReference", 0)
+    for which, group in enumerate(("Output", "InitialUnknown")):
+        parent, tag = (add(structure, f"{group}s"), "Unknown") if fmi == 2 else (structure, group)
         for k, on in known.items():
-            if fmi == 2:
-                add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
-            else:
-                add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
+            dependencies = " ".join(str(j + first) for j in on[which])
+            kinds = " ".join(["dependent"] * len(on[which]))
+            add(parent, tag, **{number: str(k + first)}, dependencies=dependencies, dependenciesKind=kinds)
 
 
 def build_description(model: NativeModel) -> bytes:
@@ -182,7 +182,3 @@ def _attributes(variable: Variable) -> dict[str, str]:
     if variable.starts:
         attributes["start"] = " ".join(map(repr, variable.starts))
     return attributes
-
-
-def _dependencies(on: Sequence[int]) -> dict[str, str]:
-    return {"dependencies": " ".join(map(str, on)), "dependenciesKind": " ".join(["dependent"] * len(on))}

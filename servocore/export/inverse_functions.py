@@ -84,12 +84,10 @@ def mathematics(problem: Problem, identifier: str) -> Mathematics:
         If a limit cannot be checked from step to step.
     """
     problem = with_watched(replace(problem, limits=tuple(each for each in problem.limits if not each.over_run)))
-    known, limits = wanted(problem), bounds(problem)
-    outputs = tuple(each for each, _ in known if not each.name.startswith(HIDDEN))
-    expressions = ca.vertcat(ca.SX(0, 1), *[each for _, each in known])
-    order = max(
-        limits_order(problem.system, problem.path_limits), highest_derivative(expressions, problem.system.gamma)
-    )
+    system, limits = problem.system, bounds(problem)
+    outputs = tuple(each for each in (*system.inputs, *system.observables) if not each.name.startswith(HIDDEN))
+    expressions = ca.vertcat(ca.SX(0, 1), *system.observables.values())
+    order = max(limits_order(system, problem.path_limits), highest_derivative(expressions, system.gamma))
     nodes = tuple[float, ...]((1.0,))
     if problem.flat and not problem.follow_branch:
         functions = _instantaneous(problem, identifier, order + 1, limits)
@@ -105,7 +103,8 @@ def _compile_seen(
     problem: Problem, step: Discretization, orders: int, limits: Sequence[Bound]
 ) -> Callable[..., tuple[Any, Any]]:
     """Return the function (state, path, p) -> outputs and margins of all limits, for symbols of either kind."""
-    system, known, sides = problem.system, wanted(problem), [each for each in limits if each.row >= 0]
+    system, sides = problem.system, [each for each in limits if each.row >= 0]
+    known = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
     count = sum(not each.name.startswith(HIDDEN) for each, _ in known)
     read = observation(system, problem.dae(Reduced()), step, known, orders - 1)
     margins_of_path = compile_margins(system, problem.path_limits, orders - 1)
@@ -268,12 +267,6 @@ def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca
     else:
         unknowns, _, residual = inverse.function(used, p)
     return program.restart(unknowns, path, 0, p), residual
-
-
-def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
-    """List inputs and observables with their expressions."""
-    system = problem.system
-    return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
 
 
 def observation(

@@ -218,10 +218,9 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]], or
     coordinates = problem.system.coordinates.names
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
     names = [each for of in offsets.values() for each in of]
-    missing = [each for each in names if each not in coordinates]
-    if missing:
-        raise InvalidModel(f"{problem.name} has no coordinate {missing[0]}")
     added = ca.MX.sym("offsets", len(names))
     for k, each in enumerate(names):
+        if each not in coordinates:
+            raise InvalidModel(f"{problem.name} has no coordinate {each}")
         state[coordinates.index(each)] += added[k]
     return ca.Function(name, [motion, added, p], [ca.densify(ca.vertcat(*state))])

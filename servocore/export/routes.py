@@ -42,16 +42,6 @@ class SteppedRoutes:
     formulations: Mapping[str, Formulation]
     method: Method
 
-    @property
-    def choices(self) -> tuple[Choice, Choice]:
-        """The parameters of the choice."""
-        models = tuple((name, f"the model {name}") for name in self.models)
-        formulations = tuple((name, f"the {name} equations") for name in self.formulations)
-        return (
-            Choice("model", "model that is solved", models),
-            Choice("formulation", "how the servo constraints enter the equations", formulations),
-        )
-
 
 def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> NativeModel:
     """Return an inverse model with a choice of routes.
@@ -90,10 +80,16 @@ def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> Nati
         functions += of_model
     problem = Problem.of(scene, options.models[0])
     margins = compile_margins(problem.system, problem.path_limits, orders - 1)
+    models = tuple((name, f"the model {name}") for name in options.models)
+    formulations = tuple((name, f"the {name} equations") for name in options.formulations)
+    choices = (
+        Choice("model", "model that is solved", models),
+        Choice("formulation", "how the servo constraints enter the equations", formulations),
+    )
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),
-        choices=(*options.choices, *made.choices),
+        choices=(*choices, *made.choices),
         own={**made.own, "routes": programs, "formulations": len(options.formulations)},
         functions={**made.functions, "margins": renamed(margins, f"{made.identifier}_margins")},
         elsewhere=tuple(functions),

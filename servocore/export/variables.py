@@ -41,7 +41,8 @@ class Variable:
     low, high : float
         Bounds.
     role : str
-        Name in the kernel of a parameter besides those of the model; parameters of one role have consecutive places.
+        Name in the kernel of a parameter besides those of the model, or of a measured input; parameters of one role
+        have consecutive places.
     causality : str
         As in FMI.
     size : int or None
@@ -283,7 +284,7 @@ def measured_variable(quantity: Quantity, size: int | None) -> Variable:
     """Return the input of a measured value; if all are zero there is no feedback."""
     form = of_quantity(quantity, "input", (0.0,) * (size or 1))
     text = f"measured {form.description}; all zero: no feedback"
-    return replace(form, name=f"measured.{form.name}", description=text, size=size, nominal=None)
+    return replace(form, name=f"measured.{form.name}", description=text, role="MEASURED", size=size, nominal=None)
 
 
 def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Variable]:
