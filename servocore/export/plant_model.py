@@ -95,7 +95,6 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     used = _used(problem, plant)
     independent = () if problem.system.lam.numel() else problem.system.coordinates.names
     offsets = options.offsets or {f"start.{coordinate}": (coordinate,) for coordinate in independent}
-    variables = _variables(problem, scene.tracked, used, offsets, options, orders)
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, orders)
     functions = {
@@ -103,6 +102,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         **_functions(problem, plant, identifier, used, margins),
         "start_margins": renamed(start_margins, f"{identifier}_start_margins"),
     }
+    variables = _variables(problem, scene.tracked, used, offsets, options, orders)
     return NativeModel(
         identifier=identifier,
         title=f"{scene.name} plant",

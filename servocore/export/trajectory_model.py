@@ -100,7 +100,10 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     times = begin, scene.reference.duration, ramp if law == profile else 0.0
     played = rows.path_variables(servo, scene.tracked, orders, None)
     variables = rows.placed([*played, *rows.line_settings(servo, scene.tracked, ends, times)])
-    choice = _choice(baked is not None or options.offers_file, profile)
+    items = LAWS | ({FROM_FILE: "the built-in path"} if baked is not None or options.offers_file else {})
+    if profile not in items:
+        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(items)}")
+    number, meaning = 1 + list(items).index(profile), "time law along the line, or a path"
     start_time = min(0.0, path.start_time)  # a run starts at zero unless the path starts earlier
     outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(played, 2)]
     return NativeModel(
@@ -122,7 +125,7 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
             f"law_{k}": _law(name, f"{identifier}_law_{k}", len(servo), orders) for k, name in enumerate(LAWS, start=1)
         },
         variables=variables,
-        choices=(choice,),
+        choices=(Choice("profile", meaning, tuple(items.items()), number, fixed=False),),
         outputs=tuple(outputs),
         depends=np.zeros((len(outputs), 0), dtype=bool),
         timed=True,
@@ -140,14 +143,6 @@ def _line(path: Reference) -> tuple[str, float, float]:
             if path.profile == law:
                 return name, path.start_time, 0.0
     return "", 0.0, 0.0
-
-
-def _choice(has_path: bool, profile: str) -> Choice:
-    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_path else {})).items())
-    names = [name for name, _ in items]
-    if profile not in names:
-        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    return Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
