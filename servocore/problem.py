@@ -297,6 +297,11 @@ class Problem:
         return not self.array.states
 
     @property
+    def path_limits(self) -> tuple[Limit, ...]:
+        """The limits that follow from the path alone."""
+        return tuple(limit for limit in self.limits if limit.of_path)
+
+    @property
     def motion_limits(self) -> tuple[Limit, ...]:
         """The limits that do not follow from the path alone."""
         return tuple(limit for limit in self.limits if not limit.of_path)

@@ -32,7 +32,7 @@ def told_to(name: str, random: np.random.Generator) -> np.ndarray:
 
 def directions(name: str, random: np.random.Generator) -> dict[str, np.ndarray]:
     """Return a direction of all inputs and the model's parameters."""
-    own = [each for each in exported(name).of("parameter") if not each.setting]
+    own = [each for each in exported(name).of("parameter") if not each.role]
     knowns = [*exported(name).of("input"), *own]
     return {each.name: random.standard_normal(each.size or 1) * (each.nominal or 1.0) * 0.01 for each in knowns}
 

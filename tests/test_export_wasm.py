@@ -48,7 +48,7 @@ class Engine:
         if name not in self.loaded:
             loader, content = (
                 base64.b64encode(file.read_bytes()).decode()
-                for file in (wasm.loader_beside(module_file(name)), module_file(name))
+                for file in (module_file(name).with_suffix(wasm.LOADER), module_file(name))
             )
             self.loaded[name] = self.page.run(
                 f'import("data:text/javascript;base64,{loader}").then(async ({{ load }}) => {{'
@@ -255,7 +255,7 @@ def test_the_script_of_the_page_runs(tmp_path: Path) -> None:
     page = Path(__file__).resolve().parents[1] / "docs" / "howto" / "web-page.md"
     script = page.read_text(encoding="utf-8").split('<script type="module">\n')[1].split("</script>")[0]
     shutil.copy(module_file("rotary_crane"), tmp_path / "crane.wasm")
-    shutil.copy(wasm.loader_beside(module_file("rotary_crane")), tmp_path / "crane.mjs")
+    shutil.copy(module_file("rotary_crane").with_suffix(wasm.LOADER), tmp_path / "crane.mjs")
     (tmp_path / "main.mjs").write_text(
         'import fs from "node:fs";\nglobalThis.fetch = async (name) => new Response(fs.readFileSync(name));\n' + script,
         encoding="utf-8",

@@ -35,6 +35,7 @@ from test_moving_starts import rows
 import servocore as sc
 from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.native import feedback_of
+from crane_fmu.files import put
 from crane_fmu.run import run_ssp
 from servocore.cli.commands import app
 from servocore.export import targets
@@ -99,9 +100,7 @@ def test_models_are_linked_into_one_program(
     objects, probes = [], [f"probe_{k}" for k in range(len(names))]
     for name, probe in zip(names, probes, strict=True):
         folder = tmp_path / probe
-        folder.mkdir()
-        for file, text in (fmu_sources(exported(name), fmi) | {"probe.c": PROBE}).items():
-            (folder / file).write_text(text, encoding="utf-8")
+        put(folder, fmu_sources(exported(name), fmi) | {"probe.c": PROBE})
         files = *compiled_files(exported(name), fmi), "probe.c"
         subprocess.run([*compiler, "-std=c99", "-O0", "-w", "-c", f"-DFMI={fmi}", f"-DPROBE={probe}", *files],
                        cwd=folder, check=True)  # fmt: skip
@@ -172,6 +171,8 @@ def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path
         sc.export_trajectory(CRANE, tmp_path / "c.fmu", sc.TrajectoryOptions(start={"duration": -1.0}), targets="none")
     with pytest.raises(sc.InvalidSetting, match="no input or parameter 'winds'"):
         sc.export_plant(CRANE, tmp_path / "b.fmu", sc.PlantOptions(start={"winds": 1.0}), targets="none")
+    with pytest.raises(sc.InvalidModel, match="rotary_crane has no coordinate sway"):
+        sc.export_plant(CRANE, tmp_path / "b.fmu", sc.PlantOptions(offsets={"start.sway": ("sway",)}), targets="none")
 
 
 # Systems -------------------------------------------------------------------------------------------------------------
@@ -319,8 +320,7 @@ def vendor(tmp_path: Path) -> Path:
         "icon.png": b"\x89PNG and so on",
         "page.html": b"<html>ACME</html>",
     }
-    for name, content in (contents | {"vendor.toml": VENDOR.encode()}).items():
-        (tmp_path / name).write_bytes(content)
+    put(tmp_path, contents | {"vendor.toml": VENDOR.encode()})
     return tmp_path
 
 
@@ -427,10 +427,8 @@ def test_compilers_have_nothing_to_say_about_sources(name: str, tool: str, langu
         if what == "c" and " " in name:
             continue
         model, folder = exported(name), tmp_path / str(what)
-        folder.mkdir()
         sources = c_files(model) if what == "c" else fmu_sources(model, int(what))
-        for file, text in sources.items():
-            (folder / file).write_text(text, encoding="utf-8")
+        put(folder, sources)
         for file in (file for file in sources if file.endswith(".c")):
             # some warnings come with optimizations only, and zig's clang always writes an object
             optimized = "mathematics" not in file and (FULL or (tool, language) == ("gcc", "C99"))
@@ -570,8 +568,7 @@ def test_sources_without_stdio_call_the_mathematics_of_c_and_the_host_only(
 ) -> None:
     """As controllers need it that compile sources (TwinCAT's TE1420): no call of an operating system, nothing else."""
     model = replace(exported(name), host=HostRules(stdio=False, internal_steps=7))
-    for file, text in fmu_sources(model, fmi).items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
+    put(tmp_path, fmu_sources(model, fmi))
     wanted = set()
     for file in compiled_files(model, fmi):
         optimized = "-O2" if file.startswith("fmi") else "-O0"
@@ -653,8 +650,7 @@ int main(int count, char **words)
 def test_the_operations_that_a_readme_tells_are_those_that_run(name: str, compiler: list[str], tmp_path: Path) -> None:
     """An operation is an instruction or two, and copies and indices come on top."""
     files = c_files(exported(name))
-    for file, text in (files | {"main.c": LOOP.format(name=name)}).items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
+    put(tmp_path, files | {"main.c": LOOP.format(name=name)})
     subprocess.run([*compiler, "-O2", f"{name}.c", "main.c", "-o", "run", "-lm"], cwd=tmp_path, check=True)
     counts = []
     for steps in (10, 110):

@@ -34,7 +34,7 @@ def test_numbers_follow_each_other_in_the_order_of_the_kernel_whatever_the_order
     for each in variables:
         assert each.place == place
         place += each.size or 1
-    kinds = [(each.causality, each.setting) for each in variables]
+    kinds = [(each.causality, bool(each.role)) for each in variables]
     assert list(dict.fromkeys(kinds)) == [
         ("input", False), ("output", False), ("parameter", False), ("parameter", True),
     ]  # fmt: skip

@@ -95,9 +95,8 @@ def _undecided(proof: Proof) -> Statement:
 def _slack(proof: Proof, first: int) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
     problem, equations = proof.problem, proof.equations
-    limits = [limit for limit in problem.limits if limit.of_path]
-    limits += [limit for what, limit in claims_of(problem.resolved) if what != DEFINITE]
-    limits = [limit for limit in limits if known(equations, limit)]
+    claimed = [limit for what, limit in claims_of(problem.resolved) if what != DEFINITE]
+    limits = [limit for limit in (*problem.path_limits, *claimed) if known(equations, limit)]
     near = proof.solved & (np.abs(proof.begin - proof.begin[first]) < _NEAR * problem.reference.duration)
     if not limits or not near.any():
         return ""

@@ -146,10 +146,9 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     Such limits are functions of the path alone: they are evaluated on a grid that follows the stretches of the path,
     and between its instants where a margin is so low that it may fall to zero there.
     """
-    of_path = [limit for limit in problem.limits if limit.of_path]
-    if t is not None and (at_instants := tuple(each for each in of_path if each.at_instants_only)):
+    if t is not None and (at_instants := tuple(each for each in problem.path_limits if each.at_instants_only)):
         _require_kept(at_instants, _margins(problem, at_instants, t), t)
-    limits = tuple(each for each in of_path if not each.at_instants_only)
+    limits = tuple(each for each in problem.path_limits if not each.at_instants_only)
     if not limits:
         return
     every = survey(problem.reference)

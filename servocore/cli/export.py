@@ -32,7 +32,7 @@ from servocore.export.native_model import HostRules
 from servocore.export.parameter_sets import STEPS, cross_check_files
 from servocore.export.targets import zig
 from servocore.export.trajectory_model import TrajectoryOptions
-from servocore.export.wasm import export_wasm, loader_beside, require_module
+from servocore.export.wasm import LOADER, export_wasm, require_module
 from servocore.files import made_folder, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
@@ -164,7 +164,7 @@ def export_scene(
     if products.c is not None:
         print(f"{products.c}: C source of {scene.name}")
     if products.wasm is not None:
-        print(f"{products.wasm}, {loader_beside(products.wasm)}: WebAssembly of {scene.name}")
+        print(f"{products.wasm}, {products.wasm.with_suffix(LOADER)}: WebAssembly of {scene.name}")
     print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
 
 
@@ -191,7 +191,7 @@ def _export_inverse(scene: Scene, products: Products, common: Mapping[str, Any])
         if wasm is not None:
             progress("compiling to WebAssembly")
             export_wasm(scene, made / wasm.name, model=model)
-            results |= {place: (made / place.name).read_bytes() for place in (wasm, loader_beside(wasm))}
+            results |= {place: (made / place.name).read_bytes() for place in (wasm, wasm.with_suffix(LOADER))}
         write_together(results)
 
 

@@ -56,8 +56,9 @@ def inverse_model(
     problem = _analysed(scene, model)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
+    orders, state_size = compiled.functions["begin"].size2_in(0), compiled.functions["begin"].numel_out(0)
     require_limits_kept(scene, model)
-    if (feedback or estimates) and compiled.state_size:
+    if (feedback or estimates) and state_size:
         option = "a feedback" if feedback else "estimated derivatives"
         raise InvalidModel(f"{scene.name} cannot have {option}: its inputs are stepped, not found at every instant")
     more = dict(estimates.functions) if estimates else {}
@@ -75,14 +76,14 @@ def inverse_model(
         kernel="inverse",
         own={
             "components": len(system.outputs),
-            "orders": compiled.orders,
-            "order_names": [rows.order_name(order) for order in range(compiled.orders)],
+            "orders": orders,
+            "order_names": [rows.order_name(order) for order in range(orders)],
             "follower": scene.tracked or "path",
-            "state_size": compiled.state_size,
-            "routes": None,
+            "state_size": state_size,
+            "routes": (),
             "nodes": compiled.nodes,
             "has_quick": int("quick" in compiled.functions),
-            "end_conditions": end_conditions(compiled.orders),
+            "end_conditions": end_conditions(orders),
             "feedback": feedback,
             "estimates": estimates,
         },
@@ -134,13 +135,13 @@ def _variables(
 ) -> Sequence[Variable]:
     system, array = problem.system, problem.array
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
-    variables = rows.path_variables(system.outputs, scene.tracked, compiled.orders, home)
+    variables = rows.path_variables(system.outputs, scene.tracked, compiled.functions["begin"].size2_in(0), home)
     if feedback is not None:
         variables += [rows.measured_variable(*each) for each in feedback.measured]
         variables += rows.feedback_settings(system.inputs, feedback.distance)
     variables += [rows.of_quantity(each, "output") for each in compiled.outputs]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
-    if compiled.state_size:
+    if "advance" in compiled.functions:
         variables.append(rows.internal_step())
     if not problem.flat:
         quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -11,7 +11,7 @@ from servocore.export.about import tool
 from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import add, base_units
 from servocore.export.sources import compiled_files
-from servocore.export.variables import INTERNAL_STEP, Causality, Variable, listed
+from servocore.export.variables import INTERNAL_STEP, Causality, Choice, Variable, listed
 from servocore.files import xml_document
 
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -28,10 +28,6 @@ _CATEGORIES = {
     "logStatusDiscard": "Refused steps: a path beyond the limits of the model, inputs that are not finite.",
     "logStatusError": "Invalid calls: unknown variables, values outside bounds, inconsistent times.",
 }
-_ABILITIES = {
-    2: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate"),
-    3: ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"),
-}  # fmt: skip
 _DERIVATIVES = {
     2: ("providesDirectionalDerivative",),
     3: ("providesDirectionalDerivatives", "providesAdjointDerivatives"),
@@ -56,7 +52,8 @@ def model_description(model: NativeModel, token: str, fmi: int) -> bytes:
          "description": model.about.description or model.description, **model.about.attributes,
          "generationTool": tool(), **naming},
     )  # fmt: skip
-    abilities = _ABILITIES[fmi] + (_DERIVATIVES[fmi] if model.differentiable else ())
+    state, derivatives = "FMUstate" if fmi == 2 else "FMUState", _DERIVATIVES[fmi] if model.differentiable else ()
+    abilities = "canHandleVariableCommunicationStepSize", f"canGetAndSet{state}", f"canSerialize{state}", *derivatives
     simulation = add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     if fmi == 2:
         files = add(simulation, "SourceFiles")
@@ -96,29 +93,20 @@ def _annotations(root: ET.Element, model: NativeModel, fmi: int) -> None:
 
 
 def _variables(table: ET.Element, model: NativeModel, fmi: int) -> None:
-    every = listed(model.variables, fmi)
-    for reference, variable in enumerate(every):
-        common = {"name": variable.name, "valueReference": str(reference), "description": variable.description,
-                  **_causality(variable, fmi)}  # fmt: skip
-        if fmi == 2:
-            number = add(add(table, "ScalarVariable", **common), "Real", **_attributes(variable))
+    every: list[Variable | Choice] = [*listed(model.variables, fmi), *model.choices]
+    for reference, each in enumerate(every):
+        common = {"name": each.name, "valueReference": str(reference), "description": each.description,
+                  "causality": each.causality, "variability": each.variability}  # fmt: skip
+        if isinstance(each, Choice):
+            kind, own = "Enumeration", {"declaredType": each.type_name, "start": str(each.start)}
         else:
-            number = add(table, "Float64", **common, **_attributes(variable))
-        if variable.starts:
-            number.set("start", " ".join(map(repr, variable.starts)))
-        if variable.size is not None:
-            add(number, "Dimension", start=str(variable.size))
-    for reference, choice in enumerate(model.choices, start=len(every)):
-        common = {"name": choice.name, "valueReference": str(reference), "description": choice.description,
-                  "causality": "parameter", "variability": choice.variability}  # fmt: skip
-        kind = {"declaredType": choice.type_name, "start": str(choice.start)}
-        if fmi == 2:
-            add(add(table, "ScalarVariable", **common), "Enumeration", **kind)
-        else:
-            add(table, "Enumeration", **common, **kind)
+            kind, own = "Real" if fmi == 2 else "Float64", _attributes(each)
+        parent, own = (add(table, "ScalarVariable", **common), own) if fmi == 2 else (table, common | own)
+        number = add(parent, kind, **own)
+        if isinstance(each, Variable) and each.size is not None:
+            add(number, "Dimension", start=str(each.size))
     if fmi == 3:
-        last = len(every) + len(model.choices)
-        add(table, "Float64", name="time", valueReference=str(last), causality="independent",
+        add(table, "Float64", name="time", valueReference=str(len(every)), causality="independent",
             variability="continuous", unit="s")  # fmt: skip
 
 
@@ -138,16 +126,16 @@ def _structure(structure: ET.Element, model: NativeModel, fmi: int) -> None:
         if variable.causality == "output":
             rows = [place - first_output for place in variable.places]
             used = [j for j, columns in of.items() if model.depends[np.ix_(rows, columns)].any()]
-            awaited = [j for j in used if of[j].start < first_output - model.measured]
+            awaited = [j for j in used if not every[j].role]
             known[k] = [*(used if model.differentiable else ()), *time], [*awaited, *parameters, *time]
     # FMI 2 counts from 1.
-    parents = [add(structure, tag) for tag in ("Outputs", "InitialUnknowns")] if fmi == 2 else [structure] * 2
-    for which, (parent, tag) in enumerate(zip(parents, ("Output", "InitialUnknown"), strict=True)):
+    number, first = ("index", 1) if fmi == 2 else ("valueReference", 0)
+    for which, group in enumerate(("Output", "InitialUnknown")):
+        parent, tag = (add(structure, f"{group}s"), "Unknown") if fmi == 2 else (structure, group)
         for k, on in known.items():
-            if fmi == 2:
-                add(parent, "Unknown", index=str(k + 1), **_dependencies([j + 1 for j in on[which]]))
-            else:
-                add(parent, tag, valueReference=str(k), **_dependencies(on[which]))
+            dependencies = " ".join(str(j + first) for j in on[which])
+            kinds = " ".join(["dependent"] * len(on[which]))
+            add(parent, tag, **{number: str(k + first)}, dependencies=dependencies, dependenciesKind=kinds)
 
 
 def build_description(model: NativeModel) -> bytes:
@@ -185,21 +173,12 @@ def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
             add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _causality(variable: Variable, fmi: int) -> dict[str, str]:
-    attributes = {"causality": variable.causality, "variability": variable.variability}
-    if variable.causality in ("output", "local"):
-        return attributes | {"initial": "calculated"}
-    return attributes | ({"initial": "exact"} if fmi == 2 and variable.causality == "parameter" else {})
-
-
 def _attributes(variable: Variable) -> dict[str, str]:
     attributes = {"unit": variable.unit, **{name: repr(value) for name, value in variable.bounds.items()}}
     if variable.unit in _SHOWN:
         attributes["displayUnit"] = _SHOWN[variable.unit]
     if variable.nominal:
         attributes["nominal"] = repr(float(variable.nominal))
+    if variable.starts:
+        attributes["start"] = " ".join(map(repr, variable.starts))
     return attributes
-
-
-def _dependencies(on: Sequence[int]) -> dict[str, str]:
-    return {"dependencies": " ".join(map(str, on)), "dependenciesKind": " ".join(["dependent"] * len(on))}

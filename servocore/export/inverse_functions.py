@@ -41,7 +41,7 @@ Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 
 
 class Mathematics(NamedTuple):
-    """Functions of flat arguments; a path is (m, orders), column after column, parameters p.
+    """Functions of flat arguments; a path is (m, orders), the path itself included, column after column, parameters p.
 
     Attributes
     ----------
@@ -55,10 +55,6 @@ class Mathematics(NamedTuple):
         Computed quantities.
     limits : tuple of Bound
         The bounds of the margins.
-    orders : int
-        Number of derivatives of the path among the arguments, the path itself included.
-    state_size : int
-        Numbers kept from step to step; 0 where instants are independent.
     nodes : tuple of float
         Fractions of a step at which the path is needed.
     depends : ndarray of bool, shape (outputs, m * orders)
@@ -68,8 +64,6 @@ class Mathematics(NamedTuple):
     functions: dict[str, ca.Function]
     outputs: tuple[Quantity, ...]
     limits: tuple[Bound, ...]
-    orders: int
-    state_size: int
     nodes: tuple[float, ...]
     depends: npt.NDArray[np.bool_]
 
@@ -90,34 +84,30 @@ def mathematics(problem: Problem, identifier: str) -> Mathematics:
         If a limit cannot be checked from step to step.
     """
     problem = with_watched(replace(problem, limits=tuple(each for each in problem.limits if not each.over_run)))
-    known, limits = wanted(problem), bounds(problem)
-    outputs = tuple(each for each, _ in known if not each.name.startswith(HIDDEN))
-    expressions = ca.vertcat(ca.SX(0, 1), *[each for _, each in known])
-    order = max(limits_order(problem.system, _of_path(problem)), highest_derivative(expressions, problem.system.gamma))
-    state_size, nodes = 0, tuple[float, ...]((1.0,))
+    system, limits = problem.system, bounds(problem)
+    outputs = tuple(each for each in (*system.inputs, *system.observables) if not each.name.startswith(HIDDEN))
+    expressions = ca.vertcat(ca.SX(0, 1), *system.observables.values())
+    order = max(limits_order(system, problem.path_limits), highest_derivative(expressions, system.gamma))
+    nodes = tuple[float, ...]((1.0,))
     if problem.flat and not problem.follow_branch:
         functions = _instantaneous(problem, identifier, order + 1, limits)
         depends = ca.DM(functions.get("quick", functions["begin"]).jac_sparsity(1, 0), 1).full() > 0.0
     else:
         program = program_of(problem, Reduced(), METHOD)
-        state_size, nodes = program.state_size, program.nodes
-        functions = _stepped(problem, program, identifier, order + 1, limits)
+        functions, nodes = _stepped(problem, program, identifier, order + 1, limits), program.nodes
         depends = np.ones((len(outputs), functions["begin"].numel_in(0)), dtype=bool)  # also through the state
-    return Mathematics(functions, outputs, limits, functions["begin"].size2_in(0), state_size, nodes, depends)
-
-
-def _of_path(problem: Problem) -> tuple[Limit, ...]:
-    return tuple(limit for limit in problem.limits if limit.of_path)
+    return Mathematics(functions, outputs, limits, nodes, depends)
 
 
 def _compile_seen(
     problem: Problem, step: Discretization, orders: int, limits: Sequence[Bound]
 ) -> Callable[..., tuple[Any, Any]]:
     """Return the function (state, path, p) -> outputs and margins of all limits, for symbols of either kind."""
-    system, known, of_path = problem.system, wanted(problem), _of_path(problem)
-    count, sides = sum(not each.name.startswith(HIDDEN) for each, _ in known), limits[len(of_path) :]
+    system, sides = problem.system, [each for each in limits if each.row >= 0]
+    known = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
+    count = sum(not each.name.startswith(HIDDEN) for each, _ in known)
     read = observation(system, problem.dae(Reduced()), step, known, orders - 1)
-    margins_of_path = compile_margins(system, of_path, orders - 1)
+    margins_of_path = compile_margins(system, problem.path_limits, orders - 1)
 
     def seen(state: Matrix, path: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
         values, margins = read(state, path, p), margins_of_path(path, p)
@@ -135,7 +125,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     InvalidModel
         If one is of an angle that counts turns, or of the rate of a force: neither follows from a single instant.
     """
-    path = [bound for limit in problem.limits if limit.of_path for bound in bounds_of(limit)]
+    path = [bound for limit in problem.path_limits for bound in bounds_of(limit)]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     bounds_of_limits = list[Bound]()
     for row, (limit, name) in enumerate(zip(problem.motion_limits, hidden, strict=True)):
@@ -277,12 +267,6 @@ def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca
     else:
         unknowns, _, residual = inverse.function(used, p)
     return program.restart(unknowns, path, 0, p), residual
-
-
-def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
-    """List inputs and observables with their expressions."""
-    system = problem.system
-    return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
 
 
 def observation(

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.about import About
 from servocore.export.c_functions import c_source
-from servocore.export.sampled_laws import SampledFeedback
 from servocore.export.variables import INTERNAL_STEP, Causality, Choice, Variable, listed, of_quantity, placed
 from servocore.model.limits import run_quantities
 from servocore.model.quantity import Quantity
@@ -197,13 +196,7 @@ class NativeModel:
     @property
     def settings(self) -> tuple[Variable, ...]:
         """Parameters of the FMU besides those of the model."""
-        return tuple(variable for variable in self.of("parameter") if variable.setting)
-
-    @property
-    def measured(self) -> int:
-        """The number of inputs, the last ones, with measured values for a feedback."""
-        feedback: SampledFeedback | None = self.own.get("feedback")
-        return feedback.numbers if feedback else 0
+        return tuple(variable for variable in self.of("parameter") if variable.role)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""

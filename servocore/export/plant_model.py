@@ -95,7 +95,6 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
     used = _used(problem, plant)
     independent = () if problem.system.lam.numel() else problem.system.coordinates.names
     offsets = options.offsets or {f"start.{coordinate}": (coordinate,) for coordinate in independent}
-    variables = _variables(problem, scene.tracked, used, offsets, options, orders)
     limits, margins = _limits(problem, 1)
     start_limits, start_margins = _limits(problem, orders)
     functions = {
@@ -103,6 +102,7 @@ def plant_model(scene: Scene, model: str | None = None, options: PlantOptions | 
         **_functions(problem, plant, identifier, used, margins),
         "start_margins": renamed(start_margins, f"{identifier}_start_margins"),
     }
+    variables = _variables(problem, scene.tracked, used, offsets, options, orders)
     return NativeModel(
         identifier=identifier,
         title=f"{scene.name} plant",
@@ -158,7 +158,7 @@ def _variables(
 ) -> tuple[Variable, ...]:
     system = problem.system
     variables = [rows.of_quantity(each, "input", (0.0,)) for each in system.inputs]
-    variables += rows.path_variables(system.outputs, tracked, 2, None, "")
+    variables += rows.path_variables(system.outputs, tracked, 2, None)
     variables += [rows.of_quantity(each, "output") for each in outputs[2 * len(system.outputs) :]]
     variables += rows.parameter_variables(system.parameters.declared, problem.p)
     home = np.zeros((orders, len(system.outputs)))
@@ -176,7 +176,7 @@ def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Functi
     """Return the limits of the path in its lowest derivatives, and the function (these, p) -> margins."""
     system = problem.system
     orders = min(orders, system.gamma.shape[1])
-    highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.limits if limit.of_path}
+    highest = {limit: highest_derivative(limit.on(system), system.gamma) for limit in problem.path_limits}
     kept = tuple(limit for limit, order in highest.items() if 0 <= order < orders)
     return tuple(bound for limit in kept for bound in bounds_of(limit)), compile_margins(system, kept, orders - 1)
 
@@ -218,10 +218,9 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]], or
     coordinates = problem.system.coordinates.names
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
     names = [each for of in offsets.values() for each in of]
-    missing = [each for each in names if each not in coordinates]
-    if missing:
-        raise InvalidModel(f"{problem.name} has no coordinate {missing[0]}")
     added = ca.MX.sym("offsets", len(names))
     for k, each in enumerate(names):
+        if each not in coordinates:
+            raise InvalidModel(f"{problem.name} has no coordinate {each}")
         state[coordinates.index(each)] += added[k]
     return ca.Function(name, [motion, added, p], [ca.densify(ca.vertcat(*state))])

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Any
 
 import casadi as ca
 
@@ -25,8 +23,6 @@ from servocore.stepping.program import Program, program_of
 from servocore.stepping.step_functions import compile_start
 from servocore.structure.inversion import inversion
 
-_FULL_DERIVATIVES = 3  # of the path: steps that use these need no history of it
-
 
 @dataclass(frozen=True)
 class SteppedRoutes:
@@ -45,16 +41,6 @@ class SteppedRoutes:
     models: tuple[str, ...]
     formulations: Mapping[str, Formulation]
     method: Method
-
-    @property
-    def choices(self) -> tuple[Choice, Choice]:
-        """The parameters of the choice."""
-        models = tuple((name, f"the model {name}") for name in self.models)
-        formulations = tuple((name, f"the {name} equations") for name in self.formulations)
-        return (
-            Choice("model", "model that is solved", models),
-            Choice("formulation", "how the servo constraints enter the equations", formulations),
-        )
 
 
 def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> NativeModel:
@@ -77,58 +63,39 @@ def with_routes(made: NativeModel, scene: Scene, options: SteppedRoutes) -> Nati
     if made.own["state_size"] or any(not limit.row < 0 for limit in made.limits):
         raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
     outputs, orders = made.outputs, made.own["orders"]
-    programs, functions, sources = list[Program](), list[dict[str, ca.Function]](), dict[str, str]()
-    for k, (model, formulation) in enumerate(product(options.models, options.formulations.values())):
-        program = program_of(Problem.of(scene, model), formulation, options.method)
-        if program.nodes != (1.0,):
-            raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
-        programs.append(program)
-        of_route = step_functions(program, f"{made.identifier}_route_{k}", outputs, orders, guess=True) if k else {}
-        functions.append(of_route)
-    # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
-    count = len(options.formulations)
-    for k, model in enumerate(options.models):
-        name, of_model = f"{made.identifier}_{model}", functions[k * count : (k + 1) * count]
-        sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, [f for each in of_model for f in each.values()])
+    programs, functions, sources = list[Program](), list[ca.Function](), dict[str, str]()
+    for model in options.models:
+        of_model = list[ca.Function]()
+        for formulation in options.formulations.values():
+            program = program_of(Problem.of(scene, model), formulation, options.method)
+            if program.nodes != (1.0,):
+                raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
+            if route := len(programs):
+                name = f"{made.identifier}_route_{route}"
+                of_model += step_functions(program, name, outputs, orders, guess=True).values()
+            programs.append(program)
+        # Routes are large: those of a model share a file, and in it the functions of the model's exact inversion.
+        name = f"{made.identifier}_{model}"
+        sources[f"{name}.h"], sources[f"{name}.c"] = c_source(name, of_model)
+        functions += of_model
     problem = Problem.of(scene, options.models[0])
-    of_path = tuple(limit for limit in problem.limits if limit.of_path)
-    margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{made.identifier}_margins")
-    table = _table(programs, functions, outputs) | {"formulations": count}
+    margins = compile_margins(problem.system, problem.path_limits, orders - 1)
+    models = tuple((name, f"the model {name}") for name in options.models)
+    formulations = tuple((name, f"the {name} equations") for name in options.formulations)
+    choices = (
+        Choice("model", "model that is solved", models),
+        Choice("formulation", "how the servo constraints enter the equations", formulations),
+    )
     return replace(
         made,
         variables=placed([*made.variables, internal_step()]),
-        choices=(*options.choices, *made.choices),
-        own={**made.own, "routes": table},
-        functions={**made.functions, "margins": margins},
-        elsewhere=tuple(function for each in functions for function in each.values()),
+        choices=(*choices, *made.choices),
+        own={**made.own, "routes": programs, "formulations": len(options.formulations)},
+        functions={**made.functions, "margins": renamed(margins, f"{made.identifier}_margins")},
+        elsewhere=tuple(functions),
         more_sources=sources,
         differentiable=False,
     )
-
-
-def _table(
-    programs: Sequence[Program], functions: Sequence[Mapping[str, ca.Function]], outputs: Sequence[Quantity]
-) -> dict[str, Any]:
-    """Return values for the templates of the sources, by name."""
-    return {
-        "size": max(program.state_size for program in programs),
-        "instants": max(len(program.start_instants) for program in programs),
-        "equations": max(len(program.equations) for program in programs),
-        "wrong_signs": [each.wrong_sign for each in outputs],
-        "forces": [each.unit == "N" for each in outputs],
-        "each": [
-            {
-                "name": program.name,
-                "exact": not of_route,
-                "size": program.state_size,
-                "at": program.start_instants,
-                "settle": max(0, _FULL_DERIVATIVES - program.order),
-                "equations": program.equations,
-                "smaller_steps_help": program.smaller_steps_help,
-            }
-            for program, of_route in zip(programs, functions, strict=True)
-        ],
-    }
 
 
 def step_functions(

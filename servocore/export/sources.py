@@ -6,6 +6,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +33,22 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 
 def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return all C sources of an FMU by file name: mathematics, tables, kernel, and FMI's own headers."""
+    own = _own_sources(model, fmi, token_of(model, fmi))
+    return {
+        **{name: model.about.notice + text for name, text in own.items()},
+        **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
+    }
+
+
+def _own_sources(model: NativeModel, fmi: int, token: str = "") -> dict[str, str]:
     header, source = model.source
-    values = tables(model, token_of(model, fmi))
-    own = {
+    values, shared = tables(model, token), ("instance.h", "calls.h", *_KERNELS[model.kernel], f"fmi{fmi}.c")
+    return {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
         **model.more_sources,
         "model.h": rendered("model.h.j2", **values, own=rendered(f"{model.kernel}_own.h.j2", **values)),
-        **{name: (SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")},
-    }
-    return {
-        **{name: model.about.notice + text for name, text in own.items()},
-        **{name: (SHARED / "fmi" / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
+        **{name: (SHARED / name).read_text(encoding="utf-8") for name in shared},
     }
 
 
@@ -54,22 +59,20 @@ def compiled_files(model: NativeModel, fmi: int) -> tuple[str, ...]:
 
 
 def token_of(model: NativeModel, fmi: int) -> str:
-    """Return the token of a build: it changes when, and only when, variables, mathematics or kernel do."""
-    parts = (model.variables, model.choices, model.host, model.limits, model.run_limits)
-    common = [(SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")]
-    digest = hashlib.sha256(repr(parts).encode())
-    for text in (*model.source, *model.more_sources.values(), repr(model.own), *common):
-        digest.update(text.encode())
-    code = digest.hexdigest()
+    """Return the token of a build: it changes when, and only when, variables or sources do."""
+    parts = model.variables, model.choices, _own_sources(model, fmi)
+    code = hashlib.sha256(repr(parts).encode()).hexdigest()
     return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"
-
-
-def _headers(model: NativeModel) -> tuple[str, ...]:
-    return "instance.h", "calls.h", *_KERNELS[model.kernel]
 
 
 def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
     """Return a template of a folder, filled in."""
+    text: str = _environment(folder).get_template(template).render(**values)
+    return text
+
+
+@cache  # an export fills some templates in more than once
+def _environment(folder: Path) -> Any:
     with refused_if_missing():
         import jinja2  # noqa: PLC0415 - imported for exports only
 
@@ -77,10 +80,10 @@ def rendered(template: str, folder: Path = SHARED, **values: Any) -> str:
         loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
-        autoescape=template.endswith(".html.j2"),
+        autoescape=lambda template: (template or "").endswith(".html.j2"),
     )
     environment.filters.update(text=c_text, number=c_number, remark=c_remark, word=c_word)
-    return environment.get_template(template).render(**values)
+    return environment
 
 
 def c_text(text: str) -> str:

@@ -130,12 +130,8 @@ def chosen_targets(targets: str | None, fmi: int) -> tuple[str, ...]:
         targets = "all" if zig() else HOST
     if targets == NONE:
         return ()
-    names = [label.strip() for label in targets.split(",")]
-    names = (
-        known
-        if "all" in names and set(names) <= {"all", HOST, *known}
-        else [host() if label == HOST else label for label in names]
-    )
+    labels, groups = [label.strip() for label in targets.split(",")], {"all": known, HOST: [host()]}
+    names = [name for label in labels for name in groups.get(label, [label])]
     for name in names:
         if name not in known:
             raise InvalidSetting(f"FMI {fmi} has no platform {name!r}; there are {', '.join(known)}, all and {HOST}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -99,9 +98,12 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
     profile = options.profile or (law if baked is None else FROM_FILE)
     ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
     times = begin, scene.reference.duration, ramp if law == profile else 0.0
-    played = rows.path_variables(servo, scene.tracked, orders, None, "")
+    played = rows.path_variables(servo, scene.tracked, orders, None)
     variables = rows.placed([*played, *rows.line_settings(servo, scene.tracked, ends, times)])
-    choice = _choice(baked is not None or options.offers_file, profile)
+    items = LAWS | ({FROM_FILE: "the built-in path"} if baked is not None or options.offers_file else {})
+    if profile not in items:
+        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(items)}")
+    number, meaning = 1 + list(items).index(profile), "time law along the line, or a path"
     start_time = min(0.0, path.start_time)  # a run starts at zero unless the path starts earlier
     outputs = [Quantity(each.name, each.unit, each.description) for each in rows.listed(played, 2)]
     return NativeModel(
@@ -114,17 +116,16 @@ def trajectory_model(scene: Scene, model: str | None = None, options: Trajectory
         own={
             "components": len(servo),
             "orders": orders,
-            "laws": [f"law_{k}" for k in range(1, len(LAWS) + 1)],
             "law_names": [*LAWS, FROM_FILE],
             "ramped": 1 + list(LAWS).index("three-phase"),
-            **_table(None if baked is None else _polynomial(baked, orders), orders),
+            "path": None if baked is None else _polynomial(baked, orders),
             "period": baked.period if isinstance(baked, Periodic) else 0.0,
         },
         functions={
             f"law_{k}": _law(name, f"{identifier}_law_{k}", len(servo), orders) for k, name in enumerate(LAWS, start=1)
         },
         variables=variables,
-        choices=(choice,),
+        choices=(Choice("profile", meaning, tuple(items.items()), number, fixed=False),),
         outputs=tuple(outputs),
         depends=np.zeros((len(outputs), 0), dtype=bool),
         timed=True,
@@ -142,14 +143,6 @@ def _line(path: Reference) -> tuple[str, float, float]:
             if path.profile == law:
                 return name, path.start_time, 0.0
     return "", 0.0, 0.0
-
-
-def _choice(has_path: bool, profile: str) -> Choice:
-    items = tuple((LAWS | ({FROM_FILE: "the built-in path"} if has_path else {})).items())
-    names = [name for name, _ in items]
-    if profile not in names:
-        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
-    return Choice("profile", "time law along the line, or a path", items, names.index(profile) + 1, fixed=False)
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
@@ -188,19 +181,3 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
     parts = -(-_ROWS // (len(ends) - 1))
     t = subdivided(ends, parts)
     return hermite(t, path.jet(t, min(order, path.max_order)))[0]
-
-
-def _table(path: PiecewisePolynomial | None, orders: int) -> dict[str, Any]:
-    """Return the coefficients of the pieces, power by power, and the ends."""
-    if path is None:
-        return {"pieces": 0, "degree": 0, "knots": [], "coefficients": [], "ends": [], "rests": (False, False),
-                "rest_order": 0}  # fmt: skip
-    return {
-        "pieces": len(path.knots) - 1,
-        "degree": path.coefficients.shape[1] - 1,
-        "knots": path.knots.tolist(),
-        "coefficients": path.coefficients.reshape(len(path.knots) - 1, -1).tolist(),
-        "ends": path.ends.tolist(),
-        "rests": (path.rests_before, path.rests_after),
-        "rest_order": min(path.smoothness, orders - 1),
-    }

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -34,40 +34,38 @@ class Variable:
     ----------
     name : str
         Without the index of a component.
-    causality : str
-        As in FMI.
     unit, description : str
         The unit as FMI spells it, and one line for tool tips.
     starts : tuple of float
         Start values of its components; empty for calculated variables.
-    size : int or None
-        Components of a vector; None for a scalar.
     low, high : float
         Bounds.
+    role : str
+        Name in the kernel of a parameter besides those of the model, or of a measured input; parameters of one role
+        have consecutive places.
+    causality : str
+        As in FMI.
+    size : int or None
+        Components of a vector; None for a scalar.
     nominal : float or None
         Typical magnitude.
     fixed : bool
         Whether a parameter is constant after the initialization.
-    setting : bool
-        Whether it is a parameter of the FMU besides those of the model.
-    role : str
-        Name of a parameter in the kernel; parameters of one role have consecutive places.
     place : int
         Of its first number.
     """
 
     name: str
-    causality: Causality
     unit: str
     description: str
     starts: tuple[float, ...] = ()
-    size: int | None = None
     low: float = -math.inf
     high: float = math.inf
+    role: str = ""
+    causality: Causality = "parameter"
+    size: int | None = None
     nominal: float | None = None
     fixed: bool = False
-    setting: bool = False
-    role: str = ""
     place: int = 0
 
     @property
@@ -134,6 +132,7 @@ class Choice:
     items: tuple[tuple[str, str], ...]
     start: int = 1
     fixed: bool = True
+    causality: ClassVar[Causality] = "parameter"
 
     @property
     def variability(self) -> str:
@@ -172,9 +171,8 @@ def per_time(unit: str, order: int) -> str:
     match = re.fullmatch(r"(.*)/s(\d*)", unit)
     if match:
         unit, order = match[1], order + int(match[2] or 1)
-    if "/" in unit:  # N/m becomes N/(m.s), in FMI with a negative exponent
-        return f"{unit}.s{order if order > 1 else ''}"
-    return f"{unit}/s{order if order > 1 else ''}"
+    # N/m becomes N/(m.s), in FMI with a negative exponent.
+    return f"{unit}{'.' if '/' in unit else '/'}s{order if order > 1 else ''}"
 
 
 def listed(variables: Iterable[Variable], fmi: int) -> tuple[Variable, ...]:
@@ -185,7 +183,7 @@ def listed(variables: Iterable[Variable], fmi: int) -> tuple[Variable, ...]:
 def placed(variables: Iterable[Variable]) -> tuple[Variable, ...]:
     """Return variables in the order of the kernel, with consecutive places."""
     found, place = [], 0
-    for each in sorted(variables, key=lambda each: (get_args(Causality).index(each.causality), each.setting)):
+    for each in sorted(variables, key=lambda each: (get_args(Causality).index(each.causality), each.role != "")):
         found.append(replace(each, place=place))
         place += each.size or 1
     return tuple(found)
@@ -231,12 +229,10 @@ def _along(
     ]
 
 
-def path_variables(
-    outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None, verb: str = "prescribed "
-) -> list[Variable]:
+def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home: Array | None) -> list[Variable]:
     """Return the path and its derivatives, order by order: as inputs, or without a `home` as outputs."""
-    form, components = Variable("", "output" if home is None else "input", "", ""), ", ".join(e.name for e in outputs)
-    variables = []
+    form = Variable("", "", "", causality="output" if home is None else "input")
+    components, verb, variables = ", ".join(each.name for each in outputs), "" if home is None else "prescribed ", []
     for order in range(orders):
         name, starts = order_name(order), home if home is None or order == 0 else np.zeros(len(outputs))
         texts = f"{verb}{name} of the {tracked}, components {components}", f"{verb}{name} of {{name}}{{meant}}"
@@ -248,15 +244,15 @@ def of_quantity(quantity: Quantity, causality: Causality, starts: tuple[float, .
     """Return a quantity as a variable; an output that must be positive has the lower bound zero."""
     low = 0.0 if causality == "output" and quantity.positive else -math.inf
     text = quantity.description or quantity.name
-    return Variable(quantity.name, causality, quantity.unit, text, starts, low=low, nominal=quantity.nominal)
+    return Variable(quantity.name, quantity.unit, text, starts, low, causality=causality, nominal=quantity.nominal)
 
 
 def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Variable]:
     """Return the parameters with the values of the scene."""
     return [
         Variable(
-            each.name, "parameter", each.unit, each.description or each.name, (float(value),),
-            low=each.lower, high=each.upper, nominal=abs(float(value)) or None, fixed=each.fixed,
+            each.name, each.unit, each.description or each.name, (float(value),), each.lower, each.upper,
+            nominal=abs(float(value)) or None, fixed=each.fixed,
         )
         for each, value in zip(declared, values, strict=True)
     ]  # fmt: skip
@@ -265,7 +261,7 @@ def parameter_variables(declared: Sequence[Parameter], values: Array) -> list[Va
 def internal_step() -> Variable:
     """Return the parameter that divides communication steps."""
     text = "step of the method; a communication step is divided into the nearest whole number of them; 0: one"
-    return _setting(INTERNAL_STEP, "s", text, (0.0,), 0.0, 3600.0, "STEP")
+    return Variable(INTERNAL_STEP, "s", text, (0.0,), 0.0, 3600.0, "STEP")
 
 
 def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> list[Variable]:
@@ -274,9 +270,10 @@ def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str]) -> l
     for (name, order), unit in zip(names, units, strict=True):
         short, rate = name.removeprefix("q."), per_time(unit, order)
         label, of = f"{short}.{order_name(order)}", f"{order_name(order)} of {short}"
-        start = _setting(f"start.{label}", rate, added.format(of), (0.0,), role="STARTS")
-        variables += [replace(start, fixed=True)]
-        variables += [Variable(f"internal.{label}", "local", rate, f"{of}, of the internal dynamics")]
+        variables += [
+            Variable(f"start.{label}", rate, added.format(of), (0.0,), role="STARTS", fixed=True),
+            Variable(f"internal.{label}", rate, f"{of}, of the internal dynamics", causality="local"),
+        ]
     return variables
 
 
@@ -287,7 +284,7 @@ def measured_variable(quantity: Quantity, size: int | None) -> Variable:
     """Return the input of a measured value; if all are zero there is no feedback."""
     form = of_quantity(quantity, "input", (0.0,) * (size or 1))
     text = f"measured {form.description}; all zero: no feedback"
-    return replace(form, name=f"measured.{form.name}", description=text, size=size, nominal=None)
+    return replace(form, name=f"measured.{form.name}", description=text, role="MEASURED", size=size, nominal=None)
 
 
 def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Variable]:
@@ -296,9 +293,9 @@ def feedback_settings(drives: Sequence[Quantity], distance: float) -> list[Varia
     far = "largest distance from the path with feedback"
     largest = "largest absolute value of {}"
     return [
-        _setting("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
-        _setting("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
-        *(_setting(f"limit.{e.name}", e.unit, largest.format(e.name), (1e9,), 1e-3, 1e9, "LIMITS") for e in drives),
+        Variable("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
+        Variable("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
+        *(Variable(f"limit.{e.name}", e.unit, largest.format(e.name), (1e9,), 1e-3, 1e9, "LIMITS") for e in drives),
     ]
 
 
@@ -314,17 +311,17 @@ def plant_settings(
     """
     wrong = "relative error of {} in the plant"
     solver = "longest step of the solver, Runge-Kutta of order four"
-    settings = [_setting(n, "1", wrong.format(of), (0.0,), -0.9, 10.0, "ERRORS") for n, of in errors.items()]
+    settings = [Variable(n, "1", wrong.format(of), (0.0,), -0.9, 10.0, "ERRORS") for n, of in errors.items()]
     for name, text in (("wind", "constant force"), ("gust", "force during the gust")):
-        form = _setting("", "N", "", (), role=name.upper())
+        form = Variable("", "N", "", role=name.upper())
         texts = f"{text} on the {tracked}", f"{text} on {{name}}, N.m for an angle"
         settings += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), texts, np.zeros(len(outputs)))
     settings += [
-        _setting("gust_start", "s", "start time of the gust", (0.0,), -1e9, 1e9, "GUST_START"),
-        _setting("gust_duration", "s", "duration of the gust", (0.0,), 0.0, 1e9, "GUST_DURATION"),
-        _setting(INTERNAL_STEP, "s", solver, (longest,), 1e-6, 1.0, "LONGEST"),
+        Variable("gust_start", "s", "start time of the gust", (0.0,), -1e9, 1e9, "GUST_START"),
+        Variable("gust_duration", "s", "duration of the gust", (0.0,), 0.0, 1e9, "GUST_DURATION"),
+        Variable(INTERNAL_STEP, "s", solver, (longest,), 1e-6, 1.0, "LONGEST"),
     ]
-    form = replace(_setting("", "", "", (), role="MOTION"), fixed=True)
+    form = Variable("", "", "", role="MOTION", fixed=True)
     for order, values in enumerate(home):
         name = order_name(order)
         texts = f"{name} of the {tracked} at the start", f"{name} of {{name}} at the start"
@@ -336,19 +333,7 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     """Return the offset of coordinates at the start, a vector for several ones."""
     size = len(units) if len(units) > 1 else None
     text = "added to the coordinates at rest at the start"
-    return replace(_setting(name, units[0], text, (0.0,) * len(units), role="OFFSETS"), size=size, fixed=True)
-
-
-def _setting(
-    name: str,
-    unit: str,
-    text: str,
-    starts: tuple[float, ...],
-    low: float = -math.inf,
-    high: float = math.inf,
-    role: str = "",
-) -> Variable:
-    return Variable(name, "parameter", unit, text, starts, low=low, high=high, setting=True, role=role)
+    return Variable(name, units[0], text, (0.0,) * len(units), role="OFFSETS", size=size, fixed=True)
 
 
 # Of a trajectory -----------------------------------------------------------------------------------------------------
@@ -360,15 +345,14 @@ def line_settings(
     """Return the parameters of a line from rest to rest; its times are start time, duration and ramp in s."""
     variables, (start_time, duration, ramp) = [], times
     for name, values in zip(("start", "end"), ends, strict=True):
-        form, text = _setting("", "", "", (), role=name.upper()), f"{name} of the path"
-        form = replace(form, fixed=name == "start")
+        form, text = Variable("", "", "", role=name.upper(), fixed=name == "start"), f"{name} of the path"
         variables += _along(outputs, tracked, form, (name, f"{name}.{{name}}"), (text, f"{text}, {{name}}"), values)
     rests, usual = "start time of the motion; the path is at rest before", "0: a quarter of the duration"
     variables += [
-        _setting("duration", "s", "duration of the motion", (duration,), 1e-3, 1e9, "DURATION"),
-        _setting("start_time", "s", rests, (start_time,), -1e9, 1e9, "START_TIME"),
-        _setting("ramp", "s", f"duration of the acceleration, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
-        _setting(
+        Variable("duration", "s", "duration of the motion", (duration,), 1e-3, 1e9, "DURATION"),
+        Variable("start_time", "s", rests, (start_time,), -1e9, 1e9, "START_TIME"),
+        Variable("ramp", "s", f"duration of the acceleration, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
+        Variable(
             "trigger", "1", "another value begins a new motion with these settings, from rest", (0.0,), role="TRIGGER"
         ),
     ]

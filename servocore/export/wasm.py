@@ -29,8 +29,8 @@ from servocore.numerics.machine_code import compile_in
 from servocore.problem import Problem
 from servocore.stepping.program import program_of
 
-LOADER = "loader.mjs"
-"""The file with the JavaScript that loads any of the modules."""
+LOADER = ".mjs"
+"""Suffix of the JavaScript beside a module that loads it."""
 
 SECTION = "servocore"
 """Name of the section of a module that describes it."""
@@ -109,7 +109,7 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
     # Engines ignore a custom section, and JavaScript can read it by its name.
     section = _counted(SECTION.encode()) + json.dumps(about, separators=(",", ":")).encode()
     module = _compiled(texts, exported.title) + b"\0" + _counted(section)
-    write_together({file: module, loader_beside(file): (SHARED / LOADER).read_bytes()})
+    write_together({file: module, file.with_suffix(LOADER): (SHARED / "loader.mjs").read_bytes()})
     return file
 
 
@@ -118,15 +118,10 @@ def require_module(path: str | Path) -> Path:
     file = Path(path)
     if file.suffix != ".wasm":
         raise InvalidSetting(f"cannot write {file}: the name of a WebAssembly module ends with .wasm")
-    require_places({"the module": file, "its loader": loader_beside(file)})
+    require_places({"the module": file, "its loader": file.with_suffix(LOADER)})
     if zig() is None:
         raise InvalidSetting(f"WebAssembly is built by the package ziglang: {install('native')}")
     return file
-
-
-def loader_beside(file: Path) -> Path:
-    """Return the file of the loader of a module."""
-    return file.with_suffix(".mjs")
 
 
 def _counted(content: bytes) -> bytes:

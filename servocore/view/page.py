@@ -311,12 +311,12 @@ def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], l
         for limit in problem.limits
         if limit.reported in names
     ]
-    of_path = [{"quantity": limit.quantity, "reason": limit.reason} for limit in problem.limits if limit.of_path]
+    of_path = [{"quantity": limit.quantity, "reason": limit.reason} for limit in problem.path_limits]
     return of_motion, of_path
 
 
 def _path_limits(problem: Problem, orders: int) -> str:
     """Return (path, parameters) -> how far each limit of the path is, positive where it is kept, as JavaScript."""
     system = problem.system
-    margins = [limit.on(system) - limit.bound for limit in problem.limits if limit.of_path]
+    margins = [limit.on(system) - limit.bound for limit in problem.path_limits]
     return written("path_limits", [system.gamma[:, :orders], system.p], [ca.vertcat(*margins)])
