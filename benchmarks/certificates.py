@@ -18,12 +18,12 @@ from servocore.numerics.machine_code import BACKGROUND
 from servocore.problem import Problem
 
 PAGE = Path(__file__).parents[1] / "docs" / "speed-accuracy" / "certificates.md"
-REPEATS = 7
+REPEATS = 30
 MASSES, INSTANTS = np.linspace(50.0, 150.0, 21), 20_001
 
 HEAD = """# Certificates: cost and bounds
 
-Processor times of warm calls of `sc.certify` with all statements, the smallest of seven, machine code compiled; 201
+Processor times of warm calls of `sc.certify` with all statements, the smallest of thirty, machine code compiled; 201
 instants. The error bound holds at all instants, as a share of an input's peak. The page is written by
 `python -m benchmarks.certificates`; [Certificates](../certificate.md) says what they prove.
 

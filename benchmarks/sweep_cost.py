@@ -60,14 +60,15 @@ def reduced(share: Rows) -> Times:
     swept = checked_settings(sc.scenes.rotary_crane(), {"load_mass": [90.0]}, None, LIMITS, INSTANTS, False, None)
     problem, path = swept.problem, swept.references[0]
     jets = path.jet(np.linspace(path.start_time, path.end_time, INSTANTS), problem.array.reference_order)
-    numbers = np.tile([1.0, *problem.p], (len(share[0]), 1))
+    jets *= path.duration ** np.arange(jets.shape[1])[:, None]  # as of the path in a second
+    numbers = np.tile([path.duration, *problem.p], (len(share[0]), 1))
     for name, values in zip(("load_mass", "trolley_mass"), share, strict=True):
         numbers[:, 1 + problem.system.parameters.names.index(name)] = values
     work = work_of(problem, swept.limits, False, True)
     of_path = {0: np.ascontiguousarray(jets.reshape(INSTANTS, -1).T)}
 
     def run(last: int) -> None:
-        evaluated(work, Cases(of_path, np.zeros(last, dtype=int), numbers[:last], np.array([path.duration])))
+        evaluated(work, Cases(of_path, np.zeros(last, dtype=int), numbers[:last]))
 
     run(_AT_ONCE)
     return timed(lambda: run(len(numbers)))

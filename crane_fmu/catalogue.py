@@ -113,14 +113,14 @@ class FmuKind:
         return tuple(still | run | (hold if "M_w" in run else {}) for run in self.runs)
 
 
-def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] = MappingProxyType({})) -> sc.Scene:
+def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] | None = None) -> sc.Scene:
     """Return the rotary crane with those of some start values that are its parameters.
 
     Parameters
     ----------
     starts : mapping
         Start values by the name of the variable.
-    drives : mapping of str to Drive
+    drives : mapping of str to Drive, optional
         By the names of inputs.
 
     Returns
@@ -128,7 +128,7 @@ def crane_with(starts: Starts, drives: Mapping[str, sc.Drive] = MappingProxyType
     Scene
         The crane; other start values have no effect.
     """
-    crane = sc.scenes.rotary_crane().with_drives(**drives)
+    crane = sc.scenes.rotary_crane().with_drives(**(drives or {}))
     return crane.with_parameters(**{name: float(starts[name]) for name in crane.parameter_values() if name in starts})
 
 

@@ -208,7 +208,7 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         with suppress(IntegrationFailed):
             motion = motion_of(problem, times, unknowns)
             unknowns = motion.states
-            rank_loss = "; ".join(str(each) for each in motion.passages if each.of_constraints)
+            rank_loss = "; ".join(str(each) for each in motion.passages if each.constraints)
     conditions = _largest_conditions(problem, unknowns, jets)
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())

@@ -306,11 +306,6 @@ class Problem:
         """The limits that do not follow from the path alone."""
         return tuple(limit for limit in self.limits if not limit.of_path)
 
-    @property
-    def run_limits(self) -> tuple[Limit, ...]:
-        """The limits of what a whole run adds up."""
-        return tuple(limit for limit in self.limits if limit.over_run)
-
     def dae(self, formulation: Formulation) -> Dae:
         """Return the problem in a formulation, with the index of that form."""
         return self.resolved.dae(formulation)

@@ -200,7 +200,7 @@ class Solution:
         self.__dict__.update(state)
         lock_arrays(self, "t", "values")
 
-    @property
+    @cached_property  # every column is found by it
     def names(self) -> tuple[str, ...]:
         """Names of all trajectories."""
         return tuple(channel.name for channel in self.channels)

@@ -1,8 +1,7 @@
 """Processor seconds of every test file, children included, beside the budget that `budgets.toml` gives it.
 
 A run ends with the files that are over theirs; ``--most-of-budget 2`` makes it fail where one takes more than twice.
-FMUs that many files run are built by the first that needs them and counted apart. ``--write-slow`` writes the list of
-cases that ``--quick`` leaves out, from what they have just taken; with ``--quick`` it adds those that took long there.
+FMUs that many files run are built by the first that needs them and counted apart.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +20,21 @@ import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
-FURTHER = Path(__file__).with_name("further_cases.txt")
-"""Cases beside the first of their functions, of little cost, that run lines which few others of `--quick` run;
-functions of which each case claims something of its own, as refusals do."""
+"""Cases that take more than a moment, with their seconds: `concerned.py` writes them."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
-A_MOMENT = 0.3
-"""Processor seconds of a case that `--quick` may take."""
-A_SECOND = 1.0
-"""Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
+A_MOMENT = 0.2
+"""Processor seconds of a case that `--quick` runs whatever has changed."""
+A_SHORT_CASE = 0.03
+"""Processor seconds of a case that is not listed as slow, about."""
+BESIDES = 24.0
+"""Processor seconds of the cases that `--quick` adds for the modules that have changed."""
 LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
-_TAKEN, _SHARED = "processor_seconds", "shared_seconds"
+ADDED = ("added", "for changed modules")
+"""Property of a case that `--quick` runs besides."""
+TAKEN, _SHARED = "processor_seconds", "shared_seconds"
 _shared = [0.0]  # since the last report of this process
 
 
@@ -71,48 +73,50 @@ def function_of(case: str) -> str:
     return case.partition("[")[0]
 
 
+def file_of(case: str) -> str:
+    """Return the file of a case below the folder of the tests."""
+    return case.partition("::")[0].removeprefix("tests/")
+
+
+def seconds_of(case: str) -> float:
+    """Return the processor seconds that a case takes, about."""
+    return slow().get(case, A_SHORT_CASE)
+
+
 def budget_of(item: pytest.Item) -> float:
     """Return the budget of a test's file: the longest begin, so that both processes end together."""
-    return budgets().get(item.nodeid.partition("::")[0].removeprefix("tests/"), UNLISTED)
+    return budgets().get(file_of(item.nodeid), UNLISTED)
 
 
-def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
-    """Return of every test function the first case that is not listed as slow, and those that are listed besides.
+def representatives(cases: Iterable[str]) -> list[str]:
+    """Return of every test function the first case that takes a moment, of a file without one the shortest."""
+    first: dict[str, str] = {}
+    for case in cases:
+        if case not in slow():
+            first.setdefault(function_of(case), case)
+    files = grouped(cases, file_of)
+    without = files.keys() - {file_of(case) for case in first.values()}
+    return [*first.values(), *(min(files[file], key=seconds_of) for file in sorted(without))]
 
-    A function that is listed there without a case is listed with all. What prepares something for seconds is left out.
+
+def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -> list[str]:
+    """Return further cases, named or of named files, as far as the time allows.
+
+    Cases that are named precede short ones, and these long ones, of which those of the first files count as shorter.
     """
-    slow, further = listed(SLOW), listed(FURTHER)
-    first: dict[str, pytest.Item] = {}
-    for item in items:
-        if item.nodeid not in slow and LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
-            listed_too = further & {item.nodeid, function_of(item.nodeid)}
-            first.setdefault(item.nodeid if listed_too else function_of(item.nodeid), item)
-    return list(first.values())
+    rank = {name: place for place, name in enumerate(names, 1)}
+    weights = {case: seconds_of(case) * rank[file_of(case)] for case in cases if file_of(case) in rank}
+    weights |= {case: 0.0 for case in cases if case.removeprefix("tests/") in rank}
+    left = sorted(weights.keys() - set(chosen), key=lambda case: (weights[case], case))
+    spent = accumulate(map(seconds_of, left))
+    return [case for case, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
 
 
-def listed(table: Path) -> set[str]:
-    """Return the cases of a list."""
-    return set(table.read_text(encoding="utf-8").splitlines())
-
-
-def slow_cases(taken: Mapping[str, float]) -> list[str]:
-    """Return the cases that take more than a moment and stand before one of their function that does not.
-
-    The shortest case of a file without such a one is not among them: every file is asked something.
-    """
-    functions, files = grouped(taken, function_of), grouped(taken, lambda case: case.partition("::")[0])
-    found: set[str] = set()
-    for cases in functions.values():
-        quick = next((k for k, case in enumerate(cases) if taken[case] <= A_MOMENT), len(cases))
-        found.update(cases[:quick])
-    shortest = {min(cases, key=lambda case: taken[case]) for cases in files.values() if found.issuperset(cases)}
-    return sorted(found - shortest)
-
-
-def slow_alone(taken: Mapping[str, float]) -> list[str]:
-    """Return the cases of a quick run that took more than a second, but for the only ones of their files."""
-    files = grouped(taken, lambda case: case.partition("::")[0])
-    return [case for cases in files.values() for case in cases if taken[case] > A_SECOND and len(cases) > 1]
+@cache
+def slow() -> dict[str, float]:
+    """Return the processor seconds of the cases that take more than a moment."""
+    rows = (line.partition(" ") for line in SLOW.read_text(encoding="utf-8").splitlines())
+    return {case: float(seconds) for seconds, _, case in rows}
 
 
 def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[str]]:
@@ -126,10 +130,9 @@ def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[s
 class Meter:
     """Adds up what the phases of every test take: in the process that runs them, or in the one that hears of them."""
 
-    def __init__(self, times: float | None, writes: bool, quick: bool) -> None:
-        self.times, self.writes, self.quick = times, writes, quick
+    def __init__(self, times: float | None) -> None:
+        self.times = times
         self.files: defaultdict[str, float] = defaultdict(float)
-        self.cases: defaultdict[str, float] = defaultdict(float)
         self._before = processor_seconds()
 
     def pytest_collection_finish(self) -> None:
@@ -142,16 +145,13 @@ class Meter:
         report = yield
         now = processor_seconds()
         setattr(report, _SHARED, _shared[0])
-        setattr(report, _TAKEN, now - self._before - _shared[0])
+        setattr(report, TAKEN, now - self._before - _shared[0])
         self._before, _shared[0] = now, 0.0
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the phase to its case and file."""
-        file = report.nodeid.partition("::")[0]
-        taken = float(getattr(report, _TAKEN, 0.0))
-        self.cases[report.nodeid] += taken
-        self.files[file.removeprefix("tests/")] += taken
+        """Add the phase to its file."""
+        self.files[file_of(report.nodeid)] += float(getattr(report, TAKEN, 0.0))
         self.files[BUILT] += float(getattr(report, _SHARED, 0.0))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
@@ -161,12 +161,9 @@ class Meter:
             terminalreporter.write_line(line)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Fail a run with a file that took too many times its budget; write what was slow."""
+        """Fail a run with a file that took too many times its budget."""
         if hasattr(session.config, "workerinput"):
             return
-        if self.writes:
-            slow = {*listed(SLOW), *slow_alone(self.cases)} if self.quick else slow_cases(self.cases)
-            SLOW.write_text("".join(f"{case}\n" for case in sorted(slow)), encoding="utf-8")
         beyond = self.times is not None and over_budget(self.files, budgets(), self.times)
         if beyond and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -10,8 +10,10 @@ import subprocess
 import tokenize
 import tomllib
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 
+import concerned
 import pytest
 from present import present
 
@@ -224,6 +226,12 @@ def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> No
     for story in stories:
         title, line = story.read_text(encoding="utf-8").splitlines()[1:3]
         assert line == "=" * len(title), f"{story.name}: the title is not underlined"
+
+
+def test_the_table_of_concerned_tests_names_modules_and_test_files_that_exist() -> None:
+    tests = chain.from_iterable(concerned.table().values())
+    names = {*concerned.table(), *(f"tests/{name.partition('::')[0]}" for name in tests)}
+    assert [name for name in names if not (ROOT / name).is_file()] == []
 
 
 # Pages ---------------------------------------------------------------------------------------------------------------

@@ -6,9 +6,12 @@ import os
 import shutil
 import sys
 import tempfile
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import budgets
+import concerned
 import kept_compiler
 import pytest
 from hypothesis import HealthCheck, settings
@@ -20,18 +23,15 @@ pytest.register_assert_rewrite("problems", "suite")
 
 BUILT = "SERVOCORE_TEST_FMUS"
 """Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
-MAKEFILE_TARGETS = {
-    "quick": "of every test function the first case that takes a moment: make quick",
-    "nightly": "also what takes minutes, and all members of families: make nightly",
-}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("servocore")
-    for name, meaning in MAKEFILE_TARGETS.items():
-        group.addoption(f"--{name}", action="store_true", help=meaning)
+    group.addoption(
+        "--quick", action="store_true", help="short cases, and cases that concern changed files: make quick"
+    )
+    group.addoption("--nightly", action="store_true", help="also what takes minutes, and all of families: make nightly")
     group.addoption("--most-of-budget", type=float, help="fail if a file takes more than so many times its budget")
-    group.addoption("--write-slow", action="store_true", help="write the list of cases that --quick leaves out")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -42,8 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
         keep_libraries(config)
-    options = (config.getoption(name) for name in ("--most-of-budget", "--write-slow", "--quick"))
-    config.pluginmanager.register(budgets.Meter(*options))
+    config.pluginmanager.register(budgets.Meter(config.getoption("--most-of-budget")))
 
 
 def keep_libraries(config: pytest.Config) -> None:
@@ -98,10 +97,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--nightly"):
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
     if config.getoption("--quick"):
-        select(config, items, budgets.representatives(items))
+        asked = {
+            item.nodeid: item for item in items if budgets.LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        }
+        chosen = budgets.representatives(asked)
+        besides = budgets.besides(asked, chosen, concerned.in_turn(map(concerned.tests_of, concerned.changed())))
+        for case in besides:
+            asked[case].user_properties.append(budgets.ADDED)
+        select(config, items, [asked[case] for case in (*chosen, *besides)])
     items.sort(key=budgets.budget_of, reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Name the changed files and count the cases that a quick run has added for them."""
+    if config.getoption("--quick"):
+        reports = chain.from_iterable(terminalreporter.stats.values())
+        added = {each.nodeid for each in reports if budgets.ADDED in getattr(each, "user_properties", ())}
+        files = " ".join(concerned.changed()) or "no file (or outside of a git clone)"
+        terminalreporter.write_line(f"{len(added)} cases were added for changes of {files}")
 
 
 def select(config: pytest.Config, items: list[pytest.Item], chosen: list[pytest.Item]) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import budgets
+import concerned
 import kept_compiler
 import pytest
 from thinned import thinned
@@ -26,35 +28,74 @@ def test_every_budget_is_that_of_a_file() -> None:
     assert [name for name in budgets.budgets() if name != budgets.BUILT and not (TESTS / name).is_file()] == []
 
 
-def test_of_every_function_the_slow_cases_before_the_first_quick_one_are_left_out() -> None:
-    long = 2 * budgets.A_MOMENT
-    taken = {"f::a[1]": long, "f::a[2]": 0.0, "f::a[3]": long, "f::b": long, "f::c[x[0]]": 0.0}
-    assert budgets.slow_cases(taken) == ["f::a[1]", "f::b"]
-    assert budgets.slow_cases({**taken, "g::a": 3 * long, "g::b[1]": 2 * long, "g::b[2]": 3 * long}) == [
-        "f::a[1]", "f::b", "g::a", "g::b[2]"
-    ]  # fmt: skip
+def test_quick_runs_the_first_short_case_of_a_function_and_the_shortest_of_a_file_without_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(budgets, "slow", lambda: {"f::a[1]": 3.0, "g::a": 2.0, "g::b": 1.0})
+    cases = ["f::a[1]", "f::a[2]", "f::a[3]", "f::b", "g::a", "g::b"]
+    assert budgets.representatives(cases) == ["f::a[2]", "f::b", "g::b"]
 
 
-def test_a_quick_run_lists_what_took_long_but_leaves_every_file_a_case() -> None:
-    long, short = 2 * budgets.A_SECOND, budgets.A_SECOND / 2
-    assert budgets.slow_alone({"f::a": long, "f::b": short, "g::a": long}) == ["f::a"]
+def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_allows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    long = budgets.BESIDES - 1.0
+    monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long})
+    cases = [f"tests/{case}" for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
+    added = budgets.besides(cases, [cases[1]], ["h::a", "f", "g"])
+    assert added == ["tests/h::a", "tests/f::c", "tests/g::b", "tests/f::a"]
+
+
+def test_changes_are_those_since_the_last_commit_then_those_of_the_branch_then_those_of_the_last_commit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(concerned, "ROOT", tmp_path)
+    assert concerned.changed() == []
+
+    def commit(name: str, *before: list[str]) -> None:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+        user = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        for words in (*before, ["add", name], [*user, "commit", "-m", name]):
+            subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
+
+    commit("servocore/a.py", ["init", "-b", "main"])
+    commit("tests/b.py")
+    assert concerned.changed() == ["tests/b.py"]
+    commit("crane_fmu/c.py", ["checkout", "-b", "other"])
+    commit("servocore/d.py")
+    assert concerned.changed() == ["crane_fmu/c.py", "servocore/d.py"]
+    (tmp_path / "servocore/a.py").write_text("y")
+    (tmp_path / "servocore/e.py").write_text("z")
+    assert concerned.changed() == ["servocore/a.py", "servocore/e.py"]
+
+
+def test_tests_of_a_change_run_its_lines_and_few_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    rare, common, other = ("servocore/a.py", 1), ("servocore/a.py", 2), ("servocore/x/b.py", 1)
+    runs = {"all.py::a": {common, other}, "own.py::a": {rare, common}, "third.py::a": {other}}
+    table = concerned.table_of(runs)
+    assert table == {"servocore/a.py": ["own.py", "all.py"], "servocore/x/b.py": ["all.py", "third.py"]}
+    monkeypatch.setattr(concerned, "table", lambda: table)
+    assert concerned.tests_of("servocore/a.py") == ["own.py", "all.py"]
+    assert concerned.tests_of("servocore/x/c/new.h") == ["all.py", "third.py"]
+    assert concerned.tests_of("servocore/new.py") == ["own.py", "all.py", "third.py"]
+    assert concerned.tests_of("tests/outside/test_a.py") == ["outside/test_a.py"]
 
 
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
     """Most: some claims cannot be asked in a moment."""
-    items = request.session.items
-    if len({item.path for item in items}) < 100:
+    cases = [item.nodeid for item in request.session.items]
+    if len(set(map(budgets.file_of, cases))) < 100:
         pytest.skip("a part of the suite is run")
-    chosen = budgets.representatives(items)
-    assert {item.path.name for item in items} == {item.path.name for item in chosen}
-    functions, asked = ({budgets.function_of(item.nodeid) for item in each} for each in (items, chosen))
+    chosen = budgets.representatives(cases)
+    assert set(map(budgets.file_of, cases)) == set(map(budgets.file_of, chosen))
+    functions, asked = (set(map(budgets.function_of, each)) for each in (cases, chosen))
     assert len(asked) > 0.7 * len(functions)
     if request.config.getoption("--quick"):
         return  # the others are not at hand
-    cases = functions | {item.nodeid for item in items}
-    gone = (budgets.listed(budgets.SLOW) | budgets.listed(budgets.FURTHER)) - cases
-    files = {case.partition("::")[0] for case in cases}
-    assert [case for case in gone if case.partition("::")[0] in files] == []
+    listed = {*budgets.slow(), *(f"tests/{name}" for name in chain(*concerned.table().values()) if "::" in name)}
+    files = set(map(budgets.file_of, cases))
+    assert [case for case in listed.difference(cases) if budgets.file_of(case) in files] == []
 
 
 def test_members_that_are_not_kept_are_for_the_night() -> None:
@@ -76,6 +117,7 @@ def test_a_library_is_compiled_again_only_if_something_of_it_has_changed(
     for tool in tools.iterdir():
         tool.chmod(0o755)
     monkeypatch.setenv(kept_compiler.KEPT, str(kept))
+    monkeypatch.delenv(kept_compiler.OPTIONS, raising=False)  # of a quick run
 
     def compiled(folder: str, source: str, header: str, *options: str) -> bytes:
         place = tmp_path / folder

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from servocore.certificate import programs
+from servocore.certificate import chebyshev
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, model_of
 from servocore.certificate.equations import _without_steps
 from servocore.certificate.walk import Walk
@@ -39,9 +39,8 @@ def random_model(rng: np.random.Generator, ring: Arithmetic, count: int, positiv
     """Models of any smoothness and size; positive ones vary by less than their middle."""
     terms = len(ring.nodes)
     decay = 10.0 ** rng.uniform(-3.0, -0.2, count)
-    orders = np.indices([d + 1 for d in ring.degrees]).reshape(len(ring.degrees), -1).sum(axis=0)
     size = 10.0 ** rng.uniform(-3.0, 3.0, count)
-    c = rng.normal(size=(terms, count)) * decay ** orders[:, None]
+    c = rng.normal(size=(terms, count)) * decay ** ring.orders.sum(axis=0)[:, None]
     if positive:
         c[0] = np.abs(c[1:]).sum(axis=0) * rng.uniform(1.05, 3.0, count) + rng.uniform(0.1, 1.0, count)
     else:
@@ -131,13 +130,13 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     rng, terms, places = np.random.default_rng(4), len(arithmetic(degrees).nodes), 9
     steps = np.array([[int(rng.integers(3)), 4 + k, *rng.integers(0, 4 + k, 2)] for k in range(places - 4)])
     models = np.abs(rng.normal(size=(places, terms + 1, 37)))
-    code = programs.machine_code()
+    code = chebyshev.machine_code()
     build = code._make()
     assert build is not None
     native, plain = models.copy(), models.copy()
     for run, results in ((code._load(built(build)), native), (None, plain)):
-        monkeypatch.setattr(programs, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
-        programs.carry_out(steps, arithmetic(degrees), results)
+        monkeypatch.setattr(chebyshev, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
+        chebyshev.carry_out(steps, arithmetic(degrees), results)
     assert not (plain[4:] == models[4:]).any()
     np.testing.assert_allclose(native, plain, rtol=1e-12, atol=1e-12)
 

@@ -325,7 +325,8 @@ def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch:
 @pytest.mark.parametrize("command", ["import", "drives"])
 def test_drives_of_a_robot_file_have_the_names_of_its_inputs(command: str) -> None:
     write("drives.toml", "[elbow.torque]\nratio = 100")
-    result = line(command, ARM, "--drives", "drives.toml")
+    write("parameters.toml", "elbow.torque.ratio = 90")
+    result = line(command, ARM, "--drives", "drives.toml", "--parameters", "parameters.toml")
     assert result.exit_code == 0, result.stderr
     assert "elbow.torque" in result.stdout
 
@@ -345,6 +346,7 @@ REFUSALS = {
     ('[["0 rpm", "12 N m"], ["3000 rpm", 11], ["8000 rpm", 9]]', "[[0, 0], [9, 0]]"): "not all with torque 0",
     (SHEET, ""): "drives.toml has no drive: write a table for each input",
     (SHEET, "F = 3"): "drives.toml: F is no drive: write a table [F]",
+    (SHEET, "[F]"): "drives.toml: F is no drive: write a table [F] with lines such as",
 }
 
 

@@ -118,6 +118,8 @@ def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str,
     for column, each in zip(ours.T, crane.model().inputs, strict=True):
         size = 0.1 if each.name == "M_w" else 1.0  # N m of the winch for a newton in the rope
         assert apart([(size * column, exact[each.name])]) < 1e-9
+    if form == "ropes":  # at rest the rope carries the load of 100 kg
+        assert sc.solve(scene, step=crane.reference.duration / 100)["load.tension"][0] == pytest.approx(981.0)
 
 
 def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ def test_a_figure_of_eight_is_two_sines_with_all_their_derivatives() -> None:
         np.testing.assert_allclose(jets[:, k, 1], 1.5 * along, atol=1e-12 * W**k)
         np.testing.assert_allclose(jets[:, k, 0], 0.5 * across + 4.0 * (k == 0), atol=1e-11 * (2 * W) ** k)
         np.testing.assert_allclose(jets[:, k, 2], 0.2 * across - 5.0 * (k == 0), atol=1e-11 * (2 * W) ** k)
+    bounds = EIGHT._bounds(t[:1], t[-1:], 9)[0, 1:]
+    np.testing.assert_allclose(bounds, np.abs(jets).max(axis=0)[1:], rtol=0.01)  # a sine reaches its amplitude
 
 
 def test_cosines_and_sines_of_any_harmonic_are_allowed() -> None:

@@ -197,6 +197,12 @@ def test_what_follows_the_path_is_drawn_on_it(name: str) -> None:
     axes = {1: [0], 2: [0, 2], 3: [0, 1, 2]}[len(system.outputs)]  # of outputs: along, upwards, across if there is more
     for axis, output in zip(axes, system.outputs, strict=True):
         np.testing.assert_allclose(points[3 * present(found.tracked) + axis], solution[output.name], atol=1e-9)
+    assert found.about()["grounded"] == (name not in {"cars", "elastic_bar"})  # which have springs and boxes only
+    places = points.reshape(found.points, 3, -1)
+    joints = [part for part in found.parts if part["kind"] in {"bar", "bridge", "post", "rope", "spring"}]
+    for part in joints:  # each touches another part
+        rest = [k for each in found.parts if each is not part for k in each["places"]]
+        assert np.abs(places[part["places"], None] - places[rest]).max(axis=(2, 3)).min() < 1e-9
 
 
 @pytest.mark.parametrize(

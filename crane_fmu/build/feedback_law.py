@@ -29,6 +29,7 @@ position, velocity, acceleration and jerk of the load and ends smoothly.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from typing import Any
@@ -109,10 +110,12 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
         For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
-    parts = _Parts(hanging(system))
+    crane = hanging(system)
+    # A prediction over a step knows no dry friction, which is steep at standstill.
+    parts = _Parts(replace(crane, force=ca.SX(POINTS, 1)))
     functions = [each(parts, time) for time in ("start", "end") for each in (_begin, _feedback)]
-    if parts.numbers > CRANE_NUMBERS:
-        functions = [_beside_friction(each, system) for each in functions]
+    if system.p.numel() > CRANE_NUMBERS:
+        functions[1::2] = [_beside_friction(law, _flat(crane), parts.flat) for law in functions[1::2]]
     return {each.name(): each for each in functions}
 
 
@@ -127,36 +130,27 @@ def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
 
 def _flat(system: sc.MechanicalSystem) -> ca.Function:
     """Return (jet of the load, p) -> (state, inputs) of a crane, which may have drives: from its equations then."""
-    jet, p = ca.SX.sym("jet", _JET), ca.SX.sym("p", system.p.numel())
+    jet, p = ca.SX.sym("jet", _JET), system.p
     state, inputs, acceleration = flat_motion()(jet, p[:CRANE_NUMBERS])
     if p.numel() > CRANE_NUMBERS:
         B, a = system.input_matrix, ca.SX.sym("a", POINTS)
         needed = -ca.mtimes(ca.inv(ca.mtimes(B, B.T)), ca.mtimes(B, system.mass @ a + system.bias))
-        given = [ca.vertcat(system.q, system.v), a, system.p]
-        inputs = ca.Function("needed", given, [needed])(state, acceleration, p)
+        inputs = ca.substitute(needed, ca.vertcat(system.q, system.v, a), ca.vertcat(state, acceleration))
     return ca.Function("flat", [jet, p], [state, inputs], {"cse": True})
 
 
-def _beside_friction(law: ca.Function, system: sc.MechanicalSystem) -> ca.Function:
-    """Return a function of the law for inputs that overcome friction of drives too.
+def _beside_friction(law: ca.Function, flat: ca.Function, smooth: ca.Function) -> ca.Function:
+    """Return the law for inputs that overcome friction of drives too, from those along the path with it and without.
 
-    A prediction over a step knows no dry friction, which is steep at standstill. The law gets inputs without the
-    friction along the path, and limits smaller by it; it is added to the inputs that the law returns.
+    The law gets inputs without friction, and limits smaller by it; it is added to the inputs that the law returns.
     """
-    flat, names = _flat(hanging(system)), system.parameters.names
-    smooth = ca.DM([0.0 if name.endswith((".coulomb", ".viscous")) else 1.0 for name in names])
-    path, numbers, ahead = ca.SX.sym("jet", _JET), ca.SX.sym("p", len(names)), ca.SX.sym("ahead")
-    there = continued(path, ca.SX.zeros(DIMENSION), ahead)
-    more = flat(there, numbers)[1] - flat(there, numbers * smooth)[1]
-    friction, given = ca.Function("friction", [path, numbers, ahead], [more], {"cse": True}), law.mx_in()
-    if law.n_out() == 1:
-        jet, measured, p, h = given
-        return ca.Function(law.name(), given, [law(jet, measured, p * smooth, h)])
+    given = law.mx_in()
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given
-    now, then = friction(before, p, 0), friction(jet, p, 0 if law.name().endswith("end") else h)
-    inputs = acting - now, feedforward - then
-    room = ca.fmax(limits - ca.fabs(then), 0)
-    after, found = law(memory, jet, before, measured, *inputs, p * smooth, h, share, room)
+    ahead = ca.MX(0) if law.name().endswith("end") else h
+    (reached,) = _inlined("reached", lambda jet, tau: [continued(jet, ca.SX.zeros(DIMENSION), tau)], jet, ahead)
+    now, then = (flat(path, p)[1] - smooth(path, p)[1] for path in (before, reached))
+    inputs, room = (acting - now, feedforward - then), ca.fmax(limits - ca.fabs(then), 0)
+    after, found = law(memory, jet, before, measured, *inputs, p, h, share, room)
     return ca.Function(law.name(), given, [after, found + then])
 
 
@@ -164,7 +158,6 @@ class _Parts:
     """Functions of the law, for both input times; see the functions that make them."""
 
     def __init__(self, system: sc.MechanicalSystem) -> None:
-        self.numbers = system.p.numel()
         self.flat, self.measured, self.offset = _flat(system), measured_state(), offset()
         self.advance, self.sampled, self.resting = advance(system), sampled(system), resting()
         self.shared, self.riccati, self.gain = riccati_functions()
@@ -202,7 +195,7 @@ def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any,
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane at rest at its present place."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
-    p, h = ca.MX.sym("p", parts.numbers), ca.MX.sym("h")
+    p, h = ca.MX.sym("p", parts.flat.numel_in(1)), ca.MX.sym("h")
     about = *parts.flat(jet, p), ca.MX.zeros(DRIVES), p, h
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
@@ -216,7 +209,7 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
 def _feedback(parts: _Parts, time: str) -> ca.Function:
     """Return the law."""
     sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": DRIVES}
-    sizes |= {"feedforward": DRIVES, "p": parts.numbers, "h": 1, "share": 1, "limits": DRIVES}
+    sizes |= {"feedforward": DRIVES, "p": parts.flat.numel_in(1), "h": 1, "share": 1, "limits": DRIVES}
     given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
     cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])

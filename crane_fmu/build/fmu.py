@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module, metadata
 from pathlib import Path
-from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import servocore as sc
@@ -67,7 +66,7 @@ def build_fmu(
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
     targets: str | None = None,
-    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
+    drives: Mapping[str, sc.Drive] | None = None,
 ) -> Path:
     """Build an FMU, check it in a separate process, and then rename it into place.
 
@@ -85,7 +84,7 @@ def build_fmu(
         Start values of variables that differ from the defaults, parameters of the crane among them.
     targets : str, optional
         Platforms of its libraries, as of `sc.export_fmu`; this machine and 64-bit Windows by default.
-    drives : mapping of str to Drive
+    drives : mapping of str to Drive, optional
         Motors and transmissions of the crane.
 
     Returns

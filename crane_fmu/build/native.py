@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 import casadi as ca
 
@@ -57,7 +56,7 @@ def native_model(
     kind: FmuKind,
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
-    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
+    drives: Mapping[str, sc.Drive] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     host: sc.HostRules | None = None,
 ) -> NativeModel:
@@ -71,7 +70,7 @@ def native_model(
         The path in the trajectory.
     starts : mapping of str to float or str
         Start values of variables in place of defaults, parameters of the crane among them.
-    drives : mapping of str to Drive
+    drives : mapping of str to Drive, optional
         Motors and transmissions of the crane.
     progress : callable
         Called with a phrase for every stage.
@@ -101,7 +100,7 @@ def native_fmu(
     kind: FmuKind,
     path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
-    drives: Mapping[str, sc.Drive] = MappingProxyType({}),
+    drives: Mapping[str, sc.Drive] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     targets: str | None = None,
 ) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from servocore.certificate.chebyshev import model_of
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import Statement, claims_of, known, walk_of_limits
+from servocore.certificate.statements import DEFINITE, Statement, claims_of, known, walk_of_limits
 
 _MOTION, _BRANCH, _SMOOTH = (
     "one motion, regular at all times", "one branch from the beginning to the end", "path smooth enough for the motion"
@@ -95,7 +95,7 @@ def _undecided(proof: Proof) -> Statement:
 def _slack(proof: Proof, first: int) -> str:
     """Return the quantities that reach their lower bound near an interval: rope tensions, distances of the scene."""
     problem, equations = proof.problem, proof.equations
-    claimed = [claim.limit for claim in claims_of(problem.resolved) if not claim.told]
+    claimed = [limit for what, limit in claims_of(problem.resolved) if what != DEFINITE]
     limits = [limit for limit in (*problem.path_limits, *claimed) if known(equations, limit)]
     near = proof.solved & (np.abs(proof.begin - proof.begin[first]) < _NEAR * problem.reference.duration)
     if not limits or not near.any():

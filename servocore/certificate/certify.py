@@ -18,7 +18,7 @@ from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import (
     LIMIT,
-    Claim,
+    VERDICTS,
     ErrorBound,
     Statement,
     Verdict,
@@ -73,8 +73,7 @@ class Certificate:
     @property
     def verdict(self) -> Verdict:
         """Of all statements together: "refuted" if one is, else "undecided" if one is, else "proved"."""
-        found = {statement.verdict for statement in self.statements}
-        return next((each for each in ("refuted", "undecided") if each in found), "proved")
+        return max((each.verdict for each in self.statements), key=VERDICTS.index, default="proved")
 
     @property
     def summary(self) -> str:
@@ -202,8 +201,8 @@ def certify(
     path, bounds, jumps = problem.reference, dict[str, ErrorBound](), tuple[float, ...]()
     proof: Proof | None = None
     extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
-    wanted = [k for k in (*problem.limits, *extra) if not k.at_instants_only]
-    boxed, rates = _box(problem, parameters or {}), any(limit.rate for limit in wanted)
+    wanted = [(f"{LIMIT}{k.quantity}", k) for k in (*problem.limits, *extra) if not k.at_instants_only]
+    boxed, rates = _box(problem, parameters or {}), any(limit.rate for _, limit in wanted)
     if not problem.flat:
         proof, statements = near_states(problem, solution, tolerance, bool(boxed))
     elif path.max_order < problem.array.reference_order + rates:
@@ -211,9 +210,10 @@ def certify(
         statements = [Statement("one motion", "refuted", text)]
     else:
         proof, statements = Proof(problem, boxed, tolerance, rates), []
-    if proof is not None:
-        jumps = jumps_of(proof)
-        claims = [*(Claim(f"{LIMIT}{each.quantity}", each) for each in wanted), *claims_of(problem.resolved)]
+    if proof is None:
+        statements += [Statement(what, "undecided", "the motion is not proved") for what, _ in wanted]
+    else:
+        jumps, claims = jumps_of(proof), [*wanted, *claims_of(problem.resolved)]
         statements += motion_statements(proof)
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)

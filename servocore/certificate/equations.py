@@ -25,8 +25,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, magnitude, model_of
-from servocore.certificate.programs import UP, norm
+from servocore.certificate.chebyshev import UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -77,7 +76,8 @@ class Equations:
     steady, curved : ndarray of bool
         Unknowns that may not jump with the equations, of motion or switching; that the Jacobian or the steps depend on.
     free : ndarray of bool
-        Unknowns that may differ at joints: rates may jump, and others are unique wherever they are.
+        Unknowns that may differ at joints: rates and derivatives by the states may jump, others are unique wherever
+        they are.
     rows, columns : ndarray of int
         Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
     ends : ndarray of int
@@ -115,20 +115,13 @@ class Equations:
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
-        self.free = ~self.curved
-        self.free[: len(array.determined)] |= [each not in resolved.array.unknowns for each in array.determined]
-        self._pattern = J.sparsity()
-        _, rows, columns, bounds, *_ = self._pattern.T.btf()
-        self._find_blocks(rows, columns, bounds)
+        held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
+        self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
+        _, rows, columns, bounds, *_ = J.sparsity().T.btf()
+        self._find_blocks(J.sparsity(), rows, columns, bounds)
 
-    def in_one_block(self) -> Equations:
-        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
-        found = copy(self)
-        found._find_blocks(self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
-        return found
-
-    def _find_blocks(self, rows: list[int], columns: list[int], bounds: list[int]) -> None:
-        pattern, size = self._pattern, len(rows)
+    def _find_blocks(self, pattern: ca.Sparsity, rows: list[int], columns: list[int], bounds: list[int]) -> None:
+        self._pattern, size = pattern, len(rows)
         self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
         permuted, entry = pattern.sub(columns, rows)
         whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
@@ -140,6 +133,12 @@ class Equations:
         self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
         self.test = Walk(off.nz[:], ca.vertcat(Y, J))
         self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
+
+    def in_one_block(self) -> Equations:
+        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
+        found = copy(self)
+        found._find_blocks(self._pattern, self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
+        return found
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""

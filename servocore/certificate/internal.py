@@ -13,9 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import Model, arithmetic, derivative, magnitude, model_of
+from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, model_of, norm, summed
 from servocore.certificate.equations import equations_of, given_models, radii
-from servocore.certificate.programs import UNIT, norm, summed
 from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
 from servocore.certificate.statements import Statement
 from servocore.numerics.compiled_calls import Array
@@ -75,19 +74,21 @@ class InternalProof(Proof):
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, solution: Solution, tolerance: float) -> None:
         self.problem, self.boxed, self.tolerance, self.joints = problem, {}, tolerance, []
-        self.equations, self._varied = (equations_of(problem.resolved, False, each) for each in (False, True))
-        self.ring, t, path = arithmetic((_DEGREE,)), solution.t, problem.reference
+        self.equations, self.ring = equations_of(problem.resolved, False, True), arithmetic((_DEGREE,))
+        t, path = solution.t, problem.reference
         outside = t[(t < path.start_time) | (t > path.end_time)]
         grid = np.union1d(grid_of(path, max(len(t) // _INSTANTS, _FEWEST)), outside)
-        if grid[-1] == path.end_time:  # inputs may jump there, and have the value behind it
+        # Inputs may jump at the ends of the path: a motion from rest is at rest before it.
+        if grid[0] == path.start_time and not problem.start:
+            grid = np.append(path.start_time - OUTSIDE * path.duration, grid)
+        if grid[-1] == path.end_time:
             grid = np.append(grid, path.end_time + OUTSIDE * path.duration)
         self.begin, self.end = grid[:-1], grid[1:]
         self.switches, self.relative = np.zeros(len(grid) - 1, dtype=bool), np.full(len(grid) - 1, np.inf)
         x, s = self._near(solution)
-        self._count, inputs = x.shape[1], self.equations.inputs
         # Derivatives by the states begin at zero: their equations are linear.
         x, rho = self._tested(np.pad(x, ((0, 0), (0, x.shape[1] * s.shape[1]), (0, 0))), s)
-        self.x, self.given = model_of(x, rho)[:, : self._count], self._given(s)
+        self.x, self.given, inputs = model_of(x, rho), self._given(s), self.equations.inputs
         self.sentence, self._from, lost = "", "", np.flatnonzero(np.isinf(rho).any(axis=0))
         what = "one regular solution of the algebraic equations at the computed states"
         if len(lost):
@@ -98,15 +99,15 @@ class InternalProof(Proof):
         reported = [solution[each.name] for each in problem.system.inputs]
         off = ((np.abs(reported - shown[0]) + magnitude(shown[1:])) / self.peaks[inputs]).max()
         self.algebraic = Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")
-        self._bound(x, rho, s, self._first(s))
+        self._bound(x, rho, s, self._first(s, bool(t[0] < path.start_time)))
 
-    def _first(self, s: Model) -> Array:
+    def _first(self, s: Model, before: bool) -> Array:
         """Return the first states of the motion: given ones, those at rest, or computed ones."""
         array, own = self.problem.array, guessed_unknowns(self.problem, self.begin[:1])[:, 0]
         names = [array.names[j].removeprefix("q.") + "_dot" * order for j, order in array.states]
-        own, begun = own[array.places(array.states)], self.ring.ends(s)[0][0, :, 0]
-        near = [_REST[order] for _, order in array.states] * self._sizes(s)
-        if (np.abs(begun - own) <= near).all() and self.begin[0] == self.problem.reference.start_time:
+        own, early = own[array.places(array.states)], self.ring.ends(s)[0][0]
+        near, begun = [_REST[order] for _, order in array.states] * self._sizes(s), early[:, 0]
+        if (np.abs(early[:, self.within.argmax()] - own) <= near).all() and not before:
             begun = own
         elif not self.problem.start:
             self._from = f" on the motion from their computed values at t = {self.begin[0]:.6g} s"
@@ -139,21 +140,20 @@ class InternalProof(Proof):
     def _tested(self, x: Array, s: Model) -> tuple[Array, Array]:
         """Return polynomials of unknowns and their derivatives after Newton's method, and their radii."""
         given, nothing = self._given(s), np.zeros(x.shape[1:])
-        for _ in self._varied.ends:  # the blocks one after the other
-            *_, shift = radii(self._varied, self.ring, x, given, nothing, nothing[:, :1])
+        for _ in self.equations.ends:  # the blocks one after the other
+            *_, shift = radii(self.equations, self.ring, x, given, nothing, nothing[:, :1])
             if (norm(shift) <= _SETTLED * norm(x).max()).all():
                 break
             x = x - np.where(np.isfinite(shift), shift, 0.0)
         sizes = np.maximum(norm(x).max(axis=1, keepdims=True), 1e-12)
-        D = np.tile(_BESIDE * sizes, len(self.begin))
-        rho, switches, *_ = radii(self._varied, self.ring, x, given, D, sizes)
-        self.D = D[: self._count]
-        within = (rho <= D)[self._varied.curved].all(axis=0) & np.isfinite(rho).all(axis=0) & ~switches
+        self.D = np.tile(_BESIDE * sizes, len(self.begin))
+        rho, switches, *_ = radii(self.equations, self.ring, x, given, self.D, sizes)
+        within = (rho <= self.D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0) & ~switches
         return x, np.where(within, rho, np.inf)
 
     def _flow(self, x: Model, s: Model) -> tuple[Model, Model]:
         """Return models of f (terms + 1, n, N) and of df/ds (terms + 1, n, n, N)."""
-        found, n = self._varied.flow(self.ring, np.concatenate([x, self._given(s)], axis=1)), s.shape[1]
+        found, n = self.equations.flow(self.ring, np.concatenate([x, self._given(s)], axis=1)), s.shape[1]
         return found[:, :n], found[:, n:].reshape(len(found), n, n, -1).swapaxes(1, 2)
 
     def _moved(self, x: Array, s: Model, state: Array) -> Model:
@@ -194,9 +194,9 @@ class InternalProof(Proof):
         most, tube = (_TUBE * sizes / rows).min(), s.copy()
         tube[-1] += (rows * most)[:, None]
         beside, wide = self._tested(x, tube)
-        self.D -= norm(beside - x)[: self._count]
+        self.D -= norm(beside - x)
         # Where x_hat + rho is within D around the other polynomial, both tests find the same solution.
-        other = (rho[: self._count] > self.D)[self.equations.curved].any(axis=0)
+        other = (rho > self.D)[self.equations.curved].any(axis=0)
         around = model_of(beside, wide)
         J = self._flow(around, tube)[1].transpose(0, 3, 1, 2)
         M, varied = inverse @ J[0] @ V, np.abs(inverse) @ norm(J[1:]) @ np.abs(V)
@@ -221,9 +221,10 @@ class InternalProof(Proof):
             return
         share = (rows * largest.max() / sizes).max()
         self.sentence = f"states of the internal dynamics within {share:.1e} of their peaks{self._from}, by {norms}"
-        slopes = magnitude(around[:, self._count :]).reshape(len(rows), self._count, -1)
+        inputs, count = self.equations.inputs, len(self.problem.array.determined)
+        slopes = magnitude(around[:, count:]).reshape(len(rows), count, -1)
         s[-1] += rows[:, None] * largest
-        rho = (rho[: self._count] + np.tensordot(rows, slopes, 1) * largest) * _OFF
-        self.x, self.given = model_of(x[:, : self._count], rho), self._given(s)
-        self.relative = (rho / self.peaks)[self.equations.inputs].max(axis=0)
+        rho[:count] = (rho[:count] + np.tensordot(rows, slopes, 1) * largest) * _OFF
+        self.x, self.given = model_of(x, rho), self._given(s)
+        self.relative = (rho[inputs] / self.peaks[inputs]).max(axis=0)
         self.joints = self._joints()

@@ -8,7 +8,6 @@ that the motion begins and ends as the path does outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -16,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import Model, arithmetic, model_of
+from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
 from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
-from servocore.certificate.programs import UNIT, norm
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -31,7 +29,7 @@ Mask = npt.NDArray[np.bool_]
 """Marks of intervals."""
 
 _DEGREE = 10
-_FIRST = 8  # intervals of a path to begin with, each piece of it one at the least
+_FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance
@@ -74,8 +72,6 @@ class Proof:
 
     Attributes
     ----------
-    narrow : float
-        Radius of the inputs, of their peaks, at which no interval is halved any more.
     equations : Equations
         The equations.
     ring : Arithmetic
@@ -86,9 +82,8 @@ class Proof:
         Of the intervals in their order, in s.
     depth : ndarray of int, shape (N,)
         How often an interval was halved.
-    fresh, followed, tested, switches : ndarray of bool, shape (N,)
-        Whether an interval has no answers yet; its answers continue the motion beside it, and do not come from the
-        guess of the model; it was tested; equations may jump within.
+    tested, switches : ndarray of bool, shape (N,)
+        Whether an interval was tested, or has no answers to be tested; equations may jump within.
     before : ndarray, shape (2, N)
         `relative` of the intervals that it is a quarter of, and a half.
     x, given : Model, shape (terms + 1, unknowns, N) and (terms + 1, givens, N)
@@ -103,28 +98,31 @@ class Proof:
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
-        p = problem.p.copy()
-        p[list(boxed)] = [sum(interval) / 2.0 for interval in boxed.values()]
-        self.problem, self.boxed, self.tolerance = replace(problem, p=p), boxed, tolerance
-        self.narrow = tolerance if boxed else _NARROW * tolerance
+        self.problem, self.boxed, self.tolerance = problem, boxed, tolerance
         self.equations = equations_of(problem.resolved, raised)
         of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
         self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         machine_code(self.equations.array).best(1)
         path = problem.reference
         margin = OUTSIDE * path.duration
-        grid = np.array([path.start_time - margin, *grid_of(path, _FIRST), path.end_time + margin])
+        grid = np.array([path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin])
         n, unknowns = len(grid) - 1, len(self.equations.array.determined)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
-        self.fresh, self.followed, self.tested, self.switches = (np.full(n, k == 0) for k in range(4))
+        self.tested, self.switches = np.zeros((2, n), dtype=bool)
         self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
         self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
         self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
-        while len(self.begin) <= _MOST and (self._refined() or self._followed()):
-            pass
-        if self.proved.all() and len(self.peaks) <= _FEW and not self.boxed:
-            self._test_whole((self.relative > tolerance) & ~self.jumping)
-        self.joints = self._joints()
+        self._refine()
+        for step in (1, -1):
+            self._follow(step)
+        wide = (self.relative > tolerance) & ~self.jumping
+        if self.proved.all() and wide.any() and len(self.peaks) <= _FEW and not boxed:
+            before = {name: getattr(self, name).copy() for name in ("x", "D", "relative")}
+            self._test(wide, in_one_block(self.equations))
+            worse = self.relative > before["relative"]
+            for name, old in before.items():
+                getattr(self, name)[..., worse] = old[..., worse]
+            self.joints = self._joints()
 
     @cached_property
     def peaks(self) -> Array:
@@ -134,7 +132,7 @@ class Proof:
         """
         array, inputs = self.equations.array, self.equations.inputs
         least = smallest_peaks(self.problem, array.determined)
-        largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
+        largest = np.fmax.reduce(np.abs(self.ring.values(self.x[:, : len(least)])), axis=(0, 2))
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
 
@@ -160,48 +158,74 @@ class Proof:
         """Whether inputs may jump within intervals, and the motion does not."""
         return np.asarray(self.proved & self.switches & (self.relative > self.tolerance))
 
-    def _refined(self) -> bool:
-        """Answer and test what is open, and halve what is not proved well enough; return whether there was any."""
-        while (fresh := self.fresh & ~self.followed).any():
-            self._answer(fresh)
-            self._halve(fresh & self._coarse())
-        fresh = self.solved & ~self.tested
-        self._test(fresh, self.equations)
-        self._test(fresh & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), self.equations)
-        halved = self._too_wide()
-        if self.switches.sum() > _SWITCHING:
-            halved &= ~self.switches
-        self._halve(halved)
-        return bool(halved.any())
+    def _refine(self) -> None:
+        """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
+        while not self.tested.all() and len(self.begin) <= _MOST:
+            fresh = ~self.tested & ~self.solved
+            if fresh.any():
+                self._answer(fresh)
+                self._halve(fresh & self._coarse())
+            else:
+                self._test(~self.tested, self.equations)
+                halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
+                self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
+
+    def _follow(self, step: int) -> None:
+        """Answer intervals that are not on the branch of the proved one beside them again, from that one.
+
+        From the first proved interval to the end, or to the beginning. Those that are not proved then are halved.
+        """
+        k, tried, self.joints, wide = int(self.proved.argmax()), False, self._joints(), self._too_wide()
+        while 0 <= (n := k + step) < len(self.begin) <= _MOST:
+            joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
+            joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
+            if (lost and self.tested[n]) or (joined and not wide[n]) or (tried and ended):
+                k, tried = n, False
+                continue
+            count, one = len(self.begin), np.arange(len(self.begin)) == n
+            if lost:  # later answers come from the guess
+                self._refine()
+            elif tried or joined:
+                self._halve(one)
+                tried = False
+            else:
+                self._answer(one, k)
+                self._test(one & ~self.tested, self.equations)
+                tried = True
+            k += (len(self.begin) - count) * (step < 0)
+            self.joints, wide = self._joints(), self._too_wide()
 
     def _halve(self, halved: Mask) -> None:
         """Replace intervals by their halves, of which nothing is known."""
         parts, middle = np.repeat(np.arange(len(halved)), 1 + halved), (self.begin + self.end) / 2.0
         late = np.diff(parts, prepend=-1) == 0
-        for name in ("begin", "end", "depth", "failed", "fresh", "followed", "tested", "switches", "relative", "before",
-                     "x", "D", "given"):  # fmt: skip
+        for name in "begin", "end", "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
             setattr(self, name, getattr(self, name)[..., parts])
         new, middle = halved[parts], middle[parts]
         self.begin, self.end = np.where(late, middle, self.begin), np.where(new & ~late, middle, self.end)
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
-        self.fresh[new], self.tested[new], self.relative[new], self.x[..., new] = True, False, np.inf, np.nan
+        self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
     def _coarse(self) -> Mask:
         """Return whether answers from the guess have polynomials in time with large last coefficients."""
         chosen = self.equations.curved.copy()
         chosen[self.equations.inputs] = True
         last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
-        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self.narrow, 1e-12, 1e-8)
+        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
         return np.asarray(large & (self.depth < _GUESSED))
 
+    @property
+    def _narrow(self) -> float:
+        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
+        return self.tolerance if self.boxed else _NARROW * self.tolerance
+
     def _too_wide(self) -> Mask:
-        """Return whether intervals are not proved well enough, and halves may help.
+        """Return whether intervals are proved, not well enough, and halves may help.
 
         They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of.
         """
-        wide = (self.narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
-        wide = np.where(self.jumping, self.within, wide) & (self.depth < _DEEPEST)
-        return np.where(self.proved, wide, ~self.followed & (self.depth < _GUESSED))
+        wide = (self._narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
+        return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
 
     # Answers and test -----------------------------------------------------------------------------------------------
 
@@ -228,26 +252,17 @@ class Proof:
         x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
-        self.fresh[some], self.tested[some], self.relative[some] = False, False, np.inf
+        self.tested[some], self.relative[some] = ~self.solved[some], np.inf
 
     def _interpolated(self, x: Array) -> Model:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test_whole(self, some: Mask) -> None:
-        """Test intervals with all unknowns as one block, which counts where it proves more."""
-        if some.any():
-            names = "x", "D", "failed", "relative"
-            before = {name: getattr(self, name).copy() for name in names}
-            self._test(some, in_one_block(self.equations))
-            worse = self.relative > before["relative"]
-            for name, old in before.items():
-                getattr(self, name)[..., worse] = old[..., worse]
-
-    def _test(self, some: Mask, equations: Equations) -> None:
+    def _test(self, some: Mask, equations: Equations, enlarged: bool = False) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
-        It is least for what equations switch by: they are known wherever that is not about to pass a jump.
+        It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
+        jump, steps of Newton's method go between what inputs jump from and to.
         """
         if not some.any():
             return
@@ -259,13 +274,15 @@ class Proof:
             rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
             if not left or not switches.any():
                 break
-            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)  # between what inputs jump from and to
+            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
         within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
         within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
         relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
         self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
         self.relative[some] = relative
         self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
+        if not enlarged:
+            self._test(some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), equations, enlarged=True)
 
     @cached_property
     def enclosures(self) -> Model:
@@ -295,42 +312,17 @@ class Proof:
         (early, late), size, rho, D = self.ring.ends(self.x), norm(self.x[:-1]), self.x[-1], self.D
         noise = 2.0 * (_DEGREE + 2) * UNIT * (size[:, :-1] + size[:, 1:])
         apart = norm(late[..., :-1] - early[..., 1:]) + noise
-        fits = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
-        fits |= self.equations.free[:, None]
-        motion = self.equations.motion
+        near = np.stack([apart + rho[:, 1:] <= D[:, :-1], apart + rho[:, :-1] <= D[:, 1:]])
+        fits = near | self.equations.free[:, None]
+        motion, inputs = self.equations.motion, self.equations.inputs
+        both, one = self.proved[:-1] & self.proved[1:], fits.all(axis=1).any(axis=0)
         of_path = np.isin(self.end[:-1], self.problem.reference.joints)
-        both = self.proved[:-1] & self.proved[1:]
-        jumps = (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:])[motion].any(axis=0)
-        conditions = [~both, fits.all(axis=1).any(axis=0), ~of_path, jumps, fits[:, motion].all(axis=1).any(axis=0)]
-        kinds = ["not proved", "one branch", "apart", "motion jumps", "inputs jump"]
+        # Also of what is unique wherever it is; what changes by less than D is a rounding error of the path.
+        leaps = of_path & (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:]) & ~near.any(axis=0)
+        conditions = [~both, leaps[motion].any(axis=0), one & ~leaps[inputs].any(axis=0), ~of_path]
+        conditions.append(fits[:, motion].all(axis=1).any(axis=0))
+        kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]
         return np.select(conditions, kinds, "apart").tolist()  # type: ignore[no-any-return]  # NumPy's stubs
-
-    def _followed(self) -> bool:
-        """Answer the first interval that is not on the branch of a proved one beside it again, from that one.
-
-        From the first proved interval to the end, and to the beginning. Intervals that following did not prove are
-        halved.
-        """
-        joints, proved, numbers = self._joints(), self.proved, np.arange(len(self.begin) + 1)
-        first = int(proved.argmax())
-        for order in (range(first, len(proved)), range(first, -1, -1)):
-            for k, n in pairwise(order):
-                joint = joints[min(k, n)]
-                if not proved[k] and self.fresh[n]:  # the branch is lost: later answers come from the guess
-                    self.followed[n] = False
-                    return True
-                if not proved[k] or joint in {"one branch", "inputs jump"}:
-                    continue
-                again = bool(self.followed[n] and not self.fresh[n])
-                if again and (self.depth[n] >= _DEEPEST or joint == "motion jumps"):
-                    continue
-                if again:
-                    self._halve(numbers[:-1] == n)
-                one, shift = numbers[: len(self.begin)], int(again and n < k)
-                self.followed[n + shift] = True
-                self._answer(one == n + shift, k + shift)
-                return True
-        return False
 
 
 @made_once

@@ -10,9 +10,8 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, magnitude
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
 from servocore.certificate.equations import Equations
-from servocore.certificate.programs import UNIT, norm
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
@@ -25,15 +24,18 @@ from servocore.references.base import time_grid
 from servocore.solution import Solution
 from servocore.structure.derivative_array import in_variables
 
-Verdict = Literal["proved", "refuted", "undecided"]
+Verdict = Literal["proved", "undecided", "refuted"]
+VERDICTS: tuple[Verdict, ...] = ("proved", "undecided", "refuted")
+"""In their order: of several statements the worst counts."""
 
 LIMIT = "limit of "
 """Beginning of statements on limits."""
 
+DEFINITE = "mass matrix definite on all motions that the constraints allow"
+"""A statement."""
+
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
-_HALVED_FIRST = 8  # how often boxes are halved where enclosures are wide, as of a magnitude that turns
 _HALVED_RUNS = 4  # how often intervals are halved for integrals
-_POSITIVE = 1e-300  # a pivot that is not zero
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _UNSHOWN = "the instants do not show it"
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
@@ -93,45 +95,25 @@ class ErrorBound:
         return self.at_instants / self.peak if self.peak else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Claim:
-    """A quantity that must stay within bounds.
-
-    Attributes
-    ----------
-    what : str
-        The statement that it is part of.
-    limit : Limit
-        The quantity and its bounds.
-    told : str
-        Consequence of a value outside the bounds; when empty the value is stated.
-    refutable : bool
-        Whether the statement is false then.
-    """
-
-    what: str
-    limit: Limit
-    told: str = ""
-    refutable: bool = True
+Claim: TypeAlias = tuple[str, Limit]
+"""The statement that a claim is part of, and a quantity that must stay within bounds."""
 
 
 @made_once
 def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
     """Return the claims about every motion of a system: signs, constraints left out as redundant, and masses."""
     claims = [
-        Claim(f"{each.name} positive", Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name)))
+        (f"{each.name} positive", Limit(each.name, each.unit, 0.0, each.wrong_sign, Named(each.name)))
         for each in reported_quantities(resolved.system).values()
         if each.positive
     ]
     for k in range(resolved.left_out.numel()):
-        share = resolved.left_out_shares[k]
-        off = Limit("", "", -LEFT_OUT_HOLDS, "", lambda _, share=share: share, upper=LEFT_OUT_HOLDS)
-        claims.append(Claim("redundant constraints hold", off, f"constraint {k + 1} of them does not hold"))
-    pivots, free = _pivots(resolved.system), not resolved.system.G.nnz()
-    what = "mass matrix definite on all motions that the constraints allow"
-    for pivot in ca.vertsplit(pivots):
-        positive = Limit("", "", _POSITIVE, "", lambda _, pivot=pivot: pivot)
-        claims.append(Claim(what, positive, "the mass matrix is negative", free))
+        share, text = resolved.left_out_shares[k], f"constraint {k + 1} of them does not hold"
+        off = Limit("", "of its size", -LEFT_OUT_HOLDS, text, lambda _, share=share: share, upper=LEFT_OUT_HOLDS)
+        claims.append(("redundant constraints hold", off))
+    for pivot in ca.vertsplit(_pivots(resolved.system)):
+        positive = Limit("", "kg.m2", 0.0, "the mass matrix is negative", lambda _, pivot=pivot: pivot)
+        claims.append((DEFINITE, positive))
     return tuple(claims)
 
 
@@ -174,28 +156,23 @@ def boxes_of(proof: Proof) -> Model:
     return proof.enclosures[..., proof.within]
 
 
-def _halved(ring: Arithmetic, boxes: Model, c: Array) -> Model:
-    """Return the halves of boxes, each by the variable that polynomials (terms, N, boxes) vary most with."""
-    size = np.maximum(norm(c), 1e-300)
-    by = np.argmax([(norm(c[order > 0]) / size).sum(axis=0) for order in ring.orders], axis=0)
-    halves = (half for k in range(len(ring.degrees)) for half in ring.halved(boxes[..., by == k], k))
-    return np.concatenate(list(halves), axis=2)
-
-
 Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
 """Whether a quantity keeps its bounds; where it fails or is not decided the arguments of the walk and the quantity, NaN
 if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
 def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
-    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not."""
+    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not.
+
+    They are halved by the variable that the quantities vary most with.
+    """
     found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
     least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
     lower, upper = lower[:, None], upper[:, None]
     for halvings in range(_HALVINGS):
         models = walk(ring, boxes)
         low, high = ring.span(models)
-        kept = (low >= lower) & (high <= upper)
+        kept = (low > lower) & (high < upper)
         least = np.minimum(least, low.min(axis=1, initial=np.inf, where=kept))
         most = np.maximum(most, high.max(axis=1, initial=-np.inf, where=kept))
         some = np.asarray(~kept[open_].all(axis=0))
@@ -206,9 +183,8 @@ def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Arr
         noise = r + (len(c) + 8) * UNIT * norm(c)
         beyond = np.maximum(lower - values, values - upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
-        # Where the radius is more than what the polynomial varies by, halves tell nothing new.
-        wide = ~(norm(c[1:]) >= r / 4.0) & (~np.isfinite(boxes[-1]).all(axis=0) | (halvings >= _HALVED_FIRST))
-        lost = certain | ~kept & (wide | (halvings == _HALVINGS - 1) | (kept.shape[1] > _MOST))
+        last = halvings == _HALVINGS - 1 or kept.shape[1] > _MOST
+        lost = certain | ~kept & (last | ~np.isfinite(boxes[-1]).all(axis=0))
         for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
             open_[k] = not certain[k].any()
             worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
@@ -218,65 +194,66 @@ def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Arr
         again = (~kept & ~lost)[open_].any(axis=0)
         if not again.any():
             break
-        boxes = _halved(ring, boxes[..., again], c[:, open_][..., again])
+        c = c[:, open_][..., again] / np.maximum(norm(c[:, open_][..., again]), 1e-300)
+        widest = int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders]))
+        boxes = np.concatenate(ring.halved(boxes[..., again], widest), axis=2)
     extents = zip(least.tolist(), most.tolist(), strict=True)
     return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
 
 
 def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
     """Decide claims between the instants too: each statement is proved if all its claims are."""
-    equations = proof.equations
     # Walks are kept, whatever the bounds are.
-    chosen = [each for each in claims if not each.limit.over_run and known(equations, each.limit)]
-    limits = {each: replace(each.limit, bound=-math.inf, upper=math.inf) for each in chosen}
-    walk = walk_of_limits(equations, tuple(limits.values()))
-    bounds = (np.array([getattr(each.limit, name) for each in limits]) for name in ("bound", "upper"))
+    limits = {
+        limit: replace(limit, bound=-math.inf, upper=math.inf)
+        for _, limit in claims
+        if not limit.over_run and known(proof.equations, limit)
+    }
+    walk = walk_of_limits(proof.equations, tuple(limits.values()))
+    bounds = (np.array([getattr(limit, name) for limit in limits]) for name in ("bound", "upper"))
     decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))
     found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
     if not proof.problem.flat:
         text = "rates of inputs are not enclosed where there are internal dynamics"
-    for each in claims:
-        statement = Statement(each.what, "undecided", text)
-        if added := each.limit.over_run:
-            statement = _of_run(proof, each, added)
-        elif each in decisions:
-            statement = _of_all_times(proof, each, decisions[each], jumps)
-        before = found.setdefault(each.what, statement)
-        if before.verdict == "proved" or (before.verdict, statement.verdict) == ("undecided", "refuted"):
-            found[each.what] = statement
+    for what, limit in claims:
+        statement = Statement(what, "undecided", text)
+        if added := limit.over_run:
+            statement = _of_run(proof, what, limit, added)
+        elif limit in decisions:
+            statement = _of_all_times(proof, what, limit, decisions[limit], jumps)
+        found[what] = max(found.get(what, statement), statement, key=lambda each: VERDICTS.index(each.verdict))
     return list(found.values())
 
 
-def _of_all_times(proof: Proof, claim: Claim, decision: Decision, jumps: Collection[float]) -> Statement:
-    (verdict, at, value, extent), limit = decision, claim.limit
+def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jumps: Collection[float]) -> Statement:
+    verdict, at, value, extent = decision
     if verdict == "proved" and limit.rate and jumps:
         text = f"inputs jump at t = {min(jumps):.6g} s, where rates have no bound"
-        return Statement(claim.what, "undecided", text, min(jumps))
+        return Statement(what, "undecided", text, min(jumps))
     if verdict == "proved":
-        text = "" if claim.told else "it stays from {} to {}".format(*map(limit.with_unit, extent))
-        return Statement(claim.what, verdict, text)
+        text = "it stays from {} to {}".format(*map(limit.with_unit, extent)) if limit.quantity else ""
+        return Statement(what, verdict, text)
+    if what == DEFINITE and proof.problem.system.G.nnz():
+        verdict = "undecided"  # the matrix may be negative on motions that the constraints exclude
     names, time = proof.problem.system.parameters.names, float(at[-1])  # the last argument, and before it parameters
     place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {at[k - len(names) - 1]:.6g}" for k in proof.boxed)])
     bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
     text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
     text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
     text += f", {limit.reason}" if limit.reason else ""
-    if claim.told:
-        text = f"{'not decided whether ' * (verdict == 'undecided')}{claim.told} at {place}"
     if not np.isfinite(value):
         text = f"the motion is not proved at {place}"
-    return Statement(claim.what, verdict if claim.refutable else "undecided", text, time)
+    return Statement(what, verdict, text, time)
 
 
-def _of_run(proof: Proof, claim: Claim, added: RunQuantity) -> Statement:
+def _of_run(proof: Proof, what: str, limit: Limit, added: RunQuantity) -> Statement:
     """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
-    limit = claim.limit
     low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
     kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
     verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
     between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
     text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
-    return Statement(claim.what, verdict, text)
+    return Statement(what, verdict, text)
 
 
 def _integral(proof: Proof, limit: Limit) -> Array:
@@ -284,9 +261,8 @@ def _integral(proof: Proof, limit: Limit) -> Array:
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
+    The bounds are infinite, or no numbers, where the motion is not proved.
     """
-    if not proof.proved.all():
-        return np.array([-np.inf, np.inf])
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
@@ -297,9 +273,8 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
     middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
     widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
-    slack = np.abs(middle) @ (4.0 * len(widths) * UNIT * widths + late)
-    total, off = float(middle @ widths), float(radius @ (widths + late) + slack) * (1.0 + 1e-9)
-    return np.array([total - off, total + off])
+    off = radius @ widths + (np.abs(middle) + radius) @ (4.0 * len(widths) * UNIT * widths + late)
+    return np.asarray(middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off)
 
 
 # At instants -------------------------------------------------------------------------------------------------------
@@ -329,7 +304,7 @@ def compared(
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
         bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
         spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
-        claims += [] if proof.boxed else [Claim(what, spike)]
+        claims += [] if proof.boxed else [(what, spike)]
     if solution is not None:
         low, high = least / peaks[:, None], most / peaks[:, None]
         verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"

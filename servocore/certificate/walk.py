@@ -7,7 +7,9 @@ where that may come to zero.
 
 from __future__ import annotations
 
+import math
 import operator
+import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -16,13 +18,13 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import Arithmetic, Model, bounded
-from servocore.certificate.programs import LANES, MINUS, PLUS, TIMES, UP, carry_out, norm
+from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, UP, Arithmetic, Model, bounded, carry_out, norm
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
 
+_KEPT = threading.local()
 _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
@@ -74,7 +76,7 @@ class Walk:
         boxes = arguments.shape[2]
         if boxes < LANES:  # the last box is repeated
             arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
-        places: Array = np.empty((len(self._depth), len(arguments), arguments.shape[2]))
+        places = _workspace(len(self._depth), *arguments.shape[::2])
         models = places.swapaxes(0, 1)
         models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
         models[:, [*self._constants.values()]] = ring.constant(self._values)
@@ -110,6 +112,15 @@ class Walk:
         if number in _STEPS:
             return self._step(_STEPS[number], a, b)
         return self._function(number, *arguments)
+
+
+def _workspace(*shape: int) -> Array:
+    """Return memory for models that a thread uses again: new pages take the system longer than many programs."""
+    size = math.prod(shape)
+    if size > getattr(_KEPT, "memory", np.empty(0)).size:
+        _KEPT.memory = np.empty(size)
+    found: Array = _KEPT.memory[:size].reshape(shape)
+    return found
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------

@@ -23,9 +23,8 @@ from servocore.checks.between_instants import Beside, Ends, Moments, look
 from servocore.checks.branches import MANY, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding, bisected
 from servocore.checks.motion import Motion
-from servocore.checks.motion_limits import compile_watched
 from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
-from servocore.model.limits import Limit, Named, reported_quantities
+from servocore.model.limits import Limit, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -34,7 +33,8 @@ from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switchin
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem, equations_of
 from servocore.references.base import survey
 from servocore.references.timed_path import TimeScaled
-from servocore.stepping.exact_evaluation import along_path, exact_unknowns
+from servocore.stepping.exact_evaluation import along_path
+from servocore.stepping.readings import exact_quantities
 from servocore.structure.derivative_array import DerivativeArray
 
 _WHY = "it follows from the others where the model is at home, and was left out"
@@ -135,10 +135,10 @@ def slack_rope(problem: Problem) -> str:
 
 def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     """Return which rope first goes slack and when, of quantities that are positive; empty if none does."""
-    watched = compile_watched(problem.resolved, tuple((Named(each.name), False) for each in signed))
+    evaluate = exact_quantities(problem.resolved, tuple(each.name for each in signed), False)
 
     def values(t: Array) -> Array:
-        return watched.values(problem, t, exact_unknowns(problem, t)[0])
+        return evaluate(problem, t)[0]
 
     path = problem.reference
     t = survey(path)

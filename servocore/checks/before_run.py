@@ -90,7 +90,7 @@ def _linearized(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynam
 
 
 _CALLER = 4  # the line that called `solve`
-_FEWER = 4  # of the survey's instants one is enough where all margins are large
+_FEWER = 8  # of the survey's instants one is enough where all margins are large
 
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:

@@ -126,7 +126,7 @@ def _advice(problem: Problem, formulation: Formulation, method: Method | None) -
     from servocore.methods.collocation import RadauIIA  # noqa: PLC0415
 
     if method is None:
-        return "leave its horizon to StableInversion, with a smaller tolerance"
+        return "take a smaller tolerance for StableInversion"
     index = problem.dae(formulation).index
     advice = list[str]()
     if problem.flat:
@@ -192,7 +192,7 @@ class BetterSolver:
         """
         t, inputs = solution.t, problem.system.inputs
         if self.exact:
-            return Comparison(inputs, solution, _on_the_grid(self.run(problem, t), solution), self.basis)
+            return Comparison(inputs, solution, _at_instants_of(solution, self.run(problem, t)), self.basis)
         found, failed = list[Array](), ServocoreError("no step was small enough")
         for parts in 2 ** np.arange(_MOST_HALVINGS + 1):
             try:
@@ -227,15 +227,9 @@ def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstim
     return ErrorEstimate(dict.fromkeys(peaks), peaks, f"unknown: {why}")
 
 
-def _on_the_grid(better: Solution, solution: Solution) -> Array:
-    """Return values at the instants of a solution; its own where the better one, evenly spaced, has none."""
-    if np.array_equal(better.t, solution.t):
-        return better.values
-    step = (better.t[-1] - better.t[0]) / (len(better.t) - 1)
-    rows = np.round((solution.t - better.t[0]) / step).astype(np.intp)
-    inside = (rows >= 0) & (rows < len(better.t))
-    own = solution.values[:, : better.values.shape[1]]  # what a run adds up comes last
-    return np.where(inside[:, None], better.values[np.clip(rows, 0, len(better.t) - 1)], own)
+def _at_instants_of(solution: Solution, better: Solution) -> Array:
+    """Return better values at the instants of a solution, which may reach further beyond the path."""
+    return np.column_stack([np.interp(solution.t, better.t, column) for column in better.values.T])
 
 
 def stated_branch(

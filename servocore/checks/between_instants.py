@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, LOST, MANY, Branch, Passage, Places, Rows
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, MANY, Passage, Places, Rows
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -80,7 +80,8 @@ def look(
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
         worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
-        kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
+        kept = np.flatnonzero(worst > 1.0)
+        kept = kept[np.argsort(-worst[kept], kind="stable")[:_MOST]]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break
@@ -153,12 +154,6 @@ def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
     between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
-    if len(between.t):  # less regular, values are all round-off
-        branch, after = Branch.of(motion.problem, motion.states), np.searchsorted(motion.t, between.t)
-        sizes = np.abs(branch.determinants(motion.t, motion.states))
-        least = LOST * np.minimum(sizes[:, after - 1], sizes[:, np.minimum(after, len(motion.t) - 1)])
-        regular: npt.NDArray[np.bool_] = np.abs(branch.determinants(between.t, between.states)) > least
-        between = between.of(np.logical_and.reduce(regular, axis=0, dtype=bool))
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:
         return between, np.zeros(len(between.t), dtype=bool)
@@ -177,21 +172,17 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
     """Make the angles among observed values (channels, N) continuous, in place, however far they turn between instants.
 
     An inversion determines angles up to full turns, at each instant independently. Where an angle turns by more than a
-    quarter turn from one to the next, or would at its rate there, instants in between are solved.
+    quarter turn from one to the next, instants in between are solved.
 
     Raises
     ------
     IntegrationFailed
         If the angle cannot be followed: the path comes too close to a configuration at which it is undefined.
     """
-    array, names = motion.problem.array, motion.problem.system.coordinates.names
     for k, channel in enumerate(program.channels):
-        if not channel.wraps:
+        if not channel.wraps or (np.abs(np.diff(values[k])) < _QUARTER_TURN).all():
             continue
         unclear = ~(np.abs(np.diff(np.unwrap(values[k]))) < _QUARTER_TURN)
-        if channel.name in names:
-            rates = np.abs(motion.states[array.places([(names.index(channel.name), 1)])[0]])
-            unclear |= ~(np.diff(motion.t) * np.maximum(rates[1:], rates[:-1]) < _QUARTER_TURN)
         # A branch that is followed may pass places where angles are not defined.
         clear = motion.problem.follow_branch or not unclear.any()
         values[k] = np.unwrap(values[k]) if clear else _followed(motion, program, k, values[k], unclear)

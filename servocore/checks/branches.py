@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -22,7 +21,8 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
-from servocore.numerics.components import condition_number
+from servocore.numerics.components import condition_number, singular_values
+from servocore.numerics.constraint_ranks import unit_rows
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
@@ -42,8 +42,6 @@ FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
-_JOLT = 0.25  # of the range of a velocity: a larger change that no acceleration explains is looked at
-_MOST_FOLLOWED = 4  # intervals that are followed where the model gives its motion in closed form
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
@@ -54,7 +52,7 @@ DISAGREEMENT = 0.05
 _LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
 
 Places = npt.NDArray[np.intp]
-MANY = 1000
+MANY = 500
 """Intervals that are compared, of more some are left out, though of no instant the determinants; and steps from one
 instant to the next, which shrink without end near a singularity."""
 
@@ -70,29 +68,18 @@ class Passage:
     ----------
     before, after, time : float
         The instants, and the time itself, in s.
-    equations : tuple of str
-        Equations of the diagonal block whose determinant changes its sign.
-    at_once : bool
-        Whether all constraints taken together lose rank there, not only those of the block for its variables.
+    constraints : str
+        The constraints that lose rank there; empty if none do.
     """
 
     before: float
     after: float
     time: float
-    equations: tuple[str, ...]
-    at_once: bool = True
-
-    @cached_property
-    def of_constraints(self) -> bool:
-        """Whether holonomic constraints lose rank, by themselves or together with the servo constraints."""
-        holonomic = self.at_once and any(name.startswith("holonomic") for name in self.equations)
-        return holonomic and all(name.startswith(("holonomic", "servo")) for name in self.equations)
+    constraints: str
 
     def __str__(self) -> str:
-        if self.of_constraints:
-            servo = any(name.startswith("servo") for name in self.equations)
-            which = "the holonomic and servo constraints together" if servo else "the holonomic constraints"
-            return f"at t = {self.time:.6g} s {which} lose rank and two motions go on from there"
+        if self.constraints:
+            return f"at t = {self.time:.6g} s {self.constraints} lose rank and two motions go on from there"
         return f"between t = {self.before:.6g} s and {self.after:.6g} s the equations are singular"
 
 
@@ -262,8 +249,6 @@ def on_one_branch(
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
-    if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
-        return states, CLOSED_FORM, ()
     while waiting:
         k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])
@@ -275,7 +260,7 @@ def on_one_branch(
                 if replaced or not is_closed_form(problem, t, states):
                     raise
                 return states, CLOSED_FORM, ()
-            passages.append(_passage(branch, problem, kept[:, k], reached, begin, end, time))
+            passages.append(_passage(branch, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
         if (off[:, 0] <= _SLIGHT * branch.scale).all():
             continue
@@ -303,33 +288,30 @@ def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
     """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
     every = -(-(len(t) - 1) // MANY)
     looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
-    some, steps = states if every == 1 else states[:, looked], np.diff(t[looked])
-    _, velocities = _velocity_rows(branch.problem.array)
-    far: npt.NDArray[np.bool_] = branch.apart(some[:, :-1], some[:, 1:], steps)
-    jolts = velocities.missed(some[:, :-1], some[:, 1:], steps)
-    far |= (jolts > _JOLT * velocities.ranges(some)[:, None]).any(axis=0)
+    some = states if every == 1 else states[:, looked]
+    far = branch.apart(some[:, :-1], some[:, 1:], np.diff(t[looked]))
     return np.repeat(far, np.diff(looked)) if every > 1 else far
 
 
-def _equations_of(problem: Problem, blocks: Places) -> list[tuple[str, ...]]:
-    """Return the names of the equations of each of some diagonal blocks."""
+def _constraints_of(problem: Problem, blocks: Places) -> str:
+    """Name the constraints of the first of some diagonal blocks that holds nothing else; empty if there is none."""
     names, every = problem.signature.equations.equations, diagonal_blocks(problem.array)
-    return [tuple(names[row] for row in every[k].rows) for k in blocks]
+    for k in blocks:
+        kinds = {names[row].partition(" ")[0] for row in every[k].rows}
+        if "holonomic" in kinds and kinds <= {"holonomic", "servo"}:
+            together = "the holonomic and servo constraints together"
+            return together if "servo" in kinds else "the holonomic constraints"
+    return ""
 
 
-def _passage(
-    branch: Branch, problem: Problem, first: Array, last: Array, begin: float, end: float, time: float
-) -> Passage:
-    ends = branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
-    changed = _equations_of(problem, np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0))
+def _passage(branch: Branch, first: Array, last: Array, begin: float, end: float, time: float) -> Passage:
+    problem, ends = branch.problem, branch.determinants(np.array([begin, end]), np.stack([first, last], axis=1))
     moments = ((begin, first), (time, ahead(problem.array, first[:, None], np.array(time - begin))[:, 0]), (end, last))
     least = [_least_singular_value(problem, t, states[branch.rows.values]) for t, states in moments]
-    at_once = least[1] < _LESS * max(least[0], least[2])
-    passages = [Passage(begin, end, time, equations, at_once) for equations in changed]
     # The forces of constraints are in a block of their own, which is singular with them.
-    return next(
-        (each for each in passages if each.of_constraints), Passage(begin, end, time, sum(changed, ()), at_once)
-    )
+    at_once = least[1] < _LESS * max(least[0], least[2])
+    changed = np.flatnonzero(np.sign(ends[:, 0]) * np.sign(ends[:, 1]) < 0.0)
+    return Passage(begin, end, time, _constraints_of(problem, changed) if at_once else "")
 
 
 @made_once
@@ -345,8 +327,7 @@ def _least_singular_value(problem: Problem, t: float, q: Array) -> float:
     """Return the least singular value of the Jacobian of all constraints, with rows of unit length."""
     residual, S = constraint_rows(problem.resolved)(q, problem.reference.jet(t, 0)[0], problem.p)
     rows = S.reshape(len(residual), -1) * np.array(problem.system.coordinates.nominal)
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return float(np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)[-1])
+    return float(singular_values(unit_rows(rows))[-1])
 
 
 def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tuple[list[int], list[Passage]]:
@@ -357,11 +338,15 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
+    ends = known.min(axis=1), known.max(axis=1)
+    # Of one sign and one size, they neither change it nor vanish.
+    if (np.minimum(*np.abs(ends)) * np.sign(ends[0]) * np.sign(ends[1]) > _ON_IT * np.maximum(*np.abs(ends))).all():
+        return [], []
     problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
         lost = np.flatnonzero(sizes[:, k] < ROUND_OFF * np.fmax.reduce(sizes, axis=1))
-        found = (Passage(time, time, time, each) for each in _equations_of(problem, lost))
-        passages += [each for each in found if each.of_constraints][:1]
+        if constraints := _constraints_of(problem, lost):
+            passages.append(Passage(time, time, time, constraints))
     small = sizes[:, 1:-1] < _ON_IT * np.minimum(sizes[:, :-2], sizes[:, 2:])
     if small.any():
         k = int(small.any(axis=0).argmax()) + 1

@@ -149,17 +149,10 @@ def guessed_configuration(problem: Problem, time: float) -> Array:
     """Return the guess of the model at an instant, shape (n,); home where that is not finite."""
     system, reference = problem.system, problem.reference
     gamma = np.zeros(system.gamma.shape)
-    order = min(system.gamma.size2() - 1, reference.max_order)
+    order = min(gamma.shape[1] - 1, reference.max_order)
     gamma[:, : order + 1] = reference.jet(time, order).T
-    evaluate = _compiled_guess(problem.resolved)
-    guess = np.asarray(evaluate(gamma, problem.p)).ravel()
+    guess = np.asarray(system.guess_function(gamma, problem.p)).ravel()
     return guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
-
-
-@made_once
-def _compiled_guess(resolved: ResolvedSystem) -> ca.Function:
-    system = resolved.system
-    return ca.Function("sc_guess", [system.gamma, system.p], [ca.densify(system.guess)])
 
 
 def _around(problem: Problem, x: Array) -> list[Array]:

@@ -138,9 +138,9 @@ def passed(motion: Motion) -> Iterator[Finding]:
     for each in motion.passages:
         ends = min(each.time - motion.t[0], motion.t[-1] - each.time) < 1e-6 * np.ptp(motion.t)
         how = "this one begins or ends there" if ends else "this one goes on smoothly"
-        if each.of_constraints:
+        if each.constraints:
             yield Finding(f"{each}; {how}", warns=True)
-        yield Finding(f"{each}{';' if each.of_constraints else ','} {how}")
+        yield Finding(f"{each}{';' if each.constraints else ','} {how}")
 
 
 def enough(t: Array) -> tuple[Array, int]:

@@ -7,7 +7,7 @@ that are reported. `certify` proves them in between. What a run adds up, as an e
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,25 +16,18 @@ import numpy as np
 
 from servocore.checks.findings import ROUND_OFF, bisected, least_between
 from servocore.checks.motion import Motion
-from servocore.errors import InvalidModel, InvalidReference, LimitBroken
-from servocore.model.limits import Expression, Limit, Named, reported_quantities
+from servocore.errors import InvalidReference, LimitBroken
+from servocore.model.limits import Expression, Limit
 from servocore.model.quantity import Quantity
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.expressions import time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
-from servocore.stepping.exact_evaluation import along_path
-from servocore.structure.derivative_array import DerivativeArray, in_variables
+from servocore.stepping.readings import Watched, compile_watched
 
 HIDDEN = "limit "
 """Prefix of the names of observables that only limits need."""
-
-
-def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
-    """Whether the quantity of a limit is an angle that is known up to full turns only."""
-    return isinstance(expression, Named) and not rate and reported_quantities(system)[expression.name].wraps
 
 
 # A limit that is broken -----------------------------------------------------------------------------------------------
@@ -92,7 +85,7 @@ def first_broken(
 def limited_values(motion: Motion, t: Array | None = None) -> Array:
     """Return the quantities of the `motion_limits` of a flat problem, (limits, N), at instants (N,); angles continuous.
 
-    The instants are those of the motion when not given. What a run adds up is that of the whole motion everywhere.
+    The instants are those of the motion when not given. What a run adds up has its value at the last one everywhere.
     """
     limits = motion.problem.motion_limits
     if not limits:
@@ -103,7 +96,7 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     whole = watched.values(problem, motion.t, motion.states) if of_run and t is not None else values
     for k, added in of_run:
         values[k] = added.course(motion.t, whole[k])[-1]
-    angles = np.array(watched.wraps, dtype=bool)
+    angles = np.array([limit.counts_turns(problem.system) for limit in limits])
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
 
@@ -118,7 +111,7 @@ def require_limits(motion: Motion) -> Array:
     def near(row: int, t: Array) -> Array:
         """Return one of the quantities between the instants, an angle in the turn that it is in beside."""
         found: Array = limited_values(motion, t)[row]
-        if watched_limits(problem).wraps[row]:
+        if limits[row].counts_turns(problem.system):
             found = found + 2.0 * np.pi * np.round((np.interp(t, motion.t, values[row]) - found) / (2.0 * np.pi))
         return found
 
@@ -145,119 +138,10 @@ def margins_of(limits: Sequence[Limit], values: Sequence[Array], t: Array) -> di
     return margins
 
 
-@dataclass(frozen=True, eq=False)
-class Watched:
-    """The quantities of limits, as one function of an exact inversion.
-
-    Attributes
-    ----------
-    function : casadi.Function
-        (unknowns of the derivative array, gamma (m, order + 1), p) -> values (limits,).
-    order : int
-        Of the path's derivatives in gamma.
-    needs : tuple of int
-        Highest derivative of the path that each value depends on.
-    wraps : tuple of bool
-        Whether each is an angle that is known up to full turns only.
-    """
-
-    function: ca.Function
-    order: int
-    needs: tuple[int, ...]
-    wraps: tuple[bool, ...]
-
-    def values(self, problem: Problem, t: Array, states: Array) -> Array:
-        """Return the values (limits, N) at instants (N,) where the unknowns of the derivative array are (size, N)."""
-        return along_path(problem, self.function, t, states)[0]
-
-
 def watched_limits(problem: Problem) -> Watched:
     """Return the function of the quantities of the `motion_limits` of a flat problem, or of what a run adds up."""
-    given = ((limit, limit.over_run) for limit in problem.motion_limits)
-    wanted = tuple((Named(added.of) if added else limit.expression, limit.rate) for limit, added in given)
+    wanted = tuple((limit.expression, limit.rate) for limit in problem.motion_limits)
     return compile_watched(problem.resolved, wanted)
-
-
-@made_once
-def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], ...]) -> Watched:
-    """Compile expressions, and rates of those marked, for an exact inversion.
-
-    The rate of the highest derivative in the array follows from the array differentiated once more, which is
-    linear in it.
-    """
-    array, system = resolved.array, resolved.system
-    limits = [(Limit("", "", -np.inf, "", expression), rate) for expression, rate in wanted]
-    values, y = limited_expressions(resolved, [(each.on(system), rate) for each, rate in limits])
-    rows = array.y.size1()
-    needs, used = [], set[tuple[int, int]]()
-    top = dict(array.unknowns)  # the highest of each comes last
-    for value in values:
-        entries = {(c % rows, c // rows) for c in ca.jacobian_sparsity(value, ca.vec(y)).get_col()}
-        orders = [array.reference_order - (top[j] - k) for j, k in entries]
-        needs.append(max([*orders, highest_derivative(value, system.gamma)]))
-        used |= entries
-    beyond = sorted(each for each in used if each not in array.unknowns)
-    if any(k > top[j] + 1 for j, k in beyond):
-        raise InvalidModel(f"{system.name}: a limit is on the rate of something that is differentiated already")
-    order = max([*needs, array.reference_order + bool(beyond)])
-    wraps = tuple(counts_turns(expression, rate, system) for expression, rate in wanted)
-    return Watched(_watching(array, y, ca.vertcat(*values), beyond, order), order, tuple(needs), wraps)
-
-
-def limited_expressions(
-    resolved: ResolvedSystem, expressions: Sequence[tuple[ca.SX, bool]]
-) -> tuple[list[ca.SX], ca.SX]:
-    """Return expressions of a system, and rates of those marked, by the symbols y of its derivative array, and these.
-
-    y has one column more than the array: the derivatives of one order more are there.
-    """
-    array, system = resolved.array, resolved.system
-    y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
-    known = [(in_variables(system, each, y), rate) for each, rate in expressions]
-    return [time_derivative(each, y, system.gamma) if rate else each for each, rate in known], y
-
-
-def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
-    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result.
-
-    Returns
-    -------
-    unknowns : casadi.SX, shape (variables,)
-        The derivative of every variable that follows its last in the array.
-    rows : casadi.SX, shape (variables,)
-        Equations that hold them, linear in them: the last ones of the array, differentiated. Derivatives of others are
-        in the array already.
-    function : casadi.Function
-        (unknowns of the array, gamma, p) -> the new ones.
-    """
-    column, p = array.column(array.unknowns), array.system.p
-    unknowns = ca.vertcat(*[y[j, k + 1] for j, k in dict(array.unknowns).items()])  # of each the highest comes last
-    last = {i: row for row, (i, _) in enumerate(array.rows)}
-    rows = time_derivative(array.residual[list(last.values())], y, array.system.gamma)
-    linear = [ca.jacobian(rows, unknowns), -ca.substitute(rows, unknowns, ca.SX.zeros(unknowns.shape))]
-    matrix = ca.Function("sc_next", [column, gamma, p], linear, {"cse": True})
-    given = [ca.MX.sym("given", *each.shape) for each in (column, gamma, p)]
-    J, right = matrix(*given)
-    return unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")])
-
-
-def _watching(
-    array: DerivativeArray, y: ca.SX, values: ca.SX, beyond: list[tuple[int, int]], order: int
-) -> ca.Function:
-    """Return the function of `Watched` for expressions of the symbols `y`, of which `beyond` are not in the array."""
-    system, column = array.system, array.column(array.unknowns)
-    gamma = system.gamma[:, : order + 1]
-    further = ca.vertcat(ca.SX(0, 1), *[y[j, k] for j, k in beyond])
-    arguments = [column, further, gamma, system.p]
-    if foreign := ca.Function("sc_probe", arguments, [values], {"allow_free": True}).get_free():
-        raise InvalidModel(f"{system.name}: a limit holds symbols that are none of this model: {foreign}")
-    read = ca.Function("sc_read", arguments, [ca.densify(values)], {"cse": True})
-    state, G, p = (ca.MX.sym("x", *each.shape) for each in (column, gamma, system.p))
-    known = ca.MX(0, 1)
-    if beyond:
-        *_, following = next_derivatives(array, y, gamma)
-        known = following(state, G, p)[[j for j, _ in beyond]]
-    return ca.Function("sc_watched", [state, G, p], [read(state, known, G, p)])
 
 
 def _require_derivatives(problem: Problem, limits: Sequence[Limit], watched: Watched) -> None:
@@ -324,13 +208,13 @@ def with_limits_required(problem: Problem, solution: Solution) -> Solution:
     return replace(solution, margins=margins_of(reported, [solution[each.quantity] for each in reported], t))
 
 
-def require_reported(problem: Problem, solution: Solution) -> None:
-    """Raise `LimitBroken` if a quantity of a solution of a flat problem breaks its limit.
-
-    The exact motion keeps it by then; a step that errs may not.
-    """
-    for limit in problem.motion_limits:
+def with_limits_kept(motion: Motion, solution: Solution) -> Solution:
+    """Return a solution with its margins; raise `LimitBroken` if the exact motion or the solution breaks a limit."""
+    values, limits, t = require_limits(motion), motion.problem.motion_limits, solution.t
+    for limit in limits:
         if not limit.rate and limit.reported in solution:
-            broken = first_broken(solution.route, limit, solution.t, solution[limit.reported])
+            broken = first_broken(solution.route, limit, t, solution[limit.reported])
             if broken is not None:
                 raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
+    parts = (len(motion.t) - 1) // (len(t) - 1)
+    return replace(solution, margins=margins_of(limits, [*values[:, ::parts]], t))

@@ -30,7 +30,6 @@ from servocore.cli.options import Subject
 from servocore.errors import InvalidSetting
 from servocore.importers.assembly import Assembly
 from servocore.importers.from_file import SUFFIXES
-from servocore.model.drives import Driven
 from servocore.model.scene import Scene
 from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 from servocore.scenes import REGISTRY
@@ -101,8 +100,7 @@ def import_file(subject: Subject) -> None:
     if Path(subject.scene).suffix.lower() not in SUFFIXES:
         raise InvalidSetting(f"{subject.scene} is no robot file: its name ends in {', '.join(SUFFIXES)}")
     scene = subject.chosen()
-    model = scene.models[scene.default_model]
-    mechanism = model.factory if isinstance(model, Driven) else model
+    mechanism = scene.models[scene.default_model]
     assert isinstance(mechanism, Assembly)
     console = table_console()
     for label, text in listed(scene, mechanism):

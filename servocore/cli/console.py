@@ -49,7 +49,6 @@ ON_THE_COMMAND_LINE = {
     r"; points take a higher rest_order": ": use --from, --to and --duration",
     r"waypoints_from_csv": "--waypoints",
     r"solve without a form and a method": "without --formulation and --method",
-    r"leave its horizon to StableInversion, with": "StableInversion in Python has",
     r"(the method |solve with )?StableInversion": "feedforward without --formulation and --method",
     r"Reduced(\(\))? with a method": "--formulation reduced with a --method",
     r"(the form )?Reduced\(\)|Reduced(?=:)": "--formulation reduced",

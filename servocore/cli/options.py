@@ -78,8 +78,7 @@ class Subject:
     )  # fmt: skip
     drives: Path | None = option(
         "--drives", kind=FILE_READ, metavar="FILE.toml",
-        help="Motors and transmissions by the names of inputs, as in data sheets: a table [M_b] with ratio = 120,"
-        ' motor_inertia = "0.012 kg m^2", ...',
+        help='Motors and transmissions, a table for each input: [M_b] with ratio = 120, rated_power = "7.5 kW", ...',
     )  # fmt: skip
     model: str | None = option(
         "--model",

@@ -6,7 +6,6 @@ load to the parameters.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,11 +20,10 @@ from servocore.effects.report import aligned
 from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
 from servocore.files import write_together
-from servocore.model.drives import Drive
+from servocore.model.limits import RunQuantity
 from servocore.model.parameter_files import read_parameters
 from servocore.numerics.units import unit_of
 from servocore.planning.sensitivities import Sensitivities, sensitivities
-from servocore.solution import Solution
 from servocore.solvers.solve import solve
 
 EFFECTS_EXAMPLES = (
@@ -33,10 +31,7 @@ EFFECTS_EXAMPLES = (
     "overhead_crane --deviation 20mm --bandwidth 3 --parameters crane.toml",
     "gantry_crane --open-loop --simulate --markdown effects.md",
 )
-DRIVES_EXAMPLES = (
-    "rotary_crane --drives drives.toml",
-    "overhead_crane --drives drives.toml --from 0 -6 --to 6 -4 --duration 45",
-)
+DRIVES_EXAMPLES = ("overhead_crane --drives drives.toml --from 0 -6 --to 6 -4 --duration 45",)
 SENSITIVITIES_EXAMPLES = ("rotary_crane", "overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png")
 FIXED: dict[str, object] = {"columns": None, "verbose": False}
 
@@ -118,39 +113,23 @@ def show_drives(subject: Subject, path: GivenPath, rows: Rows) -> None:
     rows.require(scene.reference.duration)
     with PatientProgress("solving"):
         solution = solve(scene, step=rows.step, model=subject.model)
-    head = ("drive", "quantity", "value", "at", "limit", "margin")
-    duties = [(name, *row) for name, drive in scene.drives.items() for row in duty(solution, name, drive)]
-    table_console().print(aligned([head, *duties]), markup=False, highlight=False, soft_wrap=True)
-
-
-def duty(solution: Solution, name: str, drive: Drive) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a drive: quantity, value, time, limit, margin in per cent of the limit.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of a scene with drives.
-    name : str
-        Of the input.
-    drive : Drive
-        Its drive.
-    """
-    speed, most = map(max, zip(*(drive.torque_speed or [(None, 1.0)]), strict=True))
-    limits = {"motor_torque": None, "motor_speed": speed, "power": drive.rated_power, "current": None,
-              "rms_torque": drive.rated_torque, "energy": None, "torque_reserve": 0.0}  # fmt: skip
-    for kind, limit in limits.items():
-        if f"{name}.{kind}" not in solution:
-            continue
-        values, unit = solution[f"{name}.{kind}"], solution.unit(f"{name}.{kind}")
-        which, k, full = "", len(values) - 1, limit
-        if kind == "torque_reserve":
-            which, k, full = ", least", int(values.argmin()), -most
-        elif kind not in ("rms_torque", "energy"):
-            values = np.abs(values)
-            which, k = ", peak", int(values.argmax())
-        time = f"{solution.t[k]:.4g} s" if which else ""
-        bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100.0 * (limit - values[k]) / full:.0f} %")
-        yield f"{kind.replace('_', ' ')}{which}", f"{values[k]:.4g} {unit}", time, *bound
+    table = [("drive", "quantity", "value", "at", "limit", "margin")]
+    for name, drive in scene.drives.items():
+        speed, most = map(max, zip(*(drive.torque_speed or [(None, 1.0)]), strict=True))
+        limits = {"motor_speed": speed, "power": drive.rated_power, "rms_torque": drive.rated_torque}
+        for channel in (each for each in solution.channels if each.name.startswith(f"{name}.")):
+            kind, unit, values = channel.name.removeprefix(f"{name}."), channel.unit, solution[channel.name]
+            which, k, limit = "", -1, limits.get(kind)
+            full = limit
+            if kind == "torque_reserve":
+                which, k, limit, full = ", least", int(values.argmin()), 0.0, -most
+            elif not isinstance(channel, RunQuantity):
+                values = np.abs(values)
+                which, k = ", peak", int(values.argmax())
+            time = f"{solution.t[k]:.4g} s" if which else ""
+            bound = ("", "") if limit is None else (f"{limit:.4g} {unit}", f"{100 * (limit - values[k]) / full:.0f} %")
+            table.append((name, f"{kind.replace('_', ' ')}{which}", f"{values[k]:.4g} {unit}", time, *bound))
+    table_console().print(aligned(table), markup=False, highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.exact_inversion import require_signs, require_solved
-from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, reading
+from servocore.solvers.exact_inversion import require_answers
+from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation
+from servocore.stepping.readings import reading
 
 _CHUNK = 250  # instants in one call: one length of compiled maps serves all paths
 
@@ -109,10 +110,9 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
         parts.append(evaluation(problem, padded[k : k + _CHUNK])[0])
         seconds = min(seconds, time.process_time() - began)
     rows = np.hstack(parts)[:, :count].T
-    require_solved(problem.system.name, t, rows)
+    require_answers(problem.system.name, t, rows, positive)
     m, n = len(problem.system.inputs), len(problem.system.coordinates)
-    inputs, y, rates, q, v, signs = np.split(rows, np.cumsum([m, m, m, n, n]), axis=1)
-    require_signs(problem.system.name, t, positive, signs)
+    inputs, y, rates, q, v, _ = np.split(rows, np.cumsum([m, m, m, n, n]), axis=1)
     y[:, wraps] = np.unwrap(y[:, wraps], axis=0)
     start = np.concatenate([q[0], v[0]])
     return Inverted(problem, measured, t, inputs, y - y[0], rates, start, q[-1], 1e6 * seconds / _CHUNK)

@@ -169,7 +169,7 @@ class _Study:
             else:
                 yield effect.name, self._set(scene.with_effects(effect.name)), base, False
         for name, factory in plant.items():
-            yield name, self._set(replace(scene, models={"plant": factory})), base, False
+            yield name, self._set(replace(scene, models={"plant": factory}, drives={})), base, False
 
     def _set(self, scene: Scene) -> Scene:
         known, values = scene.model().parameters.names, {**self.scene.parameters, **self.parameters}

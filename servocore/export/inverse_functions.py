@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
+from servocore.checks.motion_limits import HIDDEN, with_watched
 from servocore.dae import Dae
 from servocore.errors import InvalidModel
 from servocore.export.c_functions import tangent
@@ -129,7 +129,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     bounds_of_limits = list[Bound]()
     for row, (limit, name) in enumerate(zip(problem.motion_limits, hidden, strict=True)):
-        if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
+        if name.endswith("differenced") or limit.counts_turns(problem.system):
             kind = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
             raise InvalidModel(
                 f"{problem.name} cannot be exported with its limit of {limit.quantity}: an FMU checks limits at single"

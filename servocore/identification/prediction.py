@@ -17,7 +17,7 @@ from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem, resolve
-from servocore.stepping.exact_evaluation import reading
+from servocore.stepping.readings import reading
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
 DELAY = 0.005

@@ -11,8 +11,8 @@ reported beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,8 +20,9 @@ import casadi as ca
 
 from servocore.errors import InvalidModel, described
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Parameter, Parameters
+from servocore.model.symbols import Parameter, Parameters, symbols
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.memoization import made_once
 from servocore.numerics.units import in_unit
 
 CREEP = 0.01
@@ -31,27 +32,18 @@ _SMOOTH = 2e-3  # of the highest speed and torque: corners of a torque-speed cur
 _BEYOND = 0.05  # of the highest speed: so far above it the largest torque falls to zero
 _SLIGHT = 1e-9  # N.m: |tau| is rounded off at zero, so that certificates enclose it
 
-_MOST = 1e9
-_DATA = (  # neutral values as defaults: data that are not given are no parameters of the model
-    Parameter("ratio", 1.0, "1", 1e-6, _MOST, "speed of the motor by that of the drum, wheel or bridge"),
-    Parameter("rope_falls", 1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum"),
-    Parameter("drum_radius", 1.0, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force"),
-    Parameter("motor_inertia", 0.0, "kg.m2", 0.0, _MOST, "of rotor, brake and coupling at the motor's shaft"),
-    Parameter("efficiency", 1.0, "1", 1e-3, 1.0, "of the transmission"),
-    Parameter("viscous", 0.0, "N.m.s/rad", 0.0, _MOST, "viscous friction at the motor's shaft"),
-    Parameter("coulomb", 0.0, "N.m", 0.0, _MOST, "dry friction at the motor's shaft"),
-    Parameter("torque_constant", 1.0, "N.m/A", 1e-9, _MOST, "torque of the motor by its current"),
-)
-_RATED = (
-    Parameter("rated_torque", 0.0, "N.m", 1e-9, 1e12, "continuous torque of the motor"),
-    Parameter("rated_power", 0.0, "W", 1e-9, 1e15, "rated power of the motor"),
-)
-
 _CORNER = tuple(Parameter(f"torque_speed, a {what}", 0.0, unit, 0.0, 1e12)
                 for what, unit in (("speed", "rad/s"), ("torque", "N.m")))  # fmt: skip
 
 Given = float | str
 """A number in SI units, or a text with its unit."""
+
+
+def _datum(default: float | None, unit: str, lower: float, upper: float, description: str) -> Any:
+    """Declare a field of `Drive` with its unit and range; data that are not given count as 1."""
+    neutral = 1.0 if default is None else default
+    about = {"default": neutral, "unit": unit, "lower": lower, "upper": upper, "description": description}
+    return field(default=default, metadata=about)
 
 
 @dataclass(frozen=True)
@@ -103,23 +95,22 @@ class Drive:
     'rad/s'
     """
 
-    ratio: Given = 1.0
-    rope_falls: Given = 1.0
-    drum_radius: Given | None = None
-    motor_inertia: Given = 0.0
-    efficiency: Given = 1.0
-    viscous: Given = 0.0
-    coulomb: Given = 0.0
-    torque_constant: Given | None = None
+    ratio: Given = _datum(1.0, "1", 1e-6, 1e9, "speed of the motor by that of the drum, wheel or bridge")
+    rope_falls: Given = _datum(1.0, "1", 1e-3, 1e3, "rope falls that carry the hook, per rope end on the drum")
+    drum_radius: Given | None = _datum(None, "m", 1e-6, 1e3, "of the drum or wheel that turns the torque into a force")
+    motor_inertia: Given = _datum(0.0, "kg.m2", 0.0, 1e9, "of rotor, brake and coupling at the motor's shaft")
+    efficiency: Given = _datum(1.0, "1", 1e-3, 1.0, "of the transmission")
+    viscous: Given = _datum(0.0, "N.m.s/rad", 0.0, 1e9, "viscous friction at the motor's shaft")
+    coulomb: Given = _datum(0.0, "N.m", 0.0, 1e9, "dry friction at the motor's shaft")
+    torque_constant: Given | None = _datum(None, "N.m/A", 1e-9, 1e9, "torque of the motor by its current")
     torque_speed: Sequence[tuple[Any, Any]] = ()
-    rated_torque: Given | None = None
-    rated_power: Given | None = None
+    rated_torque: Given | None = _datum(None, "N.m", 1e-9, 1e12, "continuous torque of the motor")
+    rated_power: Given | None = _datum(None, "W", 1e-9, 1e15, "rated power of the motor")
 
     def __post_init__(self) -> None:
-        for each in (*_DATA, *_RATED):
-            value = getattr(self, each.name)
-            if value is not None or getattr(Drive, each.name) is not None:
-                object.__setattr__(self, each.name, _checked(each, value))
+        for name, datum in _DATA.items():
+            if (value := getattr(self, name)) is not getattr(Drive, name):
+                object.__setattr__(self, name, _checked(datum, value))
         try:
             corners = tuple(tuple(map(_checked, _CORNER, (speed, torque))) for speed, torque in self.torque_speed)
         except (TypeError, ValueError):
@@ -146,69 +137,60 @@ class Drive:
         list of Parameter
             ``M_b.ratio`` and others, with their values as defaults.
         """
-        given = [each for each in _DATA if getattr(self, each.name) != getattr(Drive, each.name)]
         return [
-            replace(e, name=f"{of}.{e.name}", default=getattr(self, e.name), description=f"{e.description}, of {of}")
-            for e in given
+            replace(e, name=f"{of}.{name}", default=getattr(self, name), description=f"{e.description}, of {of}")
+            for name, e in _DATA.items()
+            if getattr(self, name) != getattr(Drive, name) and not name.startswith("rated_")
         ]
+
+
+_DATA = {each.name: Parameter(each.name, **each.metadata) for each in fields(Drive) if each.metadata}
 
 
 def _checked(of: Parameter, value: object) -> float:
     return of.check(in_unit(value, of.unit, of.name) if isinstance(value, str) else value)  # type: ignore[arg-type]  # checked there
 
 
-@dataclass(frozen=True)
-class Driven:
-    """Factory of a model with drives; equal factories share one model."""
+@made_once
+def driven(system: MechanicalSystem, drives: tuple[tuple[str, Drive], ...]) -> MechanicalSystem:
+    """Return a model with drives at its inputs: reflected inertia and friction, and further parameters and observables.
 
-    factory: Callable[[], MechanicalSystem]
-    motors: tuple[tuple[str, Drive], ...]
-
-    def __call__(self) -> MechanicalSystem:
-        """Assemble the model: with reflected inertia and friction, and further parameters and observables.
-
-        Raises
-        ------
-        InvalidModel
-            If an input has no place for a drive, or its radius is missing or given twice.
-        """
-        system, drives = self.factory(), dict(self.motors)
-        declared = [each for name, drive in drives.items() for each in drive.declared(name)]
-        parameters = system.parameters.extended(*declared)
-        q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
-        mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
-        observables = dict(system.observables)
-        for name, drive in drives.items():
-            k, p = _place(system, name, drive), _data(name, drive, parameters)
-            B, n = system.input_matrix[k, :], p["transmission"]
-            rate = -ca.mtimes(B, v)
-            # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
-            inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
-            mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
-            gyroscopic += ca.sparsify(inertia * B.T * along)
-            friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
-            force += ca.sparsify(B.T * friction)
-            left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
-            observables |= _observed(name, drive, p, system.u[k], n * rate)
-        # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
-        known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
-        return replace(
-            system,
-            name=f"{system.name} with drives",
-            parameters=parameters,
-            home_parameters=(*system.home_parameters, *(each.default for each in declared)),
-            mass=mass,
-            gyroscopic=gyroscopic,
-            force=force,
-            observables=observables,
-            reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
-        )
-
-
-def with_drives(factory: Callable[[], MechanicalSystem], drives: Mapping[str, Drive]) -> Callable[[], MechanicalSystem]:
-    """Return the factory of a model with drives in place of those that it may have."""
-    bare = factory.factory if isinstance(factory, Driven) else factory
-    return Driven(bare, tuple(drives.items())) if drives else bare
+    Raises
+    ------
+    InvalidModel
+        If an input has no place for a drive, or its radius is missing or given twice.
+    """
+    declared = [each for name, drive in drives for each in drive.declared(name)]
+    more = symbols(each.name for each in declared)
+    parameters = Parameters(*system.parameters.declared, *declared, p=ca.vertcat(system.p, more))
+    q, v, v_dot = system.q, system.v, ca.SX.sym("v_dot", system.v.numel())
+    mass, gyroscopic, force, left = system.mass, system.gyroscopic, system.force, ca.SX(system.u)
+    observables = dict(system.observables)
+    for name, drive in drives:
+        k, p = _place(system, name, drive), _data(name, drive, parameters)
+        B, n = system.input_matrix[k, :], p["transmission"]
+        rate = -ca.mtimes(B, v)
+        # The rotor's inertia force acts along B: n^2 J d(Bv)/dt. No Lagrangian is needed, so B may be any rows.
+        inertia, along = n**2 * p["motor_inertia"], ca.jtimes(ca.mtimes(B, v), q, v)
+        mass += ca.sparsify(inertia * ca.mtimes(B.T, B))
+        gyroscopic += ca.sparsify(inertia * B.T * along)
+        friction = n * (p["coulomb"] * ca.tanh(rate / CREEP) + p["viscous"] * n * rate)
+        force += ca.sparsify(B.T * friction)
+        left[k] -= friction - inertia * (ca.mtimes(B, v_dot) + along)
+        observables |= _observed(name, drive, p, system.u[k], n * rate)
+    # Forces that follow from the motion are those of the mechanism: it gets what the drives leave of the inputs.
+    known = ca.Function("sc_left", [q, v, v_dot, system.u, parameters.p], [left], {"cse": True})
+    return replace(
+        system,
+        name=f"{system.name} with drives",
+        parameters=parameters,
+        home_parameters=(*system.home_parameters, *(each.default for each in declared)),
+        mass=mass,
+        gyroscopic=gyroscopic,
+        force=force,
+        observables=observables,
+        reactions={quantity: _reaction(function, known) for quantity, function in system.reactions.items()},
+    )
 
 
 def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
@@ -233,16 +215,15 @@ def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
 
 def _data(name: str, drive: Drive, parameters: Parameters) -> dict[str, ca.SX]:
     """Return the data of a drive: symbols of those that are parameters, neutral numbers of the others."""
-    p = {each.name: ca.SX(each.default) for each in _DATA}
+    p = {each: ca.SX(datum.default) for each, datum in _DATA.items()}
     p |= {each.name.removeprefix(f"{name}."): parameters[each.name] for each in drive.declared(name)}
     return p | {"transmission": p["ratio"] * p["rope_falls"] / p["drum_radius"]}
 
 
 def _observed(name: str, drive: Drive, p: Mapping[str, ca.SX], u: ca.SX, speed: ca.SX) -> dict[Quantity, ca.SX]:
     """Return torque, speed, power and reserve of the motor under an input, by its speed."""
-    torque, efficiency = u / p["transmission"], p["efficiency"]
+    torque, efficiency, driving = u / p["transmission"], p["efficiency"], ca.tanh(speed / p["transmission"] / CREEP)
     # tau / eta where the motor drives, tau eta where the load does.
-    driving = ca.tanh(speed / p["transmission"] / CREEP)
     more, less = 1 / efficiency + efficiency, 1 / efficiency - efficiency
     torque = more / 2 * torque + less / 2 * _size(torque, _SLIGHT) * driving
     known = {
@@ -289,15 +270,14 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):
-        raised = e if change > 0.0 else 0.0
-        sides = [_size(speed - place, e) - raised for place in {corner, -corner}]
-        torque += change / 2 * (sum(sides) * (1 if corner else 2) - 2 * corner)
+        sides = [_size(speed - place, e) - e * (change > 0.0) for place in (corner, -corner)]
+        torque += change / 2 * (sum(sides) - 2 * corner)
     return torque
 
 
 def _reaction(function: ca.Function, left: ca.Function) -> ca.Function:
     """Return a reaction (q, v, v_dot, u, d, p) of a mechanism without drives for one with them."""
-    q, v, v_dot, u, d = (ca.MX.sym(f"a{k}", function.size1_in(k)) for k in range(5))
-    p = ca.MX.sym("p", left.size1_in(4))
-    own = p[: function.size1_in(5)]
-    return ca.Function("reaction", [q, v, v_dot, u, d, p], [function(q, v, v_dot, left(q, v, v_dot, u, p), d, own)])
+    *motion, u, d, own = function.mx_in()
+    *_, p = left.mx_in()
+    values = function(*motion, left(*motion, u, p), d, p[: own.numel()])
+    return ca.Function("reaction", [*motion, u, d, p], [values])

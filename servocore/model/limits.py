@@ -94,6 +94,23 @@ class Limit:
         """Name of the reported quantity that it bounds, or whose rate; empty if it bounds another expression."""
         return self.expression.name if isinstance(self.expression, Named | RunQuantity) else ""
 
+    def counts_turns(self, system: MechanicalSystem) -> bool:
+        """Whether it bounds an angle that is known up to full turns only.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            It reports the quantity.
+
+        Returns
+        -------
+        bool
+            False for a rate.
+        """
+        if self.rate or not isinstance(self.expression, Named):
+            return False
+        return reported_quantities(system)[self.expression.name].wraps
+
     def with_unit(self, value: float) -> str:
         """Return a value of the quantity as a text, in the unit in which the limit was given.
 
@@ -176,22 +193,19 @@ class RunQuantity(Quantity):
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
-        value = Named(self.of)(system)
-        return value**2 if self.rms else value
+        return Named(self.of)(system) ** (1 + self.rms)
 
     def of_sum(self, total: Any, duration: Any) -> Any:
         """Return it from the integral over a duration in s."""
         return np.sqrt(np.maximum(total, 0.0) / duration) if self.rms else total
 
-    def course(self, t: Array, values: Array) -> Array:
-        """Return it at every instant (N,) since the first, by Simpson's rule from values of the reported quantity."""
+    def course(self, t: Array, integrands: Array) -> Array:
+        """Return it at every instant (..., N) since the first, by Simpson's rule from the integrands there."""
         from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
 
-        integrands = values**2 if self.rms else values
-        found = np.asarray(cumulative_simpson(integrands, x=t, initial=0.0), dtype=np.float64)
-        found[1:] = self.of_sum(found[1:], t[1:] - t[0])
-        found[0] = abs(values[0]) if self.rms else 0.0
-        return found
+        at_start = np.sqrt(integrands[..., :1]) if self.rms else np.zeros((*integrands.shape[:-1], 1))
+        later = self.of_sum(cumulative_simpson(integrands, x=t), t[..., 1:] - t[..., :1])
+        return np.concatenate([at_start, later], axis=-1)
 
 
 def run_quantities(quantities: Iterable[Quantity]) -> tuple[RunQuantity, ...]:
@@ -220,6 +234,11 @@ def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | 
 def reported_quantities(system: MechanicalSystem) -> Mapping[str, Quantity]:
     """Return the reported quantities by name: inputs, observables, servo outputs, coordinates."""
     return {quantity.name: quantity for quantities, _ in _groups(system) for quantity in quantities}
+
+
+def expression_of(quantity: Quantity) -> Named | RunQuantity:
+    """Return the expression of a reported quantity, or the integrand of one of a whole run."""
+    return quantity if isinstance(quantity, RunQuantity) else Named(quantity.name)
 
 
 def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
@@ -260,8 +279,7 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
     texts = [each for each in given if isinstance(each, str)]
     given_in = next(filter(None, map(unit_of, texts)), "")
-    expression = quantity if isinstance(quantity, RunQuantity) else Named(of)
-    return Limit(name, unit, lower, "", expression, upper=upper, rate=rate, given_in=given_in)
+    return Limit(name, unit, lower, "", expression_of(quantity), upper=upper, rate=rate, given_in=given_in)
 
 
 def _value(bound: object, quantity: Quantity, unit: str, what: str) -> float | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Container, Iterable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 from servocore.errors import InvalidModel, InvalidSetting, ServocoreWarning
 from servocore.model.drives import Drive
@@ -95,11 +96,11 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     return {name: _bounds(path, name, value) for name, value in _by_name(table)}
 
 
-def _by_name(table: Mapping[str, object], known: Container[str] = ()) -> Iterator[tuple[str, object]]:
+def _by_name(table: Mapping[str, Any], known: Container[str] = ()) -> Iterator[tuple[str, Any]]:
     """Yield names and values: in TOML s.rate is a table s, unless that is known itself."""
     for name, value in table.items():
-        if isinstance(value, Mapping) and name not in known:
-            yield from ((f"{name}.{k}", each) for k, each in value.items())
+        if isinstance(value, Mapping) and value and name not in known:
+            yield from ((f"{name}.{k}", each) for k, each in _by_name(value))
         else:
             yield name, value
 
@@ -138,25 +139,20 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
         If the file cannot be read or is not TOML, or a value is unknown, has the wrong unit or is outside its range;
         the message names file, input and value.
     """
-    path, known = Path(path), [each.name for each in fields(Drive)]
-    drives, table = {}, read_table(path)
-    if not table:
-        raise InvalidModel(f"{path} has no drive: write a table for each input, [M_b] with lines such as ratio = 42.1")
-    of_drives = [name for name, data in table.items() if not _holds_tables(data)]
-    for name, data in _by_name(table, of_drives):
-        if not isinstance(data, Mapping):
-            raise InvalidModel(f"{path}: {name} is no drive: write a table [{name}] with lines such as ratio = 42.1")
-        if wrong := [key for key in data if key not in known]:
-            raise InvalidModel(f"{path}: [{name}] has no {', '.join(wrong)}; a drive has {', '.join(known)}")
+    path, known, drives = Path(path), [each.name for each in fields(Drive)], dict[str, Drive]()
+    for key, value in _by_name(read_table(path)):
+        name, _, datum = key.rpartition(".")
+        if not name:
+            raise InvalidModel(f"{path}: {key} is no drive: write a table [{key}] with lines such as ratio = 42.1")
+        if datum not in known:
+            raise InvalidModel(f"{path}: [{name}] has no {datum}; a drive has {', '.join(known)}")
         try:
-            drives[name] = Drive(**data)
+            drives[name] = replace(drives.get(name, Drive()), **{datum: value})
         except (InvalidModel, InvalidSetting) as error:
             raise InvalidModel(f"{path}: [{name}]: {error}") from None
+    if not drives:
+        raise InvalidModel(f"{path} has no drive: write a table for each input, [M_b] with lines such as ratio = 42.1")
     return drives
-
-
-def _holds_tables(data: object) -> bool:
-    return isinstance(data, Mapping) and bool(data) and all(isinstance(each, Mapping) for each in data.values())
 
 
 def read_table(path: Path) -> dict[str, object]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
+from servocore.model.drives import Drive, driven
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, limit_named
 from servocore.model.system import MechanicalSystem
@@ -15,9 +16,6 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 from servocore.references.consistency import require_consistent
-
-if TYPE_CHECKING:
-    from servocore.model.drives import Drive
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Factory of a model. Equal factories share one model; one without a hash makes a new one every time."""
@@ -69,6 +67,8 @@ class Scene:
     hint : str
         A sentence about other choices of coordinates or inputs, which `analyse` adds where the problem is singular or
         its internal dynamics are not damped.
+    drives : mapping of str to Drive
+        Motors and transmissions by the names of their inputs, see `with_drives`.
     """
 
     name: str
@@ -84,6 +84,7 @@ class Scene:
     effects: Effects = NO_EFFECTS
     drawing: Drawing | None = None
     hint: str = ""
+    drives: Mapping[str, Drive] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
@@ -154,7 +155,7 @@ class Scene:
             raise InvalidModel(
                 f"{self.name}: the factory of {name} returned {described(system)}, not a MechanicalSystem"
             )
-        return system
+        return driven(system, tuple(self.drives.items())) if self.drives else system
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if it does not fit.
@@ -242,8 +243,7 @@ class Scene:
         7
         """
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
-        changed = self._with_models({"with effects": effects}, effects)
-        return changed.with_drives(**self.drives) if self.drives else changed
+        return self._with_models(models={"with effects": effects}, effects=effects)
 
     def with_drives(self, **drives: Drive | None) -> Scene:
         """Return the scene with motors and transmissions at its inputs, and all its models with them.
@@ -277,21 +277,14 @@ class Scene:
         >>> sc.solve(crane).unit("M_b.motor_torque")
         'N.m'
         """
-        from servocore.model.drives import Drive, with_drives  # noqa: PLC0415 - few scenes have them
-
         for name, drive in drives.items():
             require_kind(drive, (Drive, type(None)), f"the drive of {name}", "a Drive", InvalidModel)
         merged = {name: drive for name, drive in {**self.drives, **drives}.items() if drive is not None}
-        return self._with_models({name: with_drives(each, merged) for name, each in self.models.items()}, self.effects)
+        return self._with_models(drives=merged)
 
-    @property
-    def drives(self) -> Mapping[str, Drive]:
-        """The drives by the names of their inputs, see `with_drives`."""
-        return dict(getattr(self.models[self.default_model], "motors", ()))
-
-    def _with_models(self, models: Mapping[str, ModelFactory], effects: Effects) -> Scene:
+    def _with_models(self, **changes: Any) -> Scene:
         """Return the scene with models of which no solution is known, and those of its parameters that they have."""
-        changed = replace(self, models=models, effects=effects, closed_form=None, independent_solution=None)
+        changed = replace(self, closed_form=None, independent_solution=None, **changes)
         known = changed.model().parameters.names
         return replace(changed, parameters={name: x for name, x in self.parameters.items() if name in known})
 

@@ -242,6 +242,8 @@ class Parameters:
     ----------
     *declared : Parameter
         Name, unit, default and bounds of each.
+    p : casadi.SX, optional
+        Their symbols, where a model has them already.
 
     Attributes
     ----------
@@ -252,12 +254,12 @@ class Parameters:
     declared: tuple[Parameter, ...]
     p: ca.SX = field(init=False, repr=False)
 
-    def __init__(self, *declared: Parameter) -> None:
+    def __init__(self, *declared: Parameter, p: ca.SX | None = None) -> None:
         for parameter in declared:
             require_kind(parameter, Parameter, "Parameters(...)", "made of Parameter, one by one", InvalidModel)
         object.__setattr__(self, "declared", declared)
         require_unique(self.names, "parameter")
-        object.__setattr__(self, "p", symbols(self.names))
+        object.__setattr__(self, "p", symbols(self.names) if p is None else p)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -266,23 +268,6 @@ class Parameters:
 
     def __len__(self) -> int:
         return len(self.declared)
-
-    def extended(self, *more: Parameter) -> Parameters:
-        """Return new parameters: the same symbols, and further ones behind them.
-
-        Parameters
-        ----------
-        *more : Parameter
-            With other names.
-
-        Returns
-        -------
-        of the same kind
-            These are unchanged.
-        """
-        longer = Parameters(*self.declared, *more)
-        object.__setattr__(longer, "p", ca.vertcat(self.p, longer.p[len(self) :]))
-        return longer
 
     def __getitem__(self, name: str) -> ca.SX:
         self._require_known((name,))

@@ -356,8 +356,12 @@ class MechanicalSystem:
         if p is None:
             return self._guess_at_home.copy(), np.array(self.home_parameters, dtype=np.float64)
         gamma = ca.horzcat(ca.DM(list(self.home)), ca.DM(self.gamma.size1(), self.gamma.size2() - 1))
-        guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
-        return np.asarray(guess(gamma, p)).ravel(), p
+        return np.asarray(self.guess_function(gamma, p)).ravel(), p
+
+    @cached_property  # evaluated at many points where a path is out of reach
+    def guess_function(self) -> ca.Function:
+        """(gamma, p) -> guess of the configuration."""
+        return ca.Function("guess", [self.gamma, self.p], [ca.densify(self.guess)])
 
     @cached_property  # every part of an analysis starts from it
     def _guess_at_home(self) -> Array:

@@ -13,7 +13,6 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from servocore.checks.motion_limits import compile_watched, limited_expressions, next_derivatives
 from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -21,6 +20,7 @@ from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.readings import compile_watched, next_derivatives, with_rates
 from servocore.structure.inversion import inversion
 
 _SLIGHT = 1e-3  # of derivatives: where the guess of a motion is no formula, it is off by then
@@ -62,7 +62,7 @@ class Rows:
     Attributes
     ----------
     limits : tuple of Limit
-        One a row.
+        One a row; those of what a run adds up are kept by integrals.
     inner : Inner
         (gamma (m, order + 1), unknowns, p) -> rows, equations, integrands, and the rows as quantities with their units.
     order : int
@@ -109,8 +109,7 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     InvalidModel
         If a limit is on the rate of something that is differentiated already.
     """
-    limits = tuple(limit for limit in problem.limits if not limit.over_run), problem.run_limits
-    return _compile_rows(problem.resolved, *limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
+    return _compile_rows(problem.resolved, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
 
 def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0.0) -> None:
@@ -169,7 +168,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[
     array, system = resolved.array, resolved.system
     order = compile_watched(resolved, tuple((limit.expression, limit.rate) for limit in limits)).order
     marked = [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
-    values, y = limited_expressions(resolved, marked)
+    values, y = with_rates(resolved, marked)
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())
@@ -199,39 +198,35 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
 
 @made_once
 def _compile_rows(
-    resolved: ResolvedSystem,
-    local: tuple[Limit, ...],
-    of_run: tuple[Limit, ...],
-    rest: tuple[float, ...],
-    p: tuple[float, ...],
+    resolved: ResolvedSystem, limits: tuple[Limit, ...], rest: tuple[float, ...], p: tuple[float, ...]
 ) -> Rows:
-    system, limits = resolved.system, (*local, *of_run)
+    system = resolved.system
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     by_formula = _is_explicit(resolved, np.array(rest), np.array(p))
     unknowns, equations, values, start, order = (_explicit if by_formula else _lifted)(resolved, limits, smooth)
     order = max(order, *(highest_derivative(value, system.gamma) for value in values))
-    own, sides = values[: len(local)], []
-    for limit, value in zip(of_run, values[len(local) :], strict=True):
-        sides += _integrals(limit, value)
+    sides = [side for limit, value in zip(limits, values, strict=True) for side in _integrals(limit, value)]
 
     def rows_of(rows: Sequence[ca.SX], lower: Sequence[float]) -> Rows:
-        results = [ca.vertcat(ca.SX(0, 1), *each) for each in (rows, [equations], [each for each, _ in sides], own)]
+        results = [ca.vertcat(ca.SX(0, 1), *each) for each in (rows, [equations], [each for each, _ in sides], values)]
         given = [system.gamma[:, : order + 1], unknowns, system.p]
         function = ca.Function("sc_local_rows", given, [ca.densify(each) for each in results], {"cse": True})
         G, symbols = (ca.MX.sym(name, *each.shape) for name, each in (("gamma", given[0]), ("p", system.p)))
         begun = ca.Function("sc_start", [G, symbols], [start(G[:, : start.size2_in(0)], symbols)])
-        moving = tuple(not by_formula or highest_derivative(value, system.gamma) > 0 for value in own)
+        moving = tuple(not by_formula or highest_derivative(value, system.gamma) > 0 for value in values)
         most = np.array([bound for _, bound in sides])
-        return Rows(local, Inner(function, begun), order, np.array(lower), moving, most)
+        return Rows(limits, Inner(function, begun), order, np.array(lower), moving, most)
 
-    here = rows_of(own, []).at_rest(np.array([rest]), np.array(p))[0][:, 0]
-    rows = [_row(*each) for each in zip(local, own, here.tolist(), tips[: len(local)], strict=True)]
+    here = rows_of(values, []).at_rest(np.array([rest]), np.array(p))[0][:, 0]
+    rows = [_row(*each) for each in zip(limits, values, here.tolist(), tips, strict=True)]
     return rows_of([row for row, _ in rows], [low for _, low in rows])
 
 
 def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, float]:
-    """Return a row and its lower bound."""
+    """Return a row and its lower bound; a limit of what a run adds up has a row that keeps its bound everywhere."""
+    if limit.over_run:
+        return ca.SX(0.0), -np.inf
     low, high = limit.bound, limit.upper
     if np.isfinite(low) and np.isfinite(high):
         return (value - (low + high) / 2.0) / ((high - low) / 2.0), -1.0
@@ -246,14 +241,14 @@ def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, flo
 def _integrals(limit: Limit, integrand: ca.SX) -> list[tuple[ca.SX, float]]:
     """Return both sides of a limit of what a run adds up: integrands, and upper bounds of their integrals.
 
-    A mean square below its bound is an integral of their difference below zero.
+    A mean square below its bound is an integral of their difference below zero. Other limits have none.
     """
-    found, rms = [], bool(limit.over_run and limit.over_run.rms)
+    found, added = [], limit.over_run
     for side, sign in ((limit.upper, 1.0), (limit.bound, -1.0)):
-        bound = float(np.copysign(side**2, side)) if rms else side
-        if np.isfinite(bound):
+        if added and np.isfinite(side):
+            bound = side * abs(side) if added.rms else side
             scale = sign * (abs(bound) or 1.0)
-            found.append(((integrand - bound) / scale, 0.0) if rms else (integrand / scale, bound / scale))
+            found.append(((integrand - bound) / scale, 0.0) if added.rms else (integrand / scale, bound / scale))
     return found
 
 

@@ -226,19 +226,18 @@ def _cases(swept: SweepSettings, blank: Any, block: Slices) -> Cases:
     """Return the cases of a block as arrays."""
     grid, problem = swept.grid, swept.problem
     which, names = varied(blank, PATH, block).astype(np.intp), problem.system.parameters.names
-    numbers = np.tile(np.array([1.0, *problem.p]), (len(which), 1))
+    durations = np.array([reference.duration for reference in swept.references])
+    numbers = np.column_stack([durations[which], np.tile(problem.p, (len(which), 1))])
     for name in grid.columns:
         values = varied(blank, name, block)
-        if name == DURATION:
-            numbers[:, 0] = values / np.array([reference.duration for reference in swept.references])[which]
-        else:
-            numbers[:, 1 + names.index(name)] = values
+        numbers[:, 0 if name == DURATION else 1 + names.index(name)] = values
     order, jets = problem.array.reference_order, {}
     for path in np.unique(which).tolist():
         own_path = swept.references[path]
         at = own_path.jet(np.linspace(own_path.start_time, own_path.end_time, swept.instants), order)
-        jets[path] = np.ascontiguousarray(at.reshape(len(at), -1).T)
-    return Cases(jets, which, numbers, np.array([reference.duration for reference in swept.references]))
+        in_a_second = at * durations[path] ** np.arange(order + 1)[:, None]
+        jets[path] = np.ascontiguousarray(in_a_second.reshape(len(at), -1).T)
+    return Cases(jets, which, numbers)
 
 
 # Cases that fail, and cases one by one -------------------------------------------------------------------------------

@@ -14,16 +14,16 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
-from servocore.model.limits import Limit, Named, RunQuantity, run_quantities
+from servocore.model.limits import Limit, RunQuantity, expression_of, run_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
-from servocore.stepping.exact_evaluation import exact_evaluation, reading
+from servocore.stepping.exact_evaluation import exact_evaluation
+from servocore.stepping.readings import reading
 
 SWING = "swing"
 """The observable whose peak is reported beside those of the inputs, where a model has it."""
@@ -40,8 +40,8 @@ class Work:
     title : str
         Of the scene, for messages.
     by_expression, by_newton : str
-        Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
-        Newton's method. They may be the same.
+        Functions (gamma, [duration, *p]) -> rows, from the path in a second, as texts; the second by Newton's method.
+        They may be the same.
     inputs : tuple of str
         The first rows are inputs of these names.
     peaks : tuple of str
@@ -50,8 +50,8 @@ class Work:
         the next ones have limits of these names between these bounds; the rows after them must be positive.
     turns : tuple of int
         Rows with angles that are known up to full turns: in limited rows their jumps are removed.
-    of_run : tuple of (int, bool)
-        Rows whose value is their integral over the time, or where marked the root of their mean.
+    of_run : tuple of (int, RunQuantity)
+        Rows with integrands of quantities of the run.
     kept : bool
         Whether the inputs are kept at every instant.
     native : bool or None
@@ -77,19 +77,16 @@ class Cases:
     Attributes
     ----------
     jets : mapping of int to ndarray, shape (m (order + 1), N)
-        By number of the path, gamma, gamma', ... at the instants.
+        By number of the path, gamma, gamma', ... at the instants, of the path in a second.
     path : ndarray, shape (cases,)
         Which path each has.
     numbers : ndarray, shape (cases, 1 + parameters)
-        How many times as long as its path each takes, and values of the parameters.
-    durations : ndarray, shape (paths,)
-        Of the paths, in s.
+        The duration of each in s, and values of the parameters.
     """
 
     jets: Mapping[int, Array]
     path: npt.NDArray[np.intp]
     numbers: Array
-    durations: Array
 
 
 def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
@@ -97,9 +94,8 @@ def peaked(system: MechanicalSystem) -> dict[str, Quantity]:
 
     Of energies and effective torques the value at the end is reported.
     """
-    of_drives = tuple(f"{quantity.name}." for quantity in system.inputs)
-    named = (each for each in system.observables if each.name.startswith(of_drives))
-    peaks = {f"peak_{each.name}": each for each in (*system.inputs, *named)}
+    of_inputs = tuple(f"{each.name}." for each in system.inputs)
+    peaks = {f"peak_{e.name}": e for e in (*system.inputs, *system.observables) if f"{e.name}.".startswith(of_inputs)}
     peaks |= {each.name: each for each in run_quantities(peaks.values())}
     return peaks | {each.name: each for each in system.observables if each.name == SWING}
 
@@ -114,27 +110,23 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     """
     system = problem.system
     peaks = peaked(system)
-    wanted = [
-        (each, each(system) if isinstance(each, RunQuantity) else Named(each.name)(system)) for each in peaks.values()
-    ]
+    wanted = [(each, expression_of(each)(system)) for each in peaks.values()]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
     texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
     bounds = tuple((limit.quantity, limit.bound, limit.upper) for limit in limits)
     inputs = tuple(quantity.name for quantity in system.inputs)
-    turns = tuple(
-        len(peaks) + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system)
-    )
+    turns = tuple(len(peaks) + k for k, limit in enumerate(limits) if limit.counts_turns(system))
     rows = enumerate([*peaks.values(), *(limit.expression for limit in limits)])
     of_run = tuple((k, each) for k, each in rows if isinstance(each, RunQuantity))
     return Work(problem.name, texts[0], texts[1], inputs, tuple(peaks), bounds, turns, of_run, kept, native)
 
 
 def _in_time(function: ca.Function) -> ca.Function:
-    """Return (gamma, [factor, *p]) -> the results of a function (gamma, p) on the same path, `factor` times as long.
+    """Return (gamma, [duration, *p]) -> the results of a function (gamma, p), from gamma of the path in a second.
 
-    Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
+    Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over duration^k.
     """
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
@@ -176,10 +168,9 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
                 continue
             rows = _rows(rows_of, by_newton, jets, cases.numbers[some])
             rows[:, work.turns] = np.unwrap(rows[:, work.turns])
-            duration = cases.numbers[some, 0] * cases.durations[path]
             for k, each in work.of_run:
-                mean = np.trapezoid(rows[:, k], dx=1.0 / (rows.shape[2] - 1), axis=1)
-                rows[:, k] = each.of_sum(mean * duration, duration)[:, None]
+                t = np.linspace(0.0, cases.numbers[some, 0], rows.shape[2], axis=-1)
+                rows[:, k] = each.course(t, rows[:, k])[:, -1:]
             extremes[some] = extremes_of(rows)
             inputs[some] = rows[:, :kept]
     if extremes_at is not None:

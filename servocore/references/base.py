@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
+from servocore.errors import InvalidReference, InvalidSetting, ServocoreError, described, require_kind, require_real
 from servocore.numerics.memoization import made_once
 
 if TYPE_CHECKING:
@@ -219,12 +219,12 @@ def _peaks(path: Reference, order: int) -> FloatArray:
     return np.asarray(bounds.reshape(len(grid), _PARTS, order + 1, path.dimension).max(axis=1))
 
 
-def numbers_of(values: npt.ArrayLike, what: str) -> FloatArray:
-    """Return an array of numbers, or raise `InvalidReference` if something else is among them."""
+def numbers_of(values: npt.ArrayLike, what: str, error: type[ServocoreError] = InvalidReference) -> FloatArray:
+    """Return an array of numbers, or raise `error` if something else is among them."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InvalidReference(f"{what} must be numbers in s, not {described(values)}") from None
+        raise error(f"{what} must be numbers in s, not {described(values)}") from None
 
 
 def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> FloatArray:

@@ -15,11 +15,11 @@ from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
-from servocore.solvers.dynamic_inversion import DynamicCases, DynamicInversion
+from servocore.solvers.dynamic_inversion import DynamicInversion
 from servocore.solvers.solve import solve
-from servocore.stepping.exact_evaluation import exact_quantities
 from servocore.stepping.observation import observed
 from servocore.stepping.prescribed_initial_values import require_start
+from servocore.stepping.readings import exact_quantities
 
 
 class Batch:
@@ -92,10 +92,9 @@ class Batch:
         wrong = [name for name in self.names if name not in known]
         if wrong:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
-        self._dynamic: DynamicCases | None = None
+        self._dynamic: DynamicInversion | None = None
         if not problem.flat:
-            prepared = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
-            self._dynamic = DynamicCases(problem, self.names, tolerance, prepared.steps, native)
+            self._dynamic = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
         else:
             positive = (quantity.name for quantity, _ in problem.resolved.must_be_positive)
             self._evaluation = exact_quantities(problem.resolved, (*self.names, *positive), native)
@@ -136,7 +135,8 @@ class Batch:
         times = numbers_of(t, "the times of a batch").reshape(-1)
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
-            return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
+            paths = references or [self._problem.reference]
+            return self._dynamic.of_cases(self.names, paths, times, p).transpose(0, 2, 1)
         if not times.size:
             return np.empty((_count(p, references), 0, len(self.names)))
         inputs = self._evaluation.of_cases(references or [self._problem.reference], times, p)[0]
@@ -229,14 +229,10 @@ def _count(p: Array, references: Sequence[Reference]) -> int:
 
 def _require_allowed(parameter: Parameter, values: Array) -> None:
     """Raise `InvalidModel` for the first value of a parameter that it must not have, with the number of its case."""
-    if not values.size:
-        return
-    try:
-        parameter.check(float(values.min()))  # NaN spreads to both
-        parameter.check(float(values.max()))
-    except InvalidModel:
-        for case, value in enumerate(values.ravel().tolist()):
-            try:
-                parameter.check(value)
-            except InvalidModel as error:
-                raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None
+    allowed = np.isfinite(values) & (values >= parameter.lower) & (values <= parameter.upper)
+    if not allowed.all():
+        case = int(np.argmin(allowed))
+        try:
+            parameter.check(float(values.ravel()[case]))
+        except InvalidModel as error:
+            raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None

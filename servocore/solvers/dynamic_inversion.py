@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +101,7 @@ class DynamicInversion:
         require_scene(scene, "DynamicInversion")
         require_tolerance(tolerance)
         self._problem = problem = Problem.of(scene, model, start)
+        self._tolerance, self._native = tolerance, native
         if problem.flat:
             raise InvalidModel(f"{scene.name} has no internal dynamics: ExactInversion computes its inputs")
         require_stable(problem)
@@ -110,7 +111,7 @@ class DynamicInversion:
         first, _ = first_state(problem, program_of(problem, *_FORM), 0.0)
         self._start = first[: len(problem.array.states)]
         self._known: dict[bytes, Instants] = {}
-        self.steps = self._enough(checked, tolerance)
+        self.steps = self._enough(checked)
         self._run = self._steps.run([problem.reference], self.steps, problem.p, self._start)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
@@ -153,76 +154,36 @@ class DynamicInversion:
             self._known = {key: known}
         return known
 
-    def _enough(self, checked: Solution, tolerance: float) -> int:
-        """Return how many steps keep the tolerance, from comparisons with twice as many."""
-        reference, inputs = self._problem.reference, len(self.inputs)
-        t, count = np.linspace(reference.start_time, reference.end_time, _INSTANTS), float(_FEWEST)
-        instants = self._instants(t)
-        exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
-        while count < _MOST:
-            fine, errors = _judged(
-                self._steps, [reference], round(count), self._problem.p, self._start, instants, inputs
-            )
-            error = float(errors)
-            if error <= tolerance:
-                if not (np.abs(fine - exact) <= _ASTRAY * np.abs(exact).max(axis=1, keepdims=True)).all():
-                    name = self._problem.system.name
-                    raise IntegrationFailed(f"{name}: explicit steps lead to another motion than solve")
-                return round(count)
-            count = count * _GROWTH if error < 1e3 * tolerance else 2 * count
-        raise IntegrationFailed(
-            f"{self._problem.system.name}: {_MOST} explicit steps do not keep a tolerance of {tolerance:g}: the"
-            " internal dynamics are stiff, and solve with RadauIIA steps them"
-        )
+    def of_cases(self, names: tuple[str, ...], references: Sequence[Reference], t: Array, p: Array) -> Array:
+        """Return quantities of many cases, for `Batch`.
 
+        Every case is compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
 
-def _judged(
-    steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants, inputs: int
-) -> tuple[Array, Array]:
-    """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many, (...)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-        coarse, fine = (
-            steps.runs(steps.run(paths, count * many, p, start), instants)[0][..., :inputs, :] for many in (1, 2)
-        )
-        peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
-        return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
+        Parameters
+        ----------
+        names : tuple of str
+            The quantities, as `solve` reports them.
+        references : sequence of Reference
+            One a case, or one for all.
+        t : ndarray, shape (N,)
+            Times in s within the paths.
+        p : ndarray, shape (cases, size) or (size,)
+            Parameter values, of each case or of all.
 
+        Returns
+        -------
+        ndarray, shape (cases, names, N)
+            NaN for a case that is not solved.
 
-@dataclass(frozen=True, eq=False)
-class DynamicCases:
-    """Inversion of many cases with internal dynamics, for `Batch`.
-
-    Every case is compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
-
-    Attributes
-    ----------
-    problem : Problem
-        The scene's own.
-    names : tuple of str
-        Names of the quantities to compute.
-    tolerance : float
-        Largest error of any input, relative to its peak.
-    steps : int
-        Number that the scene itself needs, found by `DynamicInversion`.
-    native : bool or None
-        See `JustInTime`.
-    """
-
-    problem: Problem
-    names: tuple[str, ...]
-    tolerance: float
-    steps: int
-    native: bool | None
-
-    def __call__(self, references: Sequence[Reference], t: Array, p: Array) -> Array:
-        """Return the quantities, shape (cases, names, N), NaN for a case that is not solved.
-
-        There is one path a case, or one for all; `p` has shape (cases, size), or (size,) for all.
+        Raises
+        ------
+        InvalidReference
+            If a time lies outside a path.
         """
         count = len(p) if p.ndim == 2 else len(references)
         p = np.broadcast_to(p, (count, p.shape[-1]))
         paths = [*references] if len(references) == count else [references[0]] * count
-        inputs = np.full((count, len(self.names), len(t)), np.nan)
+        inputs = np.full((count, len(names), len(t)), np.nan)
         groups: dict[object, list[int]] = {}
         for case, path in enumerate(paths):
             if len(t) and not (t.min() >= path.start_time and t.max() <= path.end_time):
@@ -234,14 +195,16 @@ class DynamicCases:
         for group in groups.values():
             alone = all(paths[case] is paths[group[0]] for case in group)
             group_paths = [paths[group[0]]] if alone else [paths[case] for case in group]
-            self._solve(inputs, np.array(group), group_paths, t, np.ascontiguousarray(p[group]))
+            steps = compile_explicit_steps(self._problem.resolved, group_paths[0].formula, self._native, names)
+            self._solve(steps, inputs, np.array(group), group_paths, t, np.ascontiguousarray(p[group]))
         return inputs
 
-    def _solve(self, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
+    def _solve(
+        self, steps: ExplicitSteps, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array
+    ) -> None:
         """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
-        steps = compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
         compared = np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED)
-        start, count, size = self._starts(paths, p), self.steps, len(self.problem.system.inputs)
+        start, count, size = self._starts(paths, p), self.steps, len(self.inputs)
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
             if not len(left):
@@ -249,18 +212,18 @@ class DynamicCases:
             tried = _of(paths, left)
             instants = steps.instants(tried, compared)
             errors = _judged(steps, tried, count, p[left], start[left], instants, size)[1]
-            good = errors <= self.tolerance
+            good = errors <= self._tolerance
             taken = left[good]
             if len(taken):
                 chosen = _of(paths, taken)
                 values = steps.runs(steps.run(chosen, count, p[taken], start[taken]), steps.instants(chosen, t))[0]
-                signs, wanted = np.split(values[:, size:], [-len(self.names)], axis=1)
+                signs, wanted = np.split(values[:, size:], [-inputs.shape[1]], axis=1)
                 inputs[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
             left, count = left[~good], 2 * count
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:
         """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""
-        problem, size = self.problem, len(self.problem.array.states)
+        problem, size = self._problem, len(self._problem.array.states)
         program = program_of(problem, *_FORM)
         if problem.start:
             starts = np.full((len(p), size), np.nan)
@@ -275,6 +238,40 @@ class DynamicCases:
         states, _, residual = mapped(program.start, len(p))(side_by_side(jets), np.zeros(len(p)), p.T)
         starts = states.reshape(-1, len(p), order="F")[:size].T
         return np.where(np.isfinite(residual).reshape(-1, 1), starts, np.nan)
+
+    def _enough(self, checked: Solution) -> int:
+        """Return how many steps keep the tolerance, from comparisons with twice as many."""
+        reference, inputs = self._problem.reference, len(self.inputs)
+        t, count = np.linspace(reference.start_time, reference.end_time, _INSTANTS), float(_FEWEST)
+        instants = self._instants(t)
+        exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
+        while count < _MOST:
+            fine, errors = _judged(
+                self._steps, [reference], round(count), self._problem.p, self._start, instants, inputs
+            )
+            error = float(errors)
+            if error <= self._tolerance:
+                if not (np.abs(fine - exact) <= _ASTRAY * np.abs(exact).max(axis=1, keepdims=True)).all():
+                    name = self._problem.system.name
+                    raise IntegrationFailed(f"{name}: explicit steps lead to another motion than solve")
+                return round(count)
+            count = count * _GROWTH if error < 1e3 * self._tolerance else 2 * count
+        raise IntegrationFailed(
+            f"{self._problem.system.name}: {_MOST} explicit steps do not keep a tolerance of {self._tolerance:g}: the"
+            " internal dynamics are stiff, and solve with RadauIIA steps them"
+        )
+
+
+def _judged(
+    steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants, inputs: int
+) -> tuple[Array, Array]:
+    """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many, (...)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
+        coarse, fine = (
+            steps.runs(steps.run(paths, count * many, p, start), instants)[0][..., :inputs, :] for many in (1, 2)
+        )
+        peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
+        return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
 
 
 def _of(paths: list[Reference], cases: Cases) -> list[Reference]:

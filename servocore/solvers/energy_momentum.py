@@ -65,7 +65,7 @@ class EnergyMomentum:
 
 def conserved_motion(
     problem: Problem, method: EnergyMomentum, start: Array, inputs: GivenInputs, t: Array, step: float
-) -> tuple[tuple[Array, Array, Array], tuple[int, int, float]]:
+) -> tuple[tuple[Array, Array, Array], tuple[int, int, int, float]]:
     """Integrate by the energy-momentum scheme.
 
     Parameters
@@ -89,8 +89,8 @@ def conserved_motion(
         At the instants: (q, v), shape (2 n, N); the mean of the multipliers of the steps before and after, (m_h, N);
         and the balance (N, 5): energy in J, work of inputs and forces since the start in J, angular momentum about the
         origin in N m s.
-    tuple of (int, int, float)
-        Steps, Newton iterations in all, and the largest scaled residual.
+    tuple of (int, int, int, float)
+        Steps, Newton iterations in all, factorizations as many, and the largest scaled residual.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def conserved_motion(
     states, forces = found[: 2 * n, here], (scaled[:, here] + scaled[:, after]) / 2
     energy, turning = mapped(scheme.energy, len(at))(states[:n], states[n:], np.tile(problem.p[:, None], len(at)))
     balance = np.column_stack([energy.ravel(), found[-1, here], turning.reshape(3, -1, order="F").T])
-    return (states, forces, balance), (count, int(iterations), worst)
+    return (states, forces, balance), (count, int(iterations), int(iterations), worst)
 
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:

@@ -31,13 +31,11 @@ from servocore.stepping.exact_evaluation import (
     ExactEvaluation,
     along_path,
     exact_evaluation,
-    exact_quantities,
     unknowns_from,
 )
 from servocore.stepping.program import Program, program_of
+from servocore.stepping.readings import exact_quantities
 from servocore.structure.inversion import block_determinants, determinants
-
-_CHUNK = 2048  # instants that are evaluated at once
 
 
 @dataclass(frozen=True)
@@ -99,17 +97,9 @@ class Pointwise(JudgedRoute):
         require_derivatives(problem, program.start_order, f"{program.name} needs")
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
-        count, results = len(times), list[Array]()
-        chunk = count if evaluation.by_expression.ready(problem, count) else _CHUNK
-        for k in range(0, count, chunk):
-            columns = evaluation(problem, times[k : k + chunk])
-            # Each row is contiguous, for the results are processed row by row.
-            results = results or (columns if chunk >= count else [np.empty((len(column), count)) for column in columns])
-            for result, part in zip(results, columns, strict=True):
-                result[:, k : k + chunk] = part
-            if progress is not None:
-                progress(min(k + chunk, count) - 1, count - 1)
-        states, counts, residuals, *looked = results
+        states, counts, residuals, *looked = evaluation(problem, times)
+        if progress is not None:
+            progress(len(times) - 1, len(times) - 1)
         good = np.isfinite(residuals[0])
         if not good.all():
             states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
@@ -250,26 +240,21 @@ class ExactInversion:
             (values,) = self._evaluation(self._problem, instants)
         else:
             (values,) = along_path(self._problem, self._evaluation.read, instants, self._motion.at(instants))
-        name, inputs = self._problem.system.name, values.T
-        require_solved(name, instants, inputs)
-        require_signs(name, instants, self._signs, inputs[:, len(self.inputs) :])
-        return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
+        require_answers(self._problem.system.name, instants, values.T, self._signs)
+        return values[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
 
 
-def require_solved(name: str, t: Array, values: Array) -> None:
-    """Raise `IntegrationFailed` if an instant of a system by its name is not solved; `values` have shape (N, any)."""
+def require_answers(name: str, t: Array, values: Array, positive: Sequence[Quantity]) -> None:
+    """Raise `IntegrationFailed` if values (N, columns) are not solved, or one of the last columns is not `positive`."""
     unsolved = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unsolved):
         raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
-
-
-def require_signs(name: str, t: Array, quantities: Sequence[Quantity], values: Array) -> None:
-    """Raise `IntegrationFailed` if a value, shape (N, quantities), has a sign that it must not have."""
-    if not (values > 0.0).all():
-        at, which = (int(index) for index in np.argwhere(~(values > 0.0))[0])
-        quantity = quantities[which]
+    signs = values[:, values.shape[1] - len(positive) :]
+    if not (signs > 0.0).all():
+        at, which = (int(index) for index in np.argwhere(~(signs > 0.0))[0])
+        quantity = positive[which]
         raise IntegrationFailed(
-            f"{name}: at t = {t[at]:.6g} s {quantity.name} is {values[at, which]:.4g} {quantity.unit},"
+            f"{name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g} {quantity.unit},"
             f" {quantity.wrong_sign}"
         )
 

@@ -45,13 +45,13 @@ from servocore.solvers.runs import (
     step_of,
 )
 from servocore.solvers.stable_inversion import StableInversion
-from servocore.stepping.exact_evaluation import along_path
+from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
 from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
-from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.inversion import system_jacobian
 
 _BETTER_METHOD = RadauIIA(5)
-_EVERY, _GOOD = 4, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
+_EVERY, _GOOD = 8, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
@@ -94,12 +94,15 @@ class Stepped(JudgedRoute):
                 exact = motion.values[:, ::parts].T
                 comparison = Comparison(problem.system.inputs, solution, exact, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
-        elif not internal_dynamics(problem).grows and self.is_doubtful(problem, solution):
+        elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
             comparison = compared_closely(problem, self.better(problem), solution)
         return stated_branch(problem, solution, (self.formulation, self.method), comparison)
 
-    def is_doubtful(self, problem: Problem, solution: Solution) -> bool:
+    def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow."""
+        estimate = solution.statistics.error_estimate
+        if estimate is not None:
+            return not estimate <= NOTICED
         return not is_smooth(problem, self.formulation, self.method, solution)
 
 
@@ -192,9 +195,8 @@ def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
 
 def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
     """Return a form with the best states at the guess of the model where the path starts."""
-    array, time = formulation.array(problem.system), problem.reference.start_time
-    jet = problem.reference.jet(np.array([time]), array.reference_order)
-    values = np.asarray(inversion(array).guess(side_by_side(jet), problem.p)).ravel()
+    array, time = problem.array, problem.reference.start_time
+    values = guessed_unknowns(problem, np.array([time]))[:, 0]
     names = tuple((array.names[j], order) for j, order in _best_states(problem, array, time, values))
     return replace(formulation, states=names)
 
@@ -234,7 +236,7 @@ def _candidates(array: DerivativeArray) -> list[tuple[Places, Places]]:
 # are repeated with half the step until the inputs agree.
 
 _STAGNATION = 1.3  # a halved step that improves the inputs by less has met a floor
-_MOST_HALVINGS = 14
+_MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -249,10 +251,6 @@ class ToTolerance(Stepped):
 
     control: Adaptive = field(default_factory=Adaptive)
 
-    def is_doubtful(self, _: Problem, solution: Solution) -> bool:
-        """Whether the tolerance was too loose to prove that inputs are right."""
-        return not (solution.statistics.error_estimate or np.inf) <= NOTICED
-
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Solve to the tolerance; see `Route`.
 
@@ -263,15 +261,10 @@ class ToTolerance(Stepped):
         """
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         control, order = self.control, self.method.orders(program.index).forces
-        inputs, coarse, last_change, total = len(problem.system.inputs), None, None, 0
-        for halvings in range(_MOST_HALVINGS):
-            division = 2**halvings
-            count = (len(times) - 1) * division
-            if total + count > control.max_steps:
-                raise IntegrationFailed(f"{program.name}: {control.max_steps} steps are not enough")
-            total += count
+        inputs, coarse, last_change, division = len(problem.system.inputs), None, None, 1
+        while (count := (len(times) - 1) * division) <= _MOST_STEPS:
             done = run_steps(problem, program, subdivided(times, division), progress)
-            fine = solution_of(problem, [done.at(slice(None, None, division))], refuse_turns=False, steps=total)
+            fine = solution_of(problem, [done.at(slice(None, None, division))], refuse_turns=False)
             if coarse is not None:
                 peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
                 change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
@@ -282,14 +275,14 @@ class ToTolerance(Stepped):
                 estimate = change / (2.0**observed - 1.0)
                 unmet, relative = estimate > control.allowed(peaks), estimate / np.maximum(peaks, 1e-300)
                 if not unmet.any():
-                    summary = replace(fine.statistics, error_estimate=float(relative.max()))
-                    return replace(fine, statistics=summary)
+                    total, error = 2 * count - len(times) + 1, float(relative.max())  # of all runs
+                    return replace(fine, statistics=replace(fine.statistics, steps=total, error_estimate=error))
                 # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
                 if ratio is not None and ratio[unmet].min() < _STAGNATION:
                     raise IntegrationFailed(_stagnation(problem, program, control, relative, count))
                 last_change = change
-            coarse = fine
-        raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
+            coarse, division = fine, 2 * division
+        raise IntegrationFailed(f"{program.name}: {_MOST_STEPS} steps are not enough")
 
 
 def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:

@@ -12,6 +12,7 @@ from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed, InvalidSetting, described
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.references.base import numbers_of
 from servocore.solution import Solution
 
 Inputs = Callable[[float], Array]
@@ -26,10 +27,7 @@ def rising_times(t: Any, what: str = "the times at which to report") -> Array:
     InvalidSetting
         If there are none, or they are no finite numbers in rising order.
     """
-    try:
-        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
-    except (TypeError, ValueError):
-        raise InvalidSetting(f"{what} must be numbers in s, not {described(t)}") from None
+    times = np.atleast_1d(numbers_of(t, what, InvalidSetting))
     if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
         raise InvalidSetting(
             f"{what} must be one row of finite numbers in s, not an array of shape {times.shape}"
@@ -42,8 +40,18 @@ def rising_times(t: Any, what: str = "the times at which to report") -> Array:
     return times
 
 
-def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> InterpolatedInputs:
+@dataclass(frozen=True, eq=False)
+class GivenInputs:
+    """Inputs as `simulate` evaluates them: at a time, shape (m,), and at times (N,), shape (N, m)."""
+
+    at: Callable[[float], Array]
+    many: Callable[[Array], Array]
+
+
+def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> GivenInputs:
     """Return the inputs of a solution as a function of time: a cubic spline through its samples.
+
+    A time may lie outside theirs by round-off.
 
     Parameters
     ----------
@@ -84,59 +92,32 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inte
         k, j = bad[0]
         raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
     if len(known) < 2:
-        return InterpolatedInputs(lambda t: np.broadcast_to(table[0], (*np.shape(t), len(names))), first, last)
+        return GivenInputs(lambda _: table[0], lambda t: np.tile(table[0], (len(t), 1)))
     curve = scipy.interpolate.make_interp_spline(known, table, k=min(3, len(known) - 1))
-    return InterpolatedInputs(curve, first, last)
+    return GivenInputs(lambda time: curve(min(max(time, first), last)), lambda t: curve(np.clip(t, first, last)))
 
 
-@dataclass(frozen=True, eq=False)
-class InterpolatedInputs:
-    """Inputs between the samples of a solution; an instant may lie outside by round-off."""
+def checked(inputs: Callable[[float], Any], system: MechanicalSystem) -> GivenInputs:
+    """Return a function of time whose values are checked: as many finite numbers as the system has inputs."""
+    names = [quantity.name for quantity in system.inputs]
 
-    curve: Callable[[Any], Array]
-    first: float
-    last: float
-
-    def __call__(self, time: float) -> Array:
-        """Return the inputs at a time, shape (m,)."""
-        return self.curve(min(max(time, self.first), self.last))
-
-    def many(self, t: Array) -> Array:
-        """Return the inputs at times (N,), shape (N, m)."""
-        return self.curve(np.clip(t, self.first, self.last))
-
-
-@dataclass(frozen=True, eq=False)
-class CheckedInputs:
-    """A function of time whose values are checked: as many finite numbers as the system has inputs."""
-
-    inputs: Callable[[float], Any]
-    system: MechanicalSystem
-
-    def __call__(self, time: float) -> Array:
-        """Return the inputs at a time, shape (m,)."""
-        answer, names = self.inputs(time), [quantity.name for quantity in self.system.inputs]
+    def at(time: float) -> Array:
+        answer = inputs(time)
         try:
             values = np.asarray(() if answer is None else answer, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):
             raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(answer)}") from None
         if len(values) != len(names):
             raise InvalidSetting(
-                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {self.system.name} has"
+                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {system.name} has"
                 f" {len(names)}: {', '.join(names)}"
             )
         if not np.isfinite(values).all():
             lost = int(np.flatnonzero(~np.isfinite(values))[0])
             raise IntegrationFailed(
-                f"{self.system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
+                f"{system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
                 f" {values[lost]}"
             )
         return values
 
-    def many(self, t: Array) -> Array:
-        """Return the inputs at times (N,), shape (N, m)."""
-        return np.array([self(time) for time in t.tolist()]).reshape(len(t), -1)
-
-
-GivenInputs = InterpolatedInputs | CheckedInputs
-"""Inputs as `simulate` evaluates them: at a time, or at many."""
+    return GivenInputs(at, lambda t: np.array([at(time) for time in t.tolist()]).reshape(len(t), -1))

@@ -78,16 +78,13 @@ class Adaptive:
         Relative to the peak of each input over the run.
     atol : float
         In the input's own unit.
-    max_steps : int
-        A run that needs more is given up.
     """
 
     rtol: float = 1e-6
     atol: float = 0.0
-    max_steps: int = 1_000_000
 
     def __post_init__(self) -> None:
-        for name in ("rtol", "atol", "max_steps"):
+        for name in ("rtol", "atol"):
             require_real(getattr(self, name), name, "a number", InvalidSetting)
         if not (0.0 <= self.rtol < 1.0 and 0.0 <= self.atol < float("inf") and self.rtol + self.atol > 0.0):
             raise InvalidSetting(

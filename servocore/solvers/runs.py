@@ -74,7 +74,6 @@ def solution_of(
     refuse_turns: bool = True,
     motion: Motion | None = None,
     branch: str = "",
-    steps: int | None = None,
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -92,8 +91,6 @@ def solution_of(
         The exact motion, for checks.
     branch : str
         How the run is known to be on one branch.
-    steps : int, optional
-        Taken in all, if the instants do not count them.
 
     Raises
     ------
@@ -112,7 +109,7 @@ def solution_of(
                 values[:, k] = np.unwrap(values[:, k])
     servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
     summary = Statistics(
-        len(t) - 1 if steps is None else steps,
+        len(t) - 1,
         sum(segment.newton_iterations for segment in segments),
         sum(segment.factorizations for segment in segments),
         max(segment.worst_residual for segment in segments),
@@ -181,7 +178,7 @@ def with_run_quantities(solution: Solution) -> Solution:
     found, t = run_quantities(solution.channels), solution.t
     if not found:
         return solution
-    table = np.column_stack([solution.values, *(each.course(t, solution[each.of]) for each in found)])
+    table = np.column_stack([solution.values, *(each.course(t, solution[each.of] ** (1 + each.rms)) for each in found)])
     return replace(solution, channels=(*solution.channels, *found), values=table)
 
 
@@ -228,38 +225,27 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
     IntegrationFailed
         If a step is not solved.
     """
-    step, length = step_of(t), chunk_length(len(t) - 1)
+    step, count = step_of(t), len(t) - 1
+    length, parts, at = chunk_length(count), list[Run](), 0
     state, first_residual = first_state(problem, program, step)
-    run, complete = _advanced(problem, program, t, step, state, length, progress)
-    if not complete:
-        raise step_failure(problem, program, run.states[:, -1], run.t[-1], step)
-    return replace(run, worst_residual=max(run.worst_residual, first_residual))
-
-
-def _advanced(
-    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int, progress: Progress | None
-) -> tuple[Run, bool]:
-    """Step from t[0] through the other instants in loops of one length; see `advance_chunk`."""
-    parts, complete, count = list[Run](), True, len(t) - 1
-    for done in range(0, count, length):
-        part, complete = advance_chunk(problem, program, t[done : done + length + 1], step, state, length)
-        state = part.states[:, -1]
-        parts.append(part.at(slice(int(done > 0), None)))  # it begins at the last instant of the one before
+    while at < count:
+        part, complete = advance_chunk(problem, program, t[at : at + length + 1], step, state, length)
+        at, state = at + len(part.t) - 1, part.states[:, -1]
         if not complete:
-            break
+            raise step_failure(problem, program, state, float(t[at]), step)
+        parts.append(part.at(slice(int(len(parts) > 0), None)))  # it begins at the last instant of the one before
         if progress is not None:
-            progress(min(done + length, count), count)
+            progress(at, count)
     jets = [part.jets for part in parts if part.jets is not None]
-    run = Run(
+    return Run(
         program,
-        np.concatenate([part.t for part in parts]),
+        t,
         np.hstack([part.states for part in parts]),
         sum(part.newton_iterations for part in parts),
         sum(part.factorizations for part in parts),
-        max(part.worst_residual for part in parts),
+        max(first_residual, *(part.worst_residual for part in parts)),
         jets=np.concatenate(jets) if jets else None,
     )
-    return run, complete
 
 
 def step_of(t: Array) -> float:
@@ -277,8 +263,8 @@ def advance_chunk(
 ) -> tuple[Run, bool]:
     """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
 
-    Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
-    not full is padded with the final instant; its results there are dropped.
+    Returns the states from t[0] on, up to the last good one, and whether no step failed; it may end before the last
+    instant. A loop that is not full is padded with the final instant; its results there are dropped.
     """
     used = len(t) - 1
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
@@ -297,8 +283,9 @@ def advance_chunk(
     failed = ~np.isfinite(states_after).all(axis=0) | ~np.isfinite(worst)
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
-        # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
-        return _advanced(problem, program, t, step, state, 1, None)
+        # Where CasADi gives up, all of the loop is lost: a part of it ends at a good state.
+        half = length // 2
+        return advance_chunk(problem, program, t[: half + 1], step, state, half)
     iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
     worst_residual = float(worst[:good].max(initial=0.0))

@@ -19,10 +19,10 @@ from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solution import NO_STATISTICS, Solution
+from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import integrated
-from servocore.solvers.input_functions import CheckedInputs, GivenInputs, Inputs, interpolated, rising_times
+from servocore.solvers.input_functions import GivenInputs, Inputs, checked, interpolated, rising_times
 from servocore.solvers.runs import with_run_quantities
 from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
@@ -113,7 +113,7 @@ def simulate(
         require_callable(inputs, "the inputs", "a Solution or a function of time")
         if t is None:
             raise InvalidSetting("inputs given as a function need the times at which to report")
-        instants, evaluate = rising_times(t), CheckedInputs(inputs, problem.system)
+        instants, evaluate = rising_times(t), checked(inputs, problem.system)
     if method is None and step is None:
         return _report(problem, instants, *_integrated(problem, evaluate, instants, (rtol, atol, time_limit)))
     return _conserved(problem, evaluate, instants, method, step)
@@ -129,23 +129,20 @@ def _conserved(problem: Problem, inputs: GivenInputs, t: Array, method: object, 
     scheme_of(problem, method)  # first: a system without a conserved energy needs no start
     start = _initial_state(problem, float(t[0]))
     (states, forces, balance), totals = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
-    steps, iterations, worst = totals
     _require_no_steps(problem, t, states)
-    known = _report(problem, t, (states, forces, inputs.many(t).T), steps, iterations)
-    statistics = replace(known.statistics, newton_iterations=iterations, worst_residual=worst)
+    known = _report(problem, t, (states, forces, inputs.many(t).T), totals)
     return replace(
         known,
         channels=(*known.channels, *BALANCE),
         values=np.column_stack([known.values, balance]),
         route=f"{problem.system.name}, {method.name}",
-        statistics=statistics,
     )
 
 
 def _integrated(
     problem: Problem, inputs: GivenInputs, t: Array, tolerance: tuple[float, float, float | None]
-) -> tuple[tuple[Array, ...], int, int]:
-    """Return states, multipliers and inputs (rows, N) at instants, with the integrator's steps and evaluations."""
+) -> tuple[tuple[Array, ...], tuple[int, int, int, float]]:
+    """Return states, multipliers and inputs (rows, N) at instants, with the integrator's totals."""
     move, undisturbed = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs))
 
     def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
@@ -153,7 +150,7 @@ def _integrated(
         return move(state, u, undisturbed, problem.p, *clock)
 
     def rate(time: float, state: Array) -> Array:
-        return moved(time, state, inputs(time))[0]
+        return moved(time, state, inputs.at(time))[0]
 
     name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
@@ -164,7 +161,7 @@ def _integrated(
     u = inputs.many(t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
-    return (states, np.array(forces).reshape(len(t), -1).T, u.T), steps, evaluations
+    return (states, np.array(forces).reshape(len(t), -1).T, u.T), (steps, 0, evaluations, 0.0)
 
 
 @made_once
@@ -210,7 +207,7 @@ def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
     told(problem.system.name, "", steps_passed(problem, *switches))
 
 
-def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, evaluations: int) -> Solution:
+def _report(problem: Problem, t: Array, columns: tuple[Array, ...], totals: tuple[int, int, int, float]) -> Solution:
     known, function = _observation(problem.resolved)
     told(problem.system.name, "", left_out(problem, t, columns[0][: len(problem.system.coordinates)]))
     values, violations, deviations = along_path(problem, function, t, *columns)
@@ -221,15 +218,8 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], steps: int, 
     deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
-    statistics = replace(
-        NO_STATISTICS,
-        steps=steps,
-        factorizations=evaluations,
-        servo_violation=float(deviation.max()),
-        servo_rate_violation=float(rate_deviation.max()),
-        constraint_violation=float(violations[2].max()),
-        constraint_rate_violation=float(violations[3].max()),
-    )
+    c, c_dot, g, g_dot = (float(each.max()) for each in (deviation, rate_deviation, *violations[2:]))
+    statistics = Statistics(*totals, c, c_dot, g, g_dot)
     table = np.column_stack([values.T, deviation])
     name = f"{problem.system.name}, forward simulation"
     return with_run_quantities(Solution(t, (*known, tracking), table, name, statistics))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -137,18 +138,19 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
 
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
     """
-    watched, limits = problem, problem.motion_limits
-    if checked and limits and not problem.flat:
-        from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
-
+    limits = problem.motion_limits if checked else ()
+    if limits:
+        from servocore.checks.motion_limits import (  # noqa: PLC0415 - few have limits
+            with_limits_kept,
+            with_limits_required,
+            with_watched,
+        )
+    if limits and not problem.flat:
         watched = with_watched(problem)
-    solution = with_run_quantities(route.run(watched, times, progress))
-    if watched is not problem:
-        return with_limits_required(watched, solution)
-    if not (checked and problem.flat):
-        return solution
+        return with_limits_required(watched, with_run_quantities(route.run(watched, times, progress)))
+    solution = with_run_quantities(route.run(problem, times, progress))
     motion: Motion | None = solution.motion
-    if motion is None and len(solution.t) > 1:
+    if checked and problem.flat and motion is None and len(solution.t) > 1:
         try:
             motion = Pointwise(Reduced()).run(problem, solution.t).motion
         except ServocoreError:
@@ -156,14 +158,8 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress | None
                 raise
             if problem.resolved.holds(KINKS):  # the guess of the model may still do
                 motion = Motion(problem, solution.t, exact_unknowns(problem, solution.t)[0], by_guess=True)
-    if not limits or motion is None:
-        return solution if motion is solution.motion else replace(solution, motion=motion)
-    from servocore.checks.motion_limits import margins_of, require_limits, require_reported  # noqa: PLC0415
-
-    values = require_limits(motion)
-    require_reported(problem, solution)
-    parts = (len(motion.t) - 1) // (len(solution.t) - 1)
-    return replace(solution, motion=motion, margins=margins_of(limits, [*values[:, ::parts]], solution.t))
+        solution = replace(solution, motion=motion)
+    return with_limits_kept(motion, solution) if limits and motion is not None else solution
 
 
 def _checked(problem: Problem, route: Route, solution: Solution) -> Statistics:
@@ -247,8 +243,8 @@ def chosen_route(
     """
     if isinstance(method, JudgedRoute):
         method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))
-    if method is not None and isinstance(method, Route):
-        return method
+    if hasattr(method, "run"):  # to ask the protocol takes as long as a check
+        return cast(Route, method)
     if checks:
         require_smooth(problem)  # names inputs that drive nothing; forms of the problem do not
     stepped = bool(problem.dae(formulation).x.numel())

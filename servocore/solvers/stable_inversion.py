@@ -53,9 +53,6 @@ class StableInversion(JudgedRoute):
         the horizon has that size as well.
     stages : int
         Gauss nodes in every mesh interval; mesh values converge with twice that order.
-    pre, post : float, optional
-        Time in s by which the horizon begins before and ends after the path; chosen from the slowest unstable and the
-        slowest stable eigenvalue of the internal dynamics when not given.
 
     Attributes
     ----------
@@ -66,17 +63,11 @@ class StableInversion(JudgedRoute):
     name = "boundary-value"
     tolerance: float = 1e-8
     stages: int = 3
-    pre: float | None = None
-    post: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "stages", "pre", "post"):
-            require_real(getattr(self, name) or 0, f"{name} of a stable inversion", "a number", InvalidSetting)
+        require_real(self.stages, "stages of a stable inversion", "a number", InvalidSetting)
         Gauss(self.stages)
-        require_tolerance(self.tolerance)
-        for name, value in (("pre", self.pre), ("post", self.post)):
-            if value is not None and not 0.0 <= value < float("inf"):
-                raise InvalidSetting(f"{name} must be a time in s, zero or more, not {value}")
+        require_tolerance(self.tolerance, "tolerance of a stable inversion")
 
     def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:
         """Raise `InvalidSetting` for another form than `Reduced`, for a start, or for a tolerance of steps."""
@@ -95,13 +86,12 @@ class StableInversion(JudgedRoute):
         start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
         inside = times[(times > start - margin) & (times < end + margin)]
         tolerance = min(max(self.tolerance / 100.0, 1e-11), 1e-6)
-        again = replace(self, tolerance=tolerance, stages=min(self.stages + 2, 7), pre=None, post=None)
-        return again.run(problem, inside)
+        return StableInversion(tolerance, min(self.stages + 2, 7)).run(problem, inside)
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
-        """Judge a solution whose tolerance is loose, or whose horizon was given; see `JudgedRoute`."""
-        doubtful = self.tolerance > NOTICED or self.pre is not None or self.post is not None
-        comparison = compared_closely(problem, self.better(problem), solution) if doubtful else None
+        """Judge a solution whose tolerance is loose; see `JudgedRoute`."""
+        loose = self.tolerance > NOTICED
+        comparison = compared_closely(problem, self.better(problem), solution) if loose else None
         return stated_branch(problem, solution, (Reduced(), None), comparison)
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
@@ -223,9 +213,8 @@ def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
     needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
     before_it, after_it = (np.array([value.real for value in end.eigenvalues]) for end in (bounded.left, bounded.right))
     growing, decaying = before_it[before_it > 0.0], -after_it[after_it < 0.0]
-    pre = route.pre if route.pre is not None else (needed / growing.min() if growing.size else 0.0)
-    post = route.post if route.post is not None else (needed / decaying.min() if decaying.size else 0.0)
-    before, inside, after = np.ceil(pre / step), round(reference.duration / step), np.ceil(post / step)
+    before, after = (np.ceil(needed / rates.min() / step) if rates.size else 0.0 for rates in (growing, decaying))
+    inside = round(reference.duration / step)
     grid: Array = reference.start_time + step * np.arange(-before, inside + after + 1.0)
     return grid
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.numerics.compiled_calls import Array, Call
@@ -15,6 +15,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
 from servocore.solution import Solution
+from servocore.solvers.route import require_tolerance
 from servocore.solvers.runs import Progress, first_state, of_states, solution_of_states, step_of
 from servocore.stepping.program import program_of
 
@@ -32,9 +33,7 @@ class Sundials:
     Parameters
     ----------
     rtol : float
-        Of the local error, relative to each state.
-    atol : float, optional
-        The same in the unit of each state; a thousandth of `rtol` when not given.
+        Of the local error, relative to each state; a thousandth of it in the unit of each state.
 
     Attributes
     ----------
@@ -44,14 +43,9 @@ class Sundials:
 
     name = "sundials"
     rtol: float = 1e-6
-    atol: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in (("rtol", self.rtol), ("atol", self.atol)):
-            if value is not None:
-                require_real(value, f"{name} of Sundials", "a number", InvalidSetting)
-                if not 0.0 < value < 1.0:
-                    raise InvalidSetting(f"{name} must lie between 0 and 1, not {value}")
+        require_tolerance(self.rtol, "rtol of Sundials")
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Integrate to the instants; see `Route`.
@@ -77,8 +71,7 @@ class Sundials:
         size = len(array.states)
         x0, z0 = first[:size], first[size : len(array.unknowns)]
         numbers = np.concatenate([formula.numbers(array.reference_order), problem.p])
-        settings = self.rtol, self.atol or self.rtol / 1000.0, tuple(times.tolist())
-        integrate = _integrator(problem.resolved, formula, *settings)
+        integrate = _integrator(problem.resolved, formula, self.rtol, tuple(times.tolist()))
         try:
             states, _ = integrate(x0, z0, numbers)
         except RuntimeError as error:  # SUNDIALS gives up
@@ -93,7 +86,7 @@ class Sundials:
 
 
 @made_once
-def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, atol: float, times: tuple[float, ...]) -> Call:
+def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, times: tuple[float, ...]) -> Call:
     """Compile (x0, z0, [numbers of the path; p]) -> states at the instants after the first, and the last z."""
     dae, order = resolved.dae(Reduced()), resolved.array.reference_order
     numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
@@ -102,7 +95,7 @@ def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, atol: f
     rates = ca.solve(dae.H, dae.f)
     ode, alg = ca.substitute([rates, dae.h], [ca.vec(dae.gamma[:, : order + 1])], [ca.vec(gamma)])
     equations = {"x": dae.x, "z": dae.z, "p": ca.vertcat(numbers, dae.p), "t": t, "ode": ode, "alg": alg}
-    options = {"reltol": rtol, "abstol": atol, "max_num_steps": _MOST_STEPS, "show_eval_warnings": False}
+    options = {"reltol": rtol, "abstol": rtol / 1000.0, "max_num_steps": _MOST_STEPS, "show_eval_warnings": False}
     made = ca.integrator("sc_sundials", "idas", equations, times[0], list(times[1:]), options)
     x0, z0, p = (ca.MX.sym(name, *made.size_in(name)) for name in ("x0", "z0", "p"))
     result = made(x0=x0, z0=z0, p=p)

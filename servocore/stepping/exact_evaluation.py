@@ -20,8 +20,6 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula, Reference
-from servocore.stepping.observation import observed
-from servocore.structure.derivative_array import in_variables
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
 _FEW = 400  # instants: for so many the interpreter evaluates the path in less time than NumPy
@@ -223,24 +221,6 @@ def exact_evaluation(
             function = compiled(function, resolved.system.name)
     path_function = PathFunction(function, native, resolved.system.name)
     return ExactEvaluation(resolved, read, whole, path_function, expression is not None)
-
-
-@made_once
-def exact_quantities(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> ExactEvaluation:
-    """Compile the evaluation of named quantities by exact inversion.
-
-    Names are those that `solve` reports, and those of `ResolvedSystem.must_be_positive`.
-    """
-    known = {quantity.name: each for quantity, each in (*observed(resolved.system), *resolved.must_be_positive)}
-    return exact_evaluation(resolved, reading(resolved, [known[name] for name in names]), native)
-
-
-def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Function:
-    """Compile (unknowns of the derivative array, gamma (m, reference_order + 1), p) -> expressions of the system."""
-    array, system = resolved.array, resolved.system
-    values = in_variables(system, ca.vertcat(*expressions), array.y)
-    arguments = [array.column(array.unknowns), system.gamma[:, : array.reference_order + 1], system.p]
-    return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
 
 
 def along_path(problem: Problem, function: ca.Function, t: Array, *columns: Array) -> tuple[Array, ...]:

@@ -18,8 +18,8 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.problem import ResolvedSystem
 from servocore.references.base import Formula, Reference
-from servocore.stepping.exact_evaluation import reading
 from servocore.stepping.observation import observed
+from servocore.stepping.readings import reading
 from servocore.structure.inversion import compile_explicit
 
 

@@ -2,7 +2,7 @@
 
    A model is an array of rows, one per coefficient and one with the radius, of one number per box. Pairs with a
    coefficient that is zero in all lanes, as of what does not depend on a parameter, are left out. The bounds are those
-   of programs.py. */
+   of chebyshev.py. */
 
 #include <stddef.h>
 
