@@ -190,8 +190,10 @@ def test_a_batch_keeps_the_limits_of_the_scene_between_instants_too() -> None:
     assert sc.Batch(limited).solve({"load_mass": [50.0]}, steps=4).shape == (1, 5, 3)
 
 
-def test_no_times_give_no_rows_for_every_case() -> None:
-    assert sc.Batch(sc.scenes.overhead_crane())([], {"load_mass": [50.0, 60.0]}).shape == (2, 0, 2)
+def test_no_times_give_no_rows_for_every_case_and_no_cases_none() -> None:
+    batch = sc.Batch(sc.scenes.overhead_crane())
+    assert batch([], {"load_mass": [50.0, 60.0]}).shape == (2, 0, 2)
+    assert batch(T, {"load_mass": []}).shape == (0, len(T), 2)
 
 
 def test_a_value_out_of_bounds_is_told_with_the_number_of_its_case() -> None:

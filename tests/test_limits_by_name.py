@@ -157,6 +157,7 @@ class TestWhatALimitIs:
             ({"swing": "5 m"}, "the limit of swing is given in m, but its unit is rad"),
             ({"s.rate": "5 m"}, "the limit of s.rate is given in m, but its unit is m/s"),
             ({"F": "60 lbf"}, "the limit of F is given in lbf, which is no unit known here: 1, %, m, "),
+            ({"F": "6 MN^999"}, "the limit of F is given in MN^999, which is no unit known here: 1, %, m, "),
             ({"F": "much"}, "the limit of F is given as 'much', which is no number with a unit, such as '2 N'"),
             ({"F": (3, -3)}, "the limit of F must run from a lower to an upper number, not from 3 to -3"),
             ({"F": (None, None)}, "the limit of F must run from a lower to an upper number"),

@@ -116,6 +116,14 @@ def test_progress_is_told_after_every_chunk_and_ends_with_all_steps() -> None:
     assert told == [(400, 1200), (800, 1200), (1200, 1200)]
 
 
+def test_instants_without_internal_dynamics_are_interpreted_in_chunks_that_do_not_show() -> None:
+    """One evaluation of them all takes twice the memory and time, and says nothing on the way."""
+    told: list[tuple[int, int]] = []
+    found = sc.solve(CRANE, step=20.0 / 5000, native=False, progress=lambda done, total: told.append((done, total)))
+    assert told == [(2047, 5000), (4095, 5000), (5000, 5000)]
+    np.testing.assert_allclose(found["M_b"][::25], sc.solve(CRANE, native=False)["M_b"], rtol=1e-13, atol=1e-11)
+
+
 def test_a_single_step_is_a_run() -> None:
     scene = CRANE.with_reference(path((5, 0, -5), (4.5, 0.5, -4)))
     found = solve(scene, step=20.0)

@@ -42,6 +42,7 @@ FOLLOWED = "one: followed from instant to instant; `certify` proves the rest"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing; of its nominal value: a range that may be none
+_MOST_FOLLOWED = 4  # intervals where the model gives its motion in closed form: to follow hundreds takes seconds
 _ON_IT = 1e-4  # of the determinants on both sides: an instant with less is singular itself
 LOST = 1e-6
 """Of a determinant at instants beside: one with less is singular, and what lies behind another branch."""
@@ -249,6 +250,8 @@ def on_one_branch(
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
+    if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
+        return states, CLOSED_FORM, ()
     while waiting:
         k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])

@@ -38,7 +38,7 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
 }
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d,].*)?")
-_FACTOR = re.compile(r"(1|[^\d^]+)\^?(-?\d+)?")
+_FACTOR = re.compile(r"(1|[^\d^]+)\^?(-?\d)?")  # one digit: powers of units stay within numbers
 
 
 def in_unit(text: str, unit: str, what: str) -> float:

@@ -137,8 +137,9 @@ class Batch:
         if self._dynamic is not None:
             paths = references or [self._problem.reference]
             return self._dynamic.of_cases(self.names, paths, times, p).transpose(0, 2, 1)
-        if not times.size:
-            return np.empty((_count(p, references), 0, len(self.names)))
+        count = _count(p, references)
+        if not (times.size and count):
+            return np.empty((count, times.size, len(self.names)))
         inputs = self._evaluation.of_cases(references or [self._problem.reference], times, p)[0]
         values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.

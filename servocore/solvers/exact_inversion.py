@@ -37,6 +37,8 @@ from servocore.stepping.program import Program, program_of
 from servocore.stepping.readings import exact_quantities
 from servocore.structure.inversion import block_determinants, determinants
 
+_CHUNK = 2048  # instants that are interpreted at once: more do not fit into the caches, and take twice the memory
+
 
 @dataclass(frozen=True)
 class Pointwise(JudgedRoute):
@@ -97,9 +99,17 @@ class Pointwise(JudgedRoute):
         require_derivatives(problem, program.start_order, f"{program.name} needs")
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
-        states, counts, residuals, *looked = evaluation(problem, times)
-        if progress is not None:
-            progress(len(times) - 1, len(times) - 1)
+        count, results = len(times), list[Array]()
+        chunk = count if evaluation.by_expression.ready(problem, count) else _CHUNK
+        for k in range(0, count, chunk):
+            columns = evaluation(problem, times[k : k + chunk])
+            # Each row is contiguous, for the results are processed row by row.
+            results = results or (columns if chunk >= count else [np.empty((len(column), count)) for column in columns])
+            for result, part in zip(results, columns, strict=True):
+                result[:, k : k + chunk] = part
+            if progress is not None:
+                progress(min(k + chunk, count) - 1, count - 1)
+        states, counts, residuals, *looked = results
         good = np.isfinite(residuals[0])
         if not good.all():
             states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
