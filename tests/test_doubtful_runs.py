@@ -13,12 +13,18 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.checks.branches import CLOSED_FORM, Branch
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.atlas.row06_singular_configurations import near_axis, near_slack
 
-CIRCLE = sc.periodic((0.0, 0.0, -1.0), [[5.0, 0.0, 0.0]], [[0.0, 5.0, 0.0]], period=2 * np.pi, cycles=3)
+
+def circles(cycles: int) -> sc.Reference:
+    return sc.periodic((0.0, 0.0, -1.0), [[5.0, 0.0, 0.0]], [[0.0, 5.0, 0.0]], period=2 * np.pi, cycles=cycles)
+
+
+CIRCLE = circles(3)
 """Three times round the slewing axis: the bridge turns by 6 pi, the trolley runs inside the load."""
 
 
@@ -84,6 +90,15 @@ def test_the_exact_bridge_angle_follows_the_path_however_far_its_instants_lie_ap
     crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
     found = sc.solve(crane, sc.Reduced(), step=CIRCLE.duration / steps, model=model)
     np.testing.assert_allclose(found["phi"] - found["phi"][0], np.linspace(0.0, 6 * np.pi, steps + 1), atol=1e-9)
+
+
+def test_a_closed_form_that_turns_too_often_between_the_instants_is_not_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """To follow a hundred turns takes many times as long as the run, for the same values."""
+    monkeypatch.setattr(Branch, "follow", lambda *_: pytest.fail("the motion is followed"))
+    found = sc.solve(sc.scenes.rotary_crane().with_reference(circles(100)))
+    assert found.statistics.branch == CLOSED_FORM
 
 
 def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well() -> None:
