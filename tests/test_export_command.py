@@ -215,6 +215,11 @@ def test_a_rate_that_is_none_at_rest_breaks_no_limit() -> None:
     assert len(simulate_fmu("crane.fmu", stop_time=0.3, output_interval=0.1)) == 4
 
 
+def test_the_command_names_what_it_has_written_and_nothing_else() -> None:
+    told = run("export", "cars", "--c", "source", "--no-certify")
+    assert (told.exit_code, told.stdout) == (0, "source: C source of cars\n")
+
+
 def test_c_source_does_not_write_over_files_of_others() -> None:
     write("CMakeLists.txt", "project(mine)")
     run.assert_refused(run("export", "cars", "--c", "."), "cannot write to .", "its CMakeLists.txt would be lost")

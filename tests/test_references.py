@@ -32,6 +32,7 @@ from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import PolynomialProfile, Profile, polynomial
 from servocore.references.rest_to_rest import RestToRest
+from servocore.references.timed_path import TimeScaled
 
 START, END, DURATION = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0
 PROFILES = [DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, polynomial(1), three_phase(5.0), three_phase(10.0)]
@@ -448,3 +449,29 @@ def test_a_path_is_the_same_however_many_times_are_asked_for_at_once() -> None:
     path = through([[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]], [0.0, 2.0, 3.0])
     t = np.linspace(-1.0, 4.0, 10_001)
     assert np.array_equal(path.jet(t, 4), np.concatenate([path.jet(part, 4) for part in np.array_split(t, 977)]))
+
+
+# Enclosures ----------------------------------------------------------------------------------------------------------
+
+TURN = rest_to_rest((0.0, 1.0), (2.0, -1.0), 3.0, start_time=1.0)
+ROUND = sc.periodic((1.0,), [[0.5], [0.25]], [[0.0], [2.0]], period=4.0)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        TURN,
+        rest_to_rest((0.0,), (1.0,), 3.0, three_phase(0.5)),
+        through([(0.0,), (1.0,), (3.0,)], times=[0.0, 2.0, 3.0]),
+        ROUND,
+        *(TimeScaled.to(each, 2.5 * each.duration) for each in (TURN, ROUND)),
+    ],
+    ids=["one polynomial", "three phases", "waypoints", "periodic", "slower polynomial", "slower periodic"],
+)
+def test_an_enclosure_holds_the_path_and_its_derivatives_and_is_hardly_wider(path: Reference) -> None:
+    grid = np.union1d(path.joints, np.linspace(path.start_time, path.end_time, 33))
+    coefficients, radii = path.enclosure(a := grid[:-1], b := grid[1:], 4)
+    for share in np.linspace(-0.999, 0.999, 7):
+        found = np.polynomial.chebyshev.chebval(share, np.moveaxis(coefficients, -1, 0))
+        assert (np.abs(path.jet((a + b + share * (b - a)) / 2.0, 4) - found) <= radii).all()
+    assert (radii.max(axis=0) < 1e-11 * np.abs(coefficients).sum(axis=-1).max(axis=0)).all()
