@@ -193,7 +193,12 @@ class RunQuantity(Quantity):
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return the integrand for a system; raises `InvalidModel` if that does not report the quantity."""
-        return Named(self.of)(system) ** (1 + self.rms)
+        found: ca.SX = self.integrand(Named(self.of)(system))
+        return found
+
+    def integrand(self, value: Any) -> Any:
+        """Return what it integrates, from the reported quantity that it is of."""
+        return value**2 if self.rms else value
 
     def of_sum(self, total: Any, duration: Any) -> Any:
         """Return it from the integral over a duration in s."""

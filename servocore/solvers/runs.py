@@ -178,7 +178,7 @@ def with_run_quantities(solution: Solution) -> Solution:
     found, t = run_quantities(solution.channels), solution.t
     if not found:
         return solution
-    table = np.column_stack([solution.values, *(each.course(t, solution[each.of] ** (1 + each.rms)) for each in found)])
+    table = np.column_stack([solution.values, *(each.course(t, each.integrand(solution[each.of])) for each in found)])
     return replace(solution, channels=(*solution.channels, *found), values=table)
 
 

@@ -216,7 +216,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     names = [quantity.name for quantity in quantities]
     added_up = run_quantities(quantities)
     shown = *quantities, *added_up
-    rows |= {each.name: each.course(times, rows[each.of] ** (1 + each.rms)) for each in added_up}
+    rows |= {each.name: each.course(times, each.integrand(rows[each.of])) for each in added_up}
     source = {"points": points, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, [each.name for each in shown])
     if live and path_limits:
