@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
-from servocore.model.drives import Drive, driven
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, limit_named
 from servocore.model.system import MechanicalSystem
@@ -16,6 +15,9 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 from servocore.references.consistency import require_consistent
+
+if TYPE_CHECKING:
+    from servocore.model.drives import Drive
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Factory of a model. Equal factories share one model; one without a hash makes a new one every time."""
@@ -155,7 +157,11 @@ class Scene:
             raise InvalidModel(
                 f"{self.name}: the factory of {name} returned {described(system)}, not a MechanicalSystem"
             )
-        return driven(system, tuple(self.drives.items())) if self.drives else system
+        if not self.drives:
+            return system
+        from servocore.model.drives import driven  # noqa: PLC0415 - few scenes have them
+
+        return driven(system, tuple(self.drives.items()))
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if it does not fit.
@@ -277,6 +283,8 @@ class Scene:
         >>> sc.solve(crane).unit("M_b.motor_torque")
         'N.m'
         """
+        from servocore.model.drives import Drive  # noqa: PLC0415 - few scenes have them
+
         for name, drive in drives.items():
             require_kind(drive, (Drive, type(None)), f"the drive of {name}", "a Drive", InvalidModel)
         merged = {name: drive for name, drive in {**self.drives, **drives}.items() if drive is not None}
