@@ -56,7 +56,7 @@ class Element:
         with zipfile.ZipFile(io.BytesIO(self.fmu)) as archive:
             return ET.fromstring(archive.read("modelDescription.xml"))
 
-    @property
+    @cached_property
     def ports(self) -> list[dict[str, str]]:
         """Its numbers with their attributes, such as name, causality and unit; of a vector also the size."""
         if self.fmi == 2:
@@ -120,12 +120,13 @@ def packed_system(
                 if "size" in port:
                     add(place, "ssc:Dimension", size=port["size"])
                 units.add(port["unit"])
-        if common := [each.name for each in shared if each.name in element.named("parameter")]:
+        declared = element.named("parameter")
+        if common := [each.name for each in shared if each.name in declared]:
             mapping = f"resources/{element.name}.ssm"
             members[mapping] = parameter_mapping(common, fmi)
             binding = add(add(part, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=_SET)
             add(binding, "ssd:ParameterMapping", source=mapping)
-        _bind(part, {name: element.starts[name] for name in element.named("parameter") if name in element.starts})
+        _bind(part, {name: element.starts[name] for name in declared if name in element.starts})
     joints = add(system, "ssd:Connections")
     for (begin, output), (end, given) in wires:
         add(joints, "ssd:Connection", startElement=begin, startConnector=output, endElement=end, endConnector=given)
