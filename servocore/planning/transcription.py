@@ -97,7 +97,8 @@ class Task:
         All intervals are equally long, and points are evenly from start to end of each.
         """
         means = np.trapezoid(integrands, dx=1.0 / (integrands.shape[2] - 1)).mean(axis=1)
-        return np.asarray(duration * means - self.most)
+        over = duration * means - self.most
+        return np.where(np.isfinite(over), over, np.inf)
 
     def excess(self, values: Array) -> Array:
         """Return by how much rows (rows, intervals, points) are beyond their bounds; infinite where undefined."""
