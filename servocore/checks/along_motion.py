@@ -99,10 +99,10 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.mass_varies:
         return
-    few = np.linspace(0, len(t) - 1, _INSTANTS).astype(int)
+    few = np.arange(_INSTANTS) * (len(t) - 1) // (_INSTANTS - 1)
     t, q = t[few], q[:, few]
     masses = along_path(problem, _compiled_mass(problem.resolved), t, q)[0]
-    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(masses.T.reshape(len(t), len(q), len(q))))
+    eigenvalues = np.linalg.eigvalsh(np.where(np.isfinite(masses), masses, 0.0).T.reshape(len(t), len(q), len(q)))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])

@@ -177,14 +177,15 @@ class Branch:
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
         rows = self.rows
-        lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
-        lengths += np.where(rows.wraps[:, None], 0.0, np.abs(last[rows.values] - first[rows.values]))
-        allowed = np.maximum(DISAGREEMENT * lengths, slight * self.scale[:, None])
         missed, (known, velocities) = rows.missed(first, last, h), _velocity_rows(self.problem.array)
         # A velocity that changes over in the middle of an interval leaves the mean rate.
         missed[known] += np.abs(h) / 2.0 * velocities.missed(first, last, h)
-        are_apart: npt.NDArray[np.bool_] = ~(missed <= allowed).all(axis=0)  # so that NaN counts
-        return are_apart
+        allowed = slight * self.scale[:, None]
+        if not (missed <= allowed).all():
+            lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
+            lengths += np.where(rows.wraps[:, None], 0.0, np.abs(last[rows.values] - first[rows.values]))
+            allowed = np.maximum(DISAGREEMENT * lengths, allowed)
+        return ~np.asarray((missed <= allowed).all(axis=0))  # so that NaN counts
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
@@ -276,7 +277,7 @@ def on_one_branch(
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
-    solved, name = np.flatnonzero(np.isfinite(states).all(axis=0)), branch.problem.system.name
+    solved, name = np.flatnonzero(np.isfinite(states[0])), branch.problem.system.name
     if not len(solved):
         raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
     kept = states.copy() if len(solved) < len(t) else states

@@ -100,7 +100,7 @@ class Pointwise(JudgedRoute):
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         count, results = len(times), list[Array]()
-        chunk = count if evaluation.by_expression.ready(problem, count) else _CHUNK
+        chunk = count if count <= _CHUNK or evaluation.by_expression.ready(problem, count) else _CHUNK
         for k in range(0, count, chunk):
             columns = evaluation(problem, times[k : k + chunk])
             # Each row is contiguous, for the results are processed row by row.
@@ -110,11 +110,12 @@ class Pointwise(JudgedRoute):
             if progress is not None:
                 progress(min(k + chunk, count) - 1, count - 1)
         states, counts, residuals, *looked = results
-        good = np.isfinite(residuals[0])
+        good = np.isfinite(residuals)
         if not good.all():
             states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
+            residuals = np.where(good, residuals, 0.0)
         iterations, factorizations = counts.sum(axis=1).round()
-        worst = float(np.max(residuals[0, good], initial=0.0))
+        worst = float(residuals.max())
         return Run(program, times, states, int(iterations), int(factorizations), worst, tuple(looked))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +22,7 @@ LARGEST_RESIDUAL = 1e-9
 _MOST_OPERATIONS = 6000  # of equations that do not decouple; beyond, to compile takes longer than many solves
 _FEW_OPERATIONS = 2500  # to be differentiated
 _MOST_LOGARITHM = 650.0  # of a determinant: beyond, its sign counts alone
-_MOST_BY_FORMULA = 3  # rows of a block whose determinant is written out
+_MOST_TERMS = 128.0  # of a determinant that is written out
 _MOST_EXPLICIT = 10_000  # of equations that need no iterations, whatever the guess
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
@@ -161,7 +162,9 @@ def block_determinants(array: DerivativeArray, found: Array, entries: Array | No
 
 
 def _by_formula(block: Part) -> bool:
-    return len(block.rows) != len(block.columns) or len(block.rows) <= _MOST_BY_FORMULA
+    """Whether a determinant has few terms: at most the product of all (n!)^(1/n), with n entries in a row (Bregman)."""
+    terms = sum(math.lgamma(n + 1.0) / n for n in np.bincount(block.places[0]).tolist())
+    return len(block.rows) != len(block.columns) or terms <= math.log(_MOST_TERMS)
 
 
 @made_once
