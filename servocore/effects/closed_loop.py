@@ -10,7 +10,7 @@ import numpy as np
 from servocore.effects.model_inversion import Inverted
 from servocore.effects.position_loops import held, measured_in
 from servocore.errors import InvalidModel
-from servocore.numerics.compiled_calls import Array, Call, chained, mapped
+from servocore.numerics.compiled_calls import Array, Call, chained, mapped, repeated
 from servocore.numerics.memoization import made_once
 from servocore.problem import ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
@@ -215,7 +215,7 @@ def linear_answers(plant: Inverted, gains: Array, change: Array, hanging: tuple[
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:
     """Return outputs and hanging bodies, shape (N, outputs + hanging)."""
-    observed = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
+    observed = mapped(loop.seen, len(states))(states.T, repeated(p, len(states)))[0]
     return observed.reshape(-1, len(states), order="F").T
 
 
@@ -233,6 +233,6 @@ def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Arr
     """Return the states at the ends of all steps, shape (steps + 1, 2 n)."""
     steps = len(signals) // 2
     blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1).reshape(3 * steps, -1).T
-    repeated = [np.tile(argument[:, None], steps) for argument in held]
-    states = chained(loop.step, steps)(start, blocks, *repeated, np.full(steps, h))[0]
+    arguments = [repeated(argument, steps) for argument in held]
+    states = chained(loop.step, steps)(start, blocks, *arguments, np.full(steps, h))[0]
     return np.vstack([start, states.reshape(len(start), -1, order="F").T])

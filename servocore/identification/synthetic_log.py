@@ -10,7 +10,7 @@ from servocore.effects.position_loops import PositionLoops, held, measured_in, w
 from servocore.errors import IntegrationFailed, InvalidSetting, require_positive
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, chained
+from servocore.numerics.compiled_calls import Array, chained, repeated
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate, runge_kutta
@@ -120,9 +120,7 @@ def _driven(
     zero = np.asarray(ca.Function("y", [moved.system.q], [y])(still.start[: len(still.end)])).ravel()
     signals, m = motion.signals, len(zero)
     signals[:, m : 2 * m] += zero
-    given = (
-        np.tile(argument[:, None], count) for argument in (moved.p, gains.ravel(), np.array([max(resolution, 1e-12)]))
-    )
+    given = (repeated(argument, count) for argument in (moved.p, gains.ravel(), np.array([max(resolution, 1e-12)])))
     rows = chained(cycle, count)(np.concatenate([still.start, zero]), signals.T, *given)[1].T
     if not np.isfinite(rows).all():
         raise IntegrationFailed(f"{moved.system.name}: the plant does not survive its drives along this path")

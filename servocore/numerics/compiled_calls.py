@@ -110,7 +110,7 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
         instants = zip(*(column.T for column in columns), jets, strict=True)
         each = [call_of(function)(*states, jet.T, p) for *states, jet in instants]
         return tuple(np.column_stack(results) for results in zip(*each, strict=True))
-    results = mapped(function, len(jets))(*columns, side_by_side(jets), np.tile(p[:, None], len(jets)))
+    results = mapped(function, len(jets))(*columns, side_by_side(jets), repeated(p, len(jets)))
     sizes = [(function.size1_out(k), function.size2_out(k) * len(jets)) for k in range(function.n_out())]
     return tuple(result.reshape(size, order="F") for result, size in zip(results, sizes, strict=True))
 
@@ -125,6 +125,11 @@ def mapped(function: ca.Function, count: int) -> Call:
 def chained(function: ca.Function, count: int) -> Call:
     """Return `count` evaluations in a row, the first result of each being the first argument of the next."""
     return Call(function.mapaccum(f"{function.name()}_loop", count))
+
+
+def repeated(values: Array, count: int) -> Array:
+    """Return values (size,) as columns (size, count), in the order in which a `Call` reads them."""
+    return np.full((count, len(values)), values).T
 
 
 def side_by_side(jets: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.compiled_calls import Array, mapped
+from servocore.numerics.compiled_calls import Array, mapped, repeated
 from servocore.numerics.just_in_time import LANES, NAME, JustInTime
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Vectorized:
         for k in range(0, count, _AT_ONCE):
             size = min(_AT_ONCE, count - k)
             pairs = zip(arguments, self._along, strict=True)
-            some = (a[:, k : k + size] if along else np.tile(a[:, None], size) for a, along in pairs)
+            some = (a[:, k : k + size] if along else repeated(a, size) for a, along in pairs)
             results = mapped(self.function, size)(*some)
             parts.append([result.reshape(-1, size, order="F") for result in results])
         return [np.concatenate(of_parts, axis=1) for of_parts in zip(*parts, strict=True)] if parts[1:] else parts[0]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, chained, mapped
+from servocore.numerics.compiled_calls import Array, chained, mapped, repeated
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
@@ -110,7 +110,7 @@ def conserved_motion(
     while done < count:
         length = min(CHUNK, count - done)
         middles = np.minimum(t[0] + step * (done + 0.5 + np.arange(length)), t[-1])
-        arguments = (inputs.many(middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
+        arguments = (inputs.many(middles).T, np.full((1, length), step), repeated(problem.p, length))
         states, counts, residual, work = chained(scheme.step, length)(now[:-1], *arguments)
         table = np.vstack([states.reshape(len(now) - 1, -1, order="F"), now[-1] + np.cumsum(work.ravel())])
         bad = ~np.isfinite(table[:-1]).all(axis=0)
@@ -129,7 +129,7 @@ def conserved_motion(
     scaled = found[2 * n : -1] / step**2
     scaled[:, 0] = scaled[:, min(1, len(places) - 1)]
     states, forces = found[: 2 * n, here], (scaled[:, here] + scaled[:, after]) / 2
-    energy, turning = mapped(scheme.energy, len(at))(states[:n], states[n:], np.tile(problem.p[:, None], len(at)))
+    energy, turning = mapped(scheme.energy, len(at))(states[:n], states[n:], repeated(problem.p, len(at)))
     balance = np.column_stack([energy.ravel(), found[-1, here], turning.reshape(3, -1, order="F").T])
     return (states, forces, balance), (count, int(iterations), int(iterations), worst)
 

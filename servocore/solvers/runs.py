@@ -13,7 +13,7 @@ from servocore.checks.motion import Motion
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.formulations.reduced import Reduced
 from servocore.model.limits import run_quantities
-from servocore.numerics.compiled_calls import Array, at_instants, chained, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, chained, repeated, side_by_side
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
@@ -275,7 +275,7 @@ def advance_chunk(
         state,
         side_by_side(jets[1:]),
         np.full((1, length), step),
-        np.tile(problem.p[:, None], length),
+        repeated(problem.p, length),
     )
     states_after, counts = (array.reshape(-1, length, order="F")[:, :used] for array in (states_after, counts))
     worst = worst.ravel()[:used]

@@ -24,7 +24,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, 
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss
-from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, mapped, repeated, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import subdivided
@@ -290,7 +290,7 @@ def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], Arra
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
     h, nodes = bounded.nodes(mesh)
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
-    constant = (gamma, np.full(count, h), np.tile(problem.p[:, None], count))
+    constant = (gamma, np.full(count, h), repeated(problem.p, count))
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
     starts = width * np.arange(count)
     take = starts[:, None] + np.arange(width + size_x)

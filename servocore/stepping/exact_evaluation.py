@@ -14,7 +14,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, mapped, repeated, side_by_side
 from servocore.numerics.just_in_time import MANY, Use
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
@@ -260,7 +260,7 @@ def unknowns_from(problem: Problem, t: Array, guess: Array) -> Array:
     """Return the unknowns of the derivative array (size, N) at instants by Newton's method from guesses (size, N)."""
     jets, count = side_by_side(problem.reference.jet(t, problem.array.reference_order)), len(t)
     search = mapped(inversion(problem.array).search, count)
-    return search(jets, np.tile(problem.p[:, None], count), guess)[0].reshape(-1, count, order="F")
+    return search(jets, repeated(problem.p, count), guess)[0].reshape(-1, count, order="F")
 
 
 def guessed_unknowns(problem: Problem, t: Array) -> Array:
