@@ -13,18 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
-from servocore.checks.better_solutions import (
-    NOTICED,
-    BetterSolver,
-    Comparison,
-    compared_closely,
-    is_smooth,
-    stated_branch,
-)
+from servocore.checks.better_solutions import NOTICED, BetterSolver, Comparison, compared_closely, stated_branch
 from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.formulations.base import Formulation
+from servocore.formulations.original import Original
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Method
+from servocore.methods.base import Method, errs_less_with_smaller_steps
 from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.numerics.memoization import made_once
@@ -92,18 +86,37 @@ class Stepped(JudgedRoute):
             if motion is not None and motion.values is not None:
                 parts = (len(motion.t) - 1) // (len(solution.t) - 1)
                 exact = motion.values[:, ::parts].T
-                comparison = Comparison(problem.system.inputs, solution, exact, "the exact inversion")
+                known = np.ones(len(problem.system.inputs), dtype=bool)
+                comparison = Comparison(solution, exact, "the exact inversion", known)
         # Of unstable dynamics its user was warned before the run.
         elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
             comparison = compared_closely(problem, self.better(problem), solution)
-        return stated_branch(problem, solution, (self.formulation, self.method), comparison)
+        return stated_branch(problem, solution, comparison, self._advice(problem))
 
     def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
-        """Whether inputs may be far from right, with internal dynamics that do not grow."""
+        """Whether inputs may be far from right, with internal dynamics that do not grow.
+
+        Stable results of collocation on a form of index one are right where third differences of all values are small.
+        """
         estimate = solution.statistics.error_estimate
         if estimate is not None:
             return not estimate <= NOTICED
-        return not is_smooth(problem, self.formulation, self.method, solution)
+        index, values = problem.dae(self.formulation).index, solution.values
+        stable = index <= 1 and isinstance(self.method, RadauIIA) and self.method.orders(index).forces > 1
+        allowed = NOTICED * np.ptp(values, axis=0)
+        return not (stable and len(values) > 3 and (np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= allowed).all())
+
+    def _advice(self, problem: Problem) -> str:
+        """Return the advice: the default route, unless this is it, and smaller steps only where the inputs converge."""
+        index, advice = problem.dae(self.formulation).index, list[str]()
+        if problem.flat:
+            advice.append("the default route, solve without a form and a method, has no step")
+        elif index > 1 or self.method != RadauIIA(3):
+            advice.append("the default route, solve without a form and a method, errs less")
+        converges = self.method.orders(index).forces >= 1 and errs_less_with_smaller_steps(self.method, index)
+        if converges and not isinstance(self.formulation, Original):
+            advice.append("a smaller step errs less")
+        return "; ".join(advice)
 
 
 class FixedStep(Stepped):

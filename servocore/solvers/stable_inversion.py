@@ -92,7 +92,7 @@ class StableInversion(JudgedRoute):
         """Judge a solution whose tolerance is loose; see `JudgedRoute`."""
         loose = self.tolerance > NOTICED
         comparison = compared_closely(problem, self.better(problem), solution) if loose else None
-        return stated_branch(problem, solution, (Reduced(), None), comparison)
+        return stated_branch(problem, solution, comparison, "take a smaller tolerance for StableInversion")
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
