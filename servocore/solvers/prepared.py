@@ -17,7 +17,6 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from servocore.errors import (
     InconsistentStart,
@@ -53,6 +52,8 @@ _DIVERGED = 100.0  # times the least error, with several times as many elements:
 _LOOSE = 3e-3  # of the root of a tolerance, for corrections of Newton's method
 _MOST_LOOPS = 32  # functions of whole runs that are kept
 _TRUTH = Reduced(), RadauIIA(5)
+
+Steps = npt.NDArray[np.intp]
 
 
 def prepare(
@@ -239,7 +240,7 @@ class PreparedInversion:
         self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
         self._route = route
         self._problem, self._own = problem, self._posed(problem)
-        self._known: dict[tuple[bytes, float, float], csr_array] = {}
+        self._known: dict[tuple[bytes, float, float], tuple[Steps, Array]] = {}
 
     def __call__(
         self,
@@ -312,26 +313,25 @@ class PreparedInversion:
         """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
         whole = self._code.best(self.elements) or self._interpreted
         (states,) = call_of(whole.run)(*posed)
-        found: Array = self._weights(problem.reference, t) @ states.ravel(order="F")
-        return found.reshape(len(t), len(self.inputs))
+        step, weights = self._weights(problem.reference, t)
+        return np.asarray(np.einsum("nij,jn->ni", weights, states[:, step]))
 
-    def _weights(self, reference: Reference, t: Array) -> csr_array:
-        """Return the matrix from states to inputs; the last is kept: callers often use the same times again."""
+    def _weights(self, reference: Reference, t: Array) -> tuple[Steps, Array]:
+        """Return the steps at times, (N,), and the weights of the states at their ends, (N, inputs, entries).
+
+        The last are kept: callers often use the same times again.
+        """
         h = reference.duration / self.elements
         key = t.tobytes(), h, reference.start_time
         if key not in self._known:
             place = (t - key[2]) / h
-            step = np.clip(np.ceil(place), 0, self.elements).astype(np.int32)
+            step = np.clip(np.ceil(place), 0, self.elements).astype(np.intp)
             # The first state is that at the end of a step before the path.
             fractions = np.where(step > 0, place - step + 1, 1.0)
             dense, entries = _dense_output(self.program)
-            rows = [call_of(dense)(fraction, h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
-            size, count = len(self.inputs), len(entries)
-            columns = np.repeat(step * count, size)[:, None] + np.arange(count, dtype=np.int32)
-            values = np.array(rows).reshape(columns.shape)
-            ends = np.arange(len(values) + 1, dtype=np.int32) * count
-            shape = len(values), (self.elements + 1) * count
-            self._known = {key: csr_array((values.ravel(), columns.ravel(), ends), shape)}
+            shape = len(self.inputs), len(entries)
+            weights = [call_of(dense)(fraction, h)[0].reshape(shape, order="F") for fraction in fractions]
+            self._known = {key: (step, np.array(weights).reshape(-1, *shape))}
         return self._known[key]
 
 
