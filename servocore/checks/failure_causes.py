@@ -7,7 +7,6 @@ of reach, and at a solution where the equations have lost rank.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -54,52 +53,47 @@ def _jump(problem: Problem) -> str:
     return f"{problem.system.name}: {jump.what}" if jump else ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Reach:
-    """Functions for the least distance of a system from a point of its path."""
+Nearest = Callable[[float, list[Array]], tuple[Array, float, Array]]
+"""(time, configurations to start from) -> the configuration nearest to the path there, the largest miss of an output
+relative to the size of the path, and the misses (outputs,) in their units; configurations in nominal magnitudes."""
 
-    problem: Problem
-    rows: Call
-    size: Array
-    held: Array
 
-    @classmethod
-    def of(cls, problem: Problem) -> _Reach:
-        reference = problem.reference
-        times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-        # Outputs of one unit have one scale, so that distances are those in space.
-        units = np.array([quantity.unit for quantity in problem.system.outputs])
-        largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
-        size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
-        size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
-        nominal = np.array(problem.system.coordinates.nominal)
-        residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
-        # Constraints hold to a part of the change of their rows over the range of a coordinate.
-        scale = np.abs(np.nan_to_num(jacobian.reshape(len(residual), -1)) * nominal).max(axis=1)
-        scale = np.where(scale > 0.0, scale, 1.0)[: len(residual) - len(size)]
-        return cls(problem, rows, size, _HELD / scale)
+def _nearest_of(problem: Problem) -> Nearest:
+    """Return the search for the configurations of a system that are nearest to its path."""
+    reference, nominal = problem.reference, np.array(problem.system.coordinates.nominal)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
+    # Outputs of one unit have one scale, so that distances are those in space.
+    units = np.array([quantity.unit for quantity in problem.system.outputs])
+    largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
+    size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
+    size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
 
-    def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
-        """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
-        place, found = self.problem.reference.jet(time, 0)[0], list[tuple[Array, Array]]()
+    def rows(x: Array, place: Array) -> tuple[Array, Array]:
+        residual, jacobian = constraint_rows(problem.resolved)(x * nominal, place, problem.p)
+        return residual, jacobian.reshape(len(residual), -1) * nominal
+
+    # Constraints hold to a part of the change of their rows over the range of a coordinate.
+    _, jacobian = rows(_guess(problem, float(times[0])), reference.jet(float(times[0]), 0)[0])
+    scale = np.abs(np.nan_to_num(jacobian)).max(axis=1)
+    constraints = len(scale) - len(size)
+    weights = np.concatenate([_HELD / np.where(scale > 0.0, scale, 1.0)[:constraints], 1.0 / size])
+
+    def nearest(time: float, starts: list[Array]) -> tuple[Array, float, Array]:
+        place, found = reference.jet(time, 0)[0], list[tuple[Array, Array]]()
+
+        def weighed(x: Array) -> tuple[Array, Array]:
+            residual, jacobian = rows(x, place)
+            return residual * weights, jacobian * weights[:, None]
+
         for start in starts:
-            found.append(_least_squares(lambda x: self._weighed(x, place), start))
+            found.append(_least_squares(weighed, start))
             if np.linalg.norm(found[-1][1]) < _REACHED:
                 break
         x, residual = min(found, key=lambda each: float(np.linalg.norm(each[1])))
-        return x, residual[len(residual) - len(self.size) :] * self.size
+        missed = residual[constraints:]
+        return x, float(np.abs(missed).max(initial=0.0)), missed * size
 
-    def missed(self, miss: Array) -> bool:
-        """Whether a miss is one."""
-        return bool(not np.abs(miss / self.size).max(initial=0.0) < _REACHED)
-
-    def _weighed(self, x: Array, place: Array) -> tuple[Array, Array]:
-        problem, nominal = self.problem, np.array(self.problem.system.coordinates.nominal)
-        residual, jacobian = self.rows(x * nominal, place, problem.p)
-        weights = np.concatenate([self.held, 1.0 / self.size])
-        jacobian = jacobian.reshape(len(residual), -1) * nominal
-        return residual * weights, jacobian * weights[:, None]
+    return nearest
 
 
 def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
@@ -121,21 +115,21 @@ def out_of_reach(problem: Problem) -> str:
     Every configuration that the holonomic constraints allow counts. The nearest one to a point may be a saddle, as the
     axis of a crane is on the way to the other side: a miss counts if starts from all around lead to no better one.
     """
-    reference, reach = problem.reference, _Reach.of(problem)
-    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-    x, missed = _guess(problem, float(times[0])), list[tuple[float, int, Array]]()
+    reference, nearest = problem.reference, _nearest_of(problem)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS).tolist()
+    x, missed = _guess(problem, times[0]), dict[int, float]()
     for k, time in enumerate(times):
-        x, miss = reach.nearest(float(time), [x, _guess(problem, float(time))])
-        if reach.missed(miss):
-            missed.append((float(np.abs(miss / reach.size).max()), k, miss))
+        x, far, _ = nearest(time, [x, _guess(problem, time)])
+        if not far < _REACHED:
+            missed[k] = far
     while missed:
-        _, k, miss = max(missed, key=lambda each: each[0])
-        _, again = reach.nearest(float(times[k]), _around(problem, x))
-        if reach.missed(again):
-            first = min(k for _, k, _ in missed)
-            begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
-            return _miss_in_words(problem, begin, float(times[k]), again)
-        missed = [each for each in missed if each[1] != k]
+        k = max(missed, key=missed.__getitem__)
+        _, far, miss = nearest(times[k], _around(problem, x))
+        if not far < _REACHED:
+            first = min(missed)
+            begin = _first_missed(problem, nearest, times[first - 1], times[first]) if first else times[0]
+            return _miss_in_words(problem, begin, times[k], miss)
+        del missed[k]
     return ""
 
 
@@ -164,10 +158,10 @@ def _around(problem: Problem, x: Array) -> list[Array]:
     return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
 
 
-def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
+def _first_missed(problem: Problem, nearest: Nearest, good: float, bad: float) -> float:
     guess = _guess(problem, good)
     starts = [guess, *_around(problem, guess)]
-    return bisected(lambda time: not reach.missed(reach.nearest(time, starts)[1]), good, bad, BISECTIONS // 2)[1]
+    return bisected(lambda time: nearest(time, starts)[1] < _REACHED, good, bad, BISECTIONS // 2)[1]
 
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
