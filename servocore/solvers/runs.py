@@ -150,7 +150,13 @@ def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array
         known = at_instants(program.observe, segment.states, jets=jets[:, :orders], p=problem.p)
     observed, violations, *_ = known or along_path(problem, program.observe, t, segment.states)
     table = observed.T
-    _require_numbers(problem, program, t, table)
+    finite = np.isfinite(table[:, : len(problem.system.inputs)])
+    if not finite.all():  # no equation of the derivative array may show that
+        k, j = np.argwhere(~finite)[0]
+        raise IntegrationFailed(
+            f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
+            " no finite number there, as v/|v| is none at rest"
+        )
     if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
         require_less_than_half_a_turn(problem, program, t, table)
     for k, channel in enumerate(program.channels):
@@ -160,17 +166,6 @@ def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array
             first = int((~(table[:, k] > 0.0)).argmax())
             program.require_branch(table[first], float(t[first]))
     return table, violations
-
-
-def _require_numbers(problem: Problem, program: Program, t: Array, table: Array) -> None:
-    """Raise `IntegrationFailed` if an input is not finite: no equation of the derivative array may show that."""
-    finite = np.isfinite(table[:, : len(problem.system.inputs)])
-    if not finite.all():
-        k, j = np.argwhere(~finite)[0]
-        raise IntegrationFailed(
-            f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
-            " no finite number there, as v/|v| is none at rest"
-        )
 
 
 def with_run_quantities(solution: Solution) -> Solution:
