@@ -19,6 +19,7 @@ from servocore.errors import (
     InvalidSetting,
     described,
     require_callable,
+    require_positive,
     require_real,
 )
 from servocore.model.quantity import Quantity
@@ -113,9 +114,7 @@ def simulate(
     require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
     for what, value in (("rtol", rtol), ("atol", atol), ("time_limit", time_limit if time_limit is not None else 1.0)):
-        require_real(value, what, "a positive number", InvalidSetting)
-        if not 0.0 < value < float("inf"):
-            raise InvalidSetting(f"{what} must be positive and finite, not {value}")
+        require_positive(value, what, "a positive number")
     if rtol < _SMALLEST_RTOL:
         raise InvalidSetting(f"rtol must be {_SMALLEST_RTOL:g} or more, not {rtol:g}: numbers are no more accurate")
     if isinstance(inputs, Solution):

@@ -142,11 +142,6 @@ class _Bounded:
     method: Gauss
     periodic: bool
 
-    def nodes(self, mesh: Array) -> tuple[float, Array]:
-        """Return the length of the intervals of a mesh, and all nodes in them."""
-        h = (mesh[-1] - mesh[0]) / (len(mesh) - 1)
-        return h, (mesh[:-1, None] + h * self.method.tableau.c).ravel()
-
     @property
     def conditions(self) -> tuple[Array, Array, Array]:
         """L, R, b of the boundary conditions L x + R x = b with the internal states x at the left and right end."""
@@ -236,8 +231,10 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     """Solve on a mesh of equal intervals; returns x at the mesh points and the Newton iterations."""
     import scipy.sparse.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    linearized, ends = _collocation(bounded, mesh)
-    y = _quasi_static(bounded, mesh)
+    h = step_of(mesh)
+    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
+    linearized, ends = _collocation(bounded, h, nodes)
+    y = _quasi_static(bounded, nodes)
     residual, jacobian = linearized(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         try:
@@ -263,17 +260,16 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     )
 
 
-def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], tuple[Array, Any]], Places]:
+def _collocation(bounded: _Bounded, h: float, nodes: Array) -> tuple[Callable[[Array], tuple[Array, Any]], Places]:
     """Return the function from unknowns of the whole horizon to residual and Jacobian, and where x at mesh points is.
 
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
     import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
+    problem, dae, count = bounded.problem, bounded.dae, len(nodes) // bounded.method.stages
     one, (rows, columns) = _interval(problem.resolved, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
-    h, nodes = bounded.nodes(mesh)
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
     constant = (gamma, np.full(count, h), np.tile(problem.p[:, None], count))
     evaluate, starts = mapped(one, count), width * np.arange(count + 1)[:, None]
@@ -294,14 +290,12 @@ def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], tupl
     return linearized, starts + np.arange(size_x)
 
 
-def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
+def _quasi_static(bounded: _Bounded, nodes: Array) -> Array:
     """Return a first guess: the internal states at rest, everything else following the reference."""
-    reference, count = bounded.problem.reference, len(mesh) - 1
-    _, nodes = bounded.nodes(mesh)
+    reference, size_x = bounded.problem.reference, bounded.dae.x.numel()
     # From one rest to the other along with the path: forward integration as a guess would blow up.
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
-    stage = of_states(bounded.problem, nodes, states.T).T.reshape(count, -1)
-    size_x = bounded.dae.x.numel()
+    stage = of_states(bounded.problem, nodes, states.T).T.reshape(len(nodes) // bounded.method.stages, -1)
     inside = np.hstack([stage[:, :size_x], stage]).ravel()
     return np.concatenate([inside, bounded.right.states])
