@@ -131,31 +131,18 @@ def prepare(
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
     require_stable(problem)
     exact = solve(scene, *_TRUTH, model=model, start=start)
-    trial = problem, FixedStep(formulation, method, native=False), exact
-    found = _tried(*trial, int(elements)) if elements is not None else _fewest(*trial, tolerance)
-    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements, found.newton)
-    run.error = found.error
-    return run
+    newton = NEWTON_TOLERANCE
+    if elements is None:
+        elements, newton = _fewest(problem, FixedStep(formulation, method, native=False), exact, tolerance)
+    return PreparedInversion(problem, FixedStep(formulation, method, native), exact, int(elements), newton)
 
 
-def _tried(
-    problem: Problem, route: FixedStep, exact: Solution, elements: int, newton: float = NEWTON_TOLERANCE
-) -> PreparedInversion:
-    """Prepare a run, interpreted, and measure its error against exact inputs."""
-    run = PreparedInversion(problem, route, elements, newton)
-    inputs = exact.values[:, : len(run.inputs)]
-    with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
-        off = np.abs(run._read(run._problem, run._own, exact.t) - inputs).max(axis=0)
-        run.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
-    return run
-
-
-def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: float) -> PreparedInversion:
-    """Return the run with the fewest elements that keeps a tolerance."""
+def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: float) -> tuple[int, float]:
+    """Return the fewest elements that keep a tolerance, and the largest correction of Newton's method that does."""
     best, count = None, float(_FEWEST)
     while count <= _MOST and (best is None or best.error > tolerance):
         with suppress(InconsistentStart):  # steps so long that the past of a multistep method has no solution
-            found = _tried(problem, route, exact, round(count))
+            found = PreparedInversion(problem, route, exact, round(count))
             best = found if best is None or found.error < best.error else best
             if found.error > _DIVERGED * best.error and count > 4 * best.elements:
                 break
@@ -168,8 +155,9 @@ def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: floa
             " as elements get shorter"
         )
     # Errors of Newton's method are the square of its last correction, which an iteration less often keeps small.
-    loose = _tried(problem, route, exact, best.elements, max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE))
-    return loose if loose.error <= tolerance else best
+    newton = max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE)
+    loose = PreparedInversion(problem, route, exact, best.elements, newton)
+    return best.elements, newton if loose.error <= tolerance else NEWTON_TOLERANCE
 
 
 @partial(made_once, most=_MOST_LOOPS)
@@ -213,6 +201,8 @@ class PreparedInversion:
         With the scene's own parameters and path.
     route : FixedStep
         Form and method.
+    exact : Solution
+        Inputs on the scene's own path, to measure the error.
     elements : int
         Number of steps from start to end.
     newton : float
@@ -232,15 +222,21 @@ class PreparedInversion:
         The compiled form and method.
     """
 
-    def __init__(self, problem: Problem, route: FixedStep, elements: int, newton: float = NEWTON_TOLERANCE) -> None:
+    def __init__(
+        self, problem: Problem, route: FixedStep, exact: Solution, elements: int, newton: float = NEWTON_TOLERANCE
+    ) -> None:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
-        self.elements, self.error = elements, float("nan")
+        self.elements = elements
         self.program = program = program_of(problem, route.formulation, route.method)
         self.newton, self._interpreted = newton, _whole(program, elements, newton)
         self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
         self._route = route
         self._problem, self._own = problem, self._posed(problem)
         self._known: dict[tuple[bytes, float, float], tuple[Steps, Array]] = {}
+        inputs = exact.values[:, : len(self.inputs)]
+        with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
+            off = np.abs(self._read(self._interpreted.run, problem, self._own, exact.t) - inputs).max(axis=0)
+            self.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
 
     def __call__(
         self,
@@ -278,7 +274,8 @@ class PreparedInversion:
             problem = self._changed(parameters or {}, path)
             posed = self._posed(problem)
         require_inside(problem.reference, times)
-        found = self._read(problem, posed, times.ravel())
+        whole = self._code.best(self.elements) or self._interpreted
+        found = self._read(whole.run, problem, posed, times.ravel())
         if not np.isfinite(found).all():
             # This names instant, quantity and causes.
             self._route.run(problem, time_grid(problem.reference, problem.reference.duration / self.elements))
@@ -309,10 +306,9 @@ class PreparedInversion:
         nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * h).ravel()
         return first, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), h, problem.p
 
-    def _read(self, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:
+    def _read(self, run: ca.Function, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:
         """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
-        whole = self._code.best(self.elements) or self._interpreted
-        (states,) = call_of(whole.run)(*posed)
+        (states,) = call_of(run)(*posed)
         step, weights = self._weights(problem.reference, t)
         return np.asarray(np.einsum("nij,jn->ni", weights, states[:, step]))
 
