@@ -5,7 +5,7 @@ Of many cases, too, with other parameters and other paths, for `Batch`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -193,10 +193,8 @@ class DynamicInversion:
                 )
             groups.setdefault((path.formula, path.start_time, path.end_time), []).append(case)
         for group in groups.values():
-            alone = all(paths[case] is paths[group[0]] for case in group)
-            group_paths = [paths[group[0]]] if alone else [paths[case] for case in group]
-            steps = compile_explicit_steps(self._problem.resolved, group_paths[0].formula, self._native, names)
-            self._solve(steps, inputs, np.array(group), group_paths, t, np.ascontiguousarray(p[group]))
+            steps = compile_explicit_steps(self._problem.resolved, paths[group[0]].formula, self._native, names)
+            self._solve(steps, inputs, np.array(group), [paths[case] for case in group], t, p[group])
         return inputs
 
     def _solve(
@@ -204,7 +202,7 @@ class DynamicInversion:
     ) -> None:
         """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
         compared = np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED)
-        start, count, size = self._starts(paths, p), self.steps, len(self.inputs)
+        start, count, size = self._starts(_of(paths, range(len(paths))), p), self.steps, len(self.inputs)
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
             if not len(left):
@@ -274,6 +272,7 @@ def _judged(
         return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
 
 
-def _of(paths: list[Reference], cases: Cases) -> list[Reference]:
-    """Return the paths of some cases; one for all stays one."""
-    return paths if len(paths) == 1 else [paths[case] for case in cases]
+def _of(paths: list[Reference], cases: Iterable[int]) -> list[Reference]:
+    """Return the paths of some cases; one that all of them share once."""
+    chosen = [paths[case] for case in cases]
+    return chosen[:1] if all(path is chosen[0] for path in chosen) else chosen
