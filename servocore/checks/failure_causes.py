@@ -21,7 +21,7 @@ from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
-from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
 
@@ -191,8 +191,6 @@ def singular(problem: Problem) -> str:
     states, _ = exact_unknowns(problem, times)
     for k, time in enumerate(times):
         values, jet = states[:, k], side_by_side(reference.jet(np.array([time]), array.reference_order))
-        if not np.isfinite(values).all() and last is not None:
-            values = unknowns_from(problem, times[k : k + 1], last[:, None])[:, 0]
         if not np.isfinite(values).all():
             values = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
         if not np.isfinite(values).all():

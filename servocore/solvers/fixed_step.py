@@ -40,7 +40,7 @@ from servocore.solvers.runs import (
 )
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
-from servocore.stepping.program import Program, program_of
+from servocore.stepping.program import program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
 
@@ -292,16 +292,13 @@ class ToTolerance(Stepped):
                     return replace(fine, statistics=replace(fine.statistics, steps=total, error_estimate=error))
                 # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
                 if ratio is not None and ratio[unmet].min() < _STAGNATION:
-                    raise IntegrationFailed(_stagnation(problem, program, control, relative, count))
+                    worst = int(relative.argmax())
+                    raise IntegrationFailed(
+                        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at"
+                        f" {relative[worst]:.2g} of its peak after {count} steps, but rtol is {control.rtol:g}; likely"
+                        " causes: round-off, which grows like 1/h^2 on this form, a method that does not damp errors of"
+                        " the inputs, or a path that is not smooth enough"
+                    )
                 last_change = change
             coarse, division = fine, 2 * division
         raise IntegrationFailed(f"{program.name}: {_MOST_STEPS} steps are not enough")
-
-
-def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:
-    worst = int(relative.argmax())
-    return (
-        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
-        f" after {count} steps, but rtol is {control.rtol:g}; likely causes: round-off, which grows like 1/h^2 on"
-        f" this form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
-    )

@@ -107,19 +107,12 @@ def solution_of(
         for k, channel in enumerate(program.channels):
             if channel.wraps:
                 values[:, k] = np.unwrap(values[:, k])
-    servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
-    summary = Statistics(
-        len(t) - 1,
-        sum(segment.newton_iterations for segment in segments),
-        sum(segment.factorizations for segment in segments),
-        max(segment.worst_residual for segment in segments),
-        servo,
-        servo_rate,
-        constraint,
-        constraint_rate,
-        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
-        branch=branch,
-    )
+    iterations = sum(part.newton_iterations for part in segments)
+    factorizations = sum(part.factorizations for part in segments)
+    c, c_dot, g, g_dot = violations.max(axis=1).tolist()
+    totals = len(t) - 1, iterations, factorizations, max(part.worst_residual for part in segments)
+    choices = 1 + sum(a.program is not b.program for a, b in pairwise(segments))
+    summary = Statistics(*totals, c, c_dot, g, g_dot, choices_of_states=choices, branch=branch)
     fit_error = problem.reference.fit_error
     return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
 
@@ -281,13 +274,11 @@ def advance_chunk(
         # Where CasADi gives up, all of the loop is lost: a part of it ends at a good state.
         half = length // 2
         return advance_chunk(problem, program, t[: half + 1], step, state, half)
-    iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
-    worst_residual = float(worst[:good].max(initial=0.0))
-    run = Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual)
-    if program.nodes[-1] == 1.0:  # of the end of a step
-        run = replace(run, jets=jets[:: len(program.nodes)][: good + 1])
-    return run, good == used
+    iterations, factorizations = (round(total) for total in counts[:, :good].sum(axis=1))
+    residual = float(worst[:good].max(initial=0.0))
+    at_ends = jets[:: len(program.nodes)][: good + 1] if program.nodes[-1] == 1.0 else None
+    return Run(program, t[: good + 1], states, iterations, factorizations, residual, jets=at_ends), good == used
 
 
 _STICKS = (
