@@ -189,24 +189,39 @@ def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstim
     return ErrorEstimate(dict.fromkeys(peaks), peaks, f"unknown: {why}")
 
 
-def stated_branch(problem: Problem, solution: Solution, comparison: Comparison | None, advice: str) -> str:
+def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | None, advice: str) -> str:
     """Warn if inputs are far from better ones, and return on which branch the motion of a solution is.
+
+    It is compared with better values, those of steps at some hundred instants only. If there are none, warn of inputs
+    that nothing confirms.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         The problem, and the result.
-    comparison : Comparison or None
-        With better values; None where none are known.
+    better : BetterSolver or None
+        Of better values; None where the result is not doubtful.
     advice : str
         Remedy for inputs that are far off.
     """
     columns = [solution.names.index(name) for name in problem.system.coordinates.names]
+    comparison = None
+    if better is not None:
+        every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
+        kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
+        try:
+            comparison = better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
+        except ServocoreError as error:
+            warnings.warn(
+                f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"
+                f" {error}",
+                ServocoreWarning,
+                stacklevel=5,
+            )
     if comparison is not None:
         warn_of_wrong_inputs(solution, comparison, advice)
-        run, better = comparison.solution.values[:, columns], comparison.better[:, columns]
-        allowed = LARGEST_UNWARNED * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
-        far = np.abs(run - better) > allowed
+        own, exact = comparison.solution.values[:, columns], comparison.better[:, columns]
+        far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
         if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
@@ -218,21 +233,3 @@ def stated_branch(problem: Problem, solution: Solution, comparison: Comparison |
         return said
     time = comparison.solution.t[far.any(axis=1).argmax()]
     return f"{said}, and {comparison.basis} gives another motion from t = {time:.6g} s"
-
-
-def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
-    """Compare a solution with better values, those of steps at some hundred instants only.
-
-    If there are none, warn of inputs that nothing confirms, and return None.
-    """
-    every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
-    kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-    try:
-        return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
-    except ServocoreError as error:
-        warnings.warn(
-            f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong: {error}",
-            ServocoreWarning,
-            stacklevel=5,
-        )
-        return None

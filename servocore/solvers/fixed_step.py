@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
-from servocore.checks.better_solutions import NOTICED, BetterSolver, Comparison, compared_closely, stated_branch
+from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
 from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.formulations.base import Formulation
 from servocore.formulations.original import Original
@@ -80,18 +80,15 @@ class Stepped(JudgedRoute):
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
-        comparison = None
+        better, motion = None, solution.motion
         if problem.flat:
-            motion = solution.motion
             if motion is not None and motion.values is not None:
-                parts = (len(motion.t) - 1) // (len(solution.t) - 1)
-                exact = motion.values[:, ::parts].T
-                known = np.ones(len(problem.system.inputs), dtype=bool)
-                comparison = Comparison(solution, exact, "the exact inversion", known)
+                exact = replace(solution, t=motion.t, values=motion.values.T)
+                better = BetterSolver(lambda *_: exact, True, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
         elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
-            comparison = compared_closely(problem, self.better(problem), solution)
-        return stated_branch(problem, solution, comparison, self._advice(problem))
+            better = self.better(problem)
+        return stated_branch(problem, solution, better, self._advice(problem))
 
     def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow.

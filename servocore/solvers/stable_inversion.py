@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.better_solutions import NOTICED, BetterSolver, compared_closely, stated_branch
+from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
 from servocore.checks.findings import ROUND_OFF
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
@@ -90,9 +90,8 @@ class StableInversion(JudgedRoute):
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Judge a solution whose tolerance is loose; see `JudgedRoute`."""
-        loose = self.tolerance > NOTICED
-        comparison = compared_closely(problem, self.better(problem), solution) if loose else None
-        return stated_branch(problem, solution, comparison, "take a smaller tolerance for StableInversion")
+        better = self.better(problem) if self.tolerance > NOTICED else None
+        return stated_branch(problem, solution, better, "take a smaller tolerance for StableInversion")
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
