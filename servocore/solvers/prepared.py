@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -160,33 +159,28 @@ def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: floa
     return best.elements, newton if loose.error <= tolerance else NEWTON_TOLERANCE
 
 
+_bare_step = made_once(compile_bare_step)
+
+
 @partial(made_once, most=_MOST_LOOPS)
-def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
+def _whole(program: Program, elements: int, newton: float) -> ca.Function:
     """Return a whole run as one function, (state, gamma, h, p) -> entries of the states at both ends of every step.
 
     They are NaN after a step that is not solved or ends with a wrong sign.
     """
-    step, (_, entries) = _bare_step(program.discretization, newton), _dense_output(program)
+    step, observe, (_, entries) = _bare_step(program.discretization, newton), program.observe, _dense_output(program)
+    given = [ca.SX.sym("argument", *observe.size_in(k)) for k in range(3)]
+    sound = ca.SX(0)
+    for channel, value in zip(program.channels, ca.vertsplit(observe.call(given)[0]), strict=True):
+        if channel.positive and not ca.depends_on(value, given[1]):
+            sound += ca.if_else(value > 0, 0.0, np.nan)
+    verdict = ca.Function("sc_verdict", given[::2], [sound])
     state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
     gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
     after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
-    verdict = _verdict(program).map(elements)(after, ca.repmat(p, 1, elements))
-    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
-    return SimpleNamespace(run=ca.Function("sc_run", [state, gamma, h, p], [solved]))
-
-
-_bare_step = made_once(compile_bare_step)
-
-
-def _verdict(program: Program) -> ca.Function:
-    """Return (state, p) -> zero, or NaN where a quantity has a wrong sign."""
-    observe = program.observe
-    state, gamma, p = (ca.SX.sym("argument", *observe.size_in(k)) for k in range(3))
-    values, verdict = observe(state, gamma, p)[0], ca.SX(0)
-    for channel, value in zip(program.channels, ca.vertsplit(values), strict=True):
-        if channel.positive and not ca.depends_on(value, gamma):
-            verdict += ca.if_else(value > 0, 0.0, np.nan)
-    return ca.Function("sc_verdict", [state, p], [verdict])
+    signs = verdict.map(elements)(after, ca.repmat(p, 1, elements))
+    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(signs, len(entries), 1))
+    return ca.Function("sc_run", [state, gamma, h, p], [solved])
 
 
 class PreparedInversion:
@@ -220,6 +214,8 @@ class PreparedInversion:
         Largest error of the inputs on the scene's own path, relative to their peaks, at 201 instants.
     program : Program
         The compiled form and method.
+    whole : casadi.Function
+        A whole run, interpreted.
     """
 
     def __init__(
@@ -228,14 +224,14 @@ class PreparedInversion:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self.elements = elements
         self.program = program = program_of(problem, route.formulation, route.method)
-        self.newton, self._interpreted = newton, _whole(program, elements, newton)
-        self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
+        self.newton, self.whole = newton, _whole(program, elements, newton)
+        self._code = in_machine_code(self, ("whole",), program.name, route.native)
         self._route = route
         self._problem, self._own = problem, self._posed(problem)
         self._known: dict[tuple[bytes, float, float], tuple[Steps, Array]] = {}
         inputs = exact.values[:, : len(self.inputs)]
         with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
-            off = np.abs(self._read(self._interpreted.run, problem, self._own, exact.t) - inputs).max(axis=0)
+            off = np.abs(self._read(self.whole, problem, self._own, exact.t) - inputs).max(axis=0)
             self.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
 
     def __call__(
@@ -274,8 +270,8 @@ class PreparedInversion:
             problem = self._changed(parameters or {}, path)
             posed = self._posed(problem)
         require_inside(problem.reference, times)
-        whole = self._code.best(self.elements) or self._interpreted
-        found = self._read(whole.run, problem, posed, times.ravel())
+        best = self._code.best(self.elements) or self
+        found = self._read(best.whole, problem, posed, times.ravel())
         if not np.isfinite(found).all():
             # This names instant, quantity and causes.
             self._route.run(problem, time_grid(problem.reference, problem.reference.duration / self.elements))

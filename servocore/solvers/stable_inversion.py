@@ -159,7 +159,9 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
         raise InvalidSetting(f"{name} has no internal dynamics; Reduced is exact, no boundary values are needed")
     require_derivatives(problem, array.reference_order, f"{name} needs")
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
-    periodic = _repeats(ends, reference.duration)
+    scaled = ends * reference.duration ** np.arange(ends.shape[1])[:, None]
+    moves = np.abs(scaled[:, 1:]).max() > ROUND_OFF
+    periodic = moves and np.abs(scaled[1] - scaled[0]).max() <= ROUND_OFF * (np.abs(scaled[0]).max() + 1.0)
     if problem.system.time.numel() and not periodic:
         raise InvalidModel(
             f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
@@ -181,15 +183,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
             f" and {unstable} at its end, so that {count} bounded; Reduced() with a method computes the one that starts"
             " at rest"
         )
-    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
-
-
-def _repeats(ends: Array, duration: float) -> bool:
-    """Whether a path ends as it began, in motion; `ends` are its jets (2, orders, m)."""
-    weights = duration ** np.arange(ends.shape[1])[:, None]
-    first, last = ends * weights
-    moving = np.abs(ends[:, 1:] * weights[1:]).max()
-    return bool(moving > ROUND_OFF and np.abs(last - first).max() <= ROUND_OFF * (np.abs(first).max() + 1.0))
+    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), bool(periodic))
 
 
 def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
