@@ -243,43 +243,34 @@ def singular_in_words(problem: Problem, time: float, values: Array, jacobian: Ar
     jacobian : ndarray, shape (size, size)
         System Jacobian.
     """
-    reference = problem.reference
-    jet = reference.jet(time, min(problem.array.reference_order, reference.max_order))
-    resting = _at_rest(problem, time, jet, values) if len(jet) > problem.array.reference_order else ""
-    if resting:
-        return resting
-    said = (
-        f"{problem.system.name} is singular at t = {time:.6g} s: the system Jacobian has condition"
-        f" {condition_number(jacobian):.2g}"
-    )
-    return f"{said}, {lost_rank(problem.signature, jacobian)}" if np.isfinite(jacobian).all() else said
+    name, array, reference = problem.system.name, problem.array, problem.reference
+    jet = reference.jet(time, min(array.reference_order, reference.max_order))
+    moves = np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0)
+    if len(jet) > array.reference_order and not moves:
+        state = values if np.isfinite(values).all() else call_of(inversion(array).guess)(jet.T, problem.p)[0]
+        J = call_of(system_jacobian(array))(state, jet.T, problem.p)[0]
+        if not condition_number(J) < SINGULAR_CONDITION:
+            return f"{name} {_cause_at_rest(problem, time, jet, state)}; {lost_rank(array.signature, J)}"
+    said = f"{name} is singular at t = {time:.6g} s: the system Jacobian has condition {condition_number(jacobian):.2g}"
+    return f"{said}, {lost_rank(array.signature, jacobian)}" if np.isfinite(jacobian).all() else said
 
 
-def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
-    """Return why the system Jacobian is singular where the path rests; empty where it moves, or for another cause.
+def _cause_at_rest(problem: Problem, time: float, jet: Array, state: Array) -> str:
+    """Return why the system Jacobian is singular where the path rests.
 
     Velocities and higher derivatives that are numbers without symmetry show whether the configuration is the cause.
     """
-    array, p = problem.array, problem.p
-    if np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0):
-        return ""
-    state = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
-    jacobian = call_of(system_jacobian(problem.array))
-    J = jacobian(state, jet.T, p)[0]
-    if condition_number(J) < SINGULAR_CONDITION:
-        return ""
-    places, n = array.places(unknown for unknown in array.unknowns if unknown[1]), len(problem.system.coordinates)
+    array, names = problem.array, problem.system.coordinates.names
+    places = array.places(unknown for unknown in array.unknowns if unknown[1])
     moving = np.array(state)
     moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
-    where = ", ".join(f"{name} = {state[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
-    only = condition_number(jacobian(moving, jet.T, p)[0]) < SINGULAR_CONDITION
-    if only:
-        what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"
-        what += ", and with velocities it is not"
-    elif array.signature.equations.combined:
-        what = f"is singular at t = {time:.6g} s ({where}): either there is no relative degree, or terms cancel where"
-        what += " its combined equations hold and nowhere else, which structural analysis does not see"
-    else:
-        what = f"has no relative degree at t = {time:.6g} s ({where}): the system Jacobian is singular there, whatever"
-        what += " the velocities"
-    return f"{problem.system.name} {what}; {lost_rank(array.signature, J)}"
+    where = ", ".join(f"q.{name} = {state[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(names))
+    at, singular_there = f"t = {time:.6g} s ({where})", "the system Jacobian is singular there"
+    if condition_number(call_of(system_jacobian(array))(moving, jet.T, problem.p)[0]) < SINGULAR_CONDITION:
+        return f"has no relative degree at rest, at {at}: {singular_there}, and with velocities it is not"
+    if array.signature.equations.combined:
+        return (
+            f"is singular at {at}: either there is no relative degree, or terms cancel where its combined equations"
+            " hold and nowhere else, which structural analysis does not see"
+        )
+    return f"has no relative degree at {at}: {singular_there}, whatever the velocities"

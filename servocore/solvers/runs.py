@@ -104,9 +104,9 @@ def solution_of(
         t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), t])
         values = np.vstack([*(table[:-1] for table, _ in observed[:-1]), values])
         violations = np.hstack([each for _, each in observed])
-        for k, channel in enumerate(program.channels):
-            if channel.wraps:
-                values[:, k] = np.unwrap(values[:, k])
+    for k, channel in enumerate(program.channels):
+        if channel.wraps and (np.abs(np.diff(values[:, k])) >= np.pi).any():
+            values[:, k] = np.unwrap(values[:, k])
     iterations = sum(part.newton_iterations for part in segments)
     factorizations = sum(part.factorizations for part in segments)
     c, c_dot, g, g_dot = violations.max(axis=1).tolist()
@@ -136,7 +136,7 @@ def solution_of_states(problem: Problem, t: Array, values: Array, route: str, it
 
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
-    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
+    """Return observed values (N, channels) and violations (4, N)."""
     program, t, known, jets = segment.program, segment.t, segment.observed, segment.jets
     orders = program.observe.size2_in(1)
     if not known and jets is not None and jets.shape[1] >= orders:
@@ -153,8 +153,6 @@ def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array
     if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
         require_less_than_half_a_turn(problem, program, t, table)
     for k, channel in enumerate(program.channels):
-        if channel.wraps and (np.abs(np.diff(table[:, k])) >= np.pi).any():
-            table[:, k] = np.unwrap(table[:, k])
         if channel.positive and not (table[:, k] > 0.0).all():
             first = int((~(table[:, k] > 0.0)).argmax())
             program.require_branch(table[first], float(t[first]))
