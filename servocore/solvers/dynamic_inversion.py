@@ -209,7 +209,7 @@ class DynamicInversion:
                 return
             tried = _of(paths, left)
             instants = steps.instants(tried, compared)
-            errors = _judged(steps, tried, count, p[left], start[left], instants, size)[1]
+            errors = self._judged(steps, tried, count, p[left], start[left], instants)[1]
             good = errors <= self._tolerance
             taken = left[good]
             if len(taken):
@@ -237,6 +237,16 @@ class DynamicInversion:
         starts = states.reshape(-1, len(p), order="F")[:size].T
         return np.where(np.isfinite(residual).reshape(-1, 1), starts, np.nan)
 
+    def _judged(
+        self, steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants
+    ) -> tuple[Array, Array]:
+        """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many."""
+        with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
+            runs = (steps.runs(steps.run(paths, count * many, p, start), instants)[0] for many in (1, 2))
+            coarse, fine = (values[..., : len(self.inputs), :] for values in runs)
+            peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
+            return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
+
     def _enough(self, checked: Solution) -> int:
         """Return how many steps keep the tolerance, from comparisons with twice as many."""
         reference, inputs = self._problem.reference, len(self.inputs)
@@ -244,10 +254,7 @@ class DynamicInversion:
         instants = self._instants(t)
         exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
         while count < _MOST:
-            fine, errors = _judged(
-                self._steps, [reference], round(count), self._problem.p, self._start, instants, inputs
-            )
-            error = float(errors)
+            fine, error = self._judged(self._steps, [reference], round(count), self._problem.p, self._start, instants)
             if error <= self._tolerance:
                 if not (np.abs(fine - exact) <= _ASTRAY * np.abs(exact).max(axis=1, keepdims=True)).all():
                     name = self._problem.system.name
@@ -258,18 +265,6 @@ class DynamicInversion:
             f"{self._problem.system.name}: {_MOST} explicit steps do not keep a tolerance of {self._tolerance:g}: the"
             " internal dynamics are stiff, and solve with RadauIIA steps them"
         )
-
-
-def _judged(
-    steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants, inputs: int
-) -> tuple[Array, Array]:
-    """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many, (...)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-        coarse, fine = (
-            steps.runs(steps.run(paths, count * many, p, start), instants)[0][..., :inputs, :] for many in (1, 2)
-        )
-        peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
-        return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
 
 
 def _of(paths: list[Reference], cases: Iterable[int]) -> list[Reference]:

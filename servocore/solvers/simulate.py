@@ -221,24 +221,23 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], totals: tupl
     known, function = _observation(problem.resolved)
     _require_no_steps(problem, t, columns[0])
     told(problem.system.name, "", left_out(problem, t, columns[0][: len(problem.system.coordinates)]))
-    values, violations, deviations = along_path(problem, function, t, *columns)
+    values, violations = along_path(problem, function, t, *columns)
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
             # atan2 jumps by a full turn where a motion is continuous.
             row[:] = np.unwrap(row)
-    deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
-    c, c_dot, g, g_dot = (float(each.max()) for each in (deviation, rate_deviation, *violations[2:]))
+    c, c_dot, g, g_dot = violations.max(axis=1).tolist()
     statistics = Statistics(*totals, c, c_dot, g, g_dot)
-    table = np.column_stack([values.T, deviation])
+    table = np.column_stack([values.T, violations[0]])
     name = f"{problem.system.name}, forward simulation"
     return with_run_quantities(Solution(t, (*known, tracking), table, name, statistics))
 
 
 @made_once
 def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
-    """Compile (state, lam, u, gamma, p) -> observed values, violations, distances from position and rate of the path.
+    """Compile (state, lam, u, gamma, p) -> observed values, and violations (4,), of the path as distances.
 
     Quantities of higher derivatives of the path are not observed: the motion need not follow it.
     """
@@ -250,7 +249,8 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
     ]
     known.sort(key=lambda pair: pair[0] not in system.observables)  # they come first, the others keep their order
     distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
-    results = ca.vertcat(*(expression for _, expression in known)), violations_of(system), ca.vertcat(*distances)
+    violations = ca.vertcat(*distances, violations_of(system)[2:])
+    results = ca.vertcat(*(expression for _, expression in known)), violations
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
     function = ca.Function("sc_report", arguments, [ca.densify(result) for result in results])
     return tuple(quantity for quantity, _ in known), function

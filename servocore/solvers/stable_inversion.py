@@ -121,8 +121,9 @@ class StableInversion(JudgedRoute):
                 change = np.abs(now.values - last.values)[:, :inputs].max(axis=0)
                 relative = float((change / np.maximum(np.abs(now.values[:, :inputs]).max(axis=0), 1e-300)).max())
                 if relative <= self.tolerance:
-                    summary = replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
-                    return replace(now, statistics=summary)
+                    return replace(
+                        now, statistics=replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
+                    )
             last = now
         raise IntegrationFailed(
             f"{problem.system.name}: the inputs still change by {relative:.2g} of their peak when the mesh is halved to"
