@@ -323,8 +323,6 @@ def _interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Sam
     if len(bad):
         k, j = bad[0]
         raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
-    if len(known) < 2:
-        return lambda t: np.tile(table[0], (len(t), 1))
     curve = scipy.interpolate.make_interp_spline(known, table, k=min(3, len(known) - 1))
     return lambda t: np.asarray(curve(np.minimum(np.maximum(t, first), last)))
 
