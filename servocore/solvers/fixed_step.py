@@ -75,7 +75,7 @@ class Stepped(JudgedRoute):
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
-        run = StateSelection(form, _BETTER_METHOD).run
+        run = FixedStep(form, _BETTER_METHOD).run
         return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
@@ -117,24 +117,14 @@ class Stepped(JudgedRoute):
 
 
 class FixedStep(Stepped):
-    """One step of a method from instant to instant."""
+    """One step of a method from instant to instant.
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
-        """Step through the instants and report every one; see `Route`."""
-        program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [run_steps(problem, program, times, progress)])
-
-
-class StateSelection(Stepped):
-    """Fixed steps of the reduced form, with other states wherever the chosen ones become a bad choice.
-
-    The states of its formulation are those to begin with.
+    On the reduced form with other states wherever the chosen ones become a bad choice; those of its formulation are the
+    ones to begin with.
     """
 
-    formulation: Reduced
-
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
-        """Step a reduced form with internal dynamics through the instants; see `Route`.
+        """Step through the instants and report every one; see `Route`.
 
         Raises
         ------
@@ -143,6 +133,8 @@ class StateSelection(Stepped):
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native, len(times))
+        if not isinstance(formulation, Reduced):
+            return solution_of(problem, [run_steps(problem, program, times, progress)])
         try:
             state, _ = first_state(problem, program, step)
         except InconsistentStart:

@@ -256,11 +256,11 @@ def chosen_route(
         warn_before_run(problem, formulation, method)
     if method is None or not stepped:
         return Pointwise(formulation, native)
-    from servocore.solvers.fixed_step import FixedStep, StateSelection, ToTolerance  # noqa: PLC0415 - as above
+    from servocore.solvers.fixed_step import FixedStep, ToTolerance  # noqa: PLC0415 - as above
 
     if isinstance(step, Adaptive):
         return ToTolerance(formulation, method, native, step)
-    return (StateSelection if isinstance(formulation, Reduced) else FixedStep)(formulation, method, native)
+    return FixedStep(formulation, method, native)
 
 
 def error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
