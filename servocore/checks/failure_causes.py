@@ -126,11 +126,17 @@ def out_of_reach(problem: Problem) -> str:
         k = max(missed, key=missed.__getitem__)
         _, far, miss = nearest(times[k], _around(problem, x))
         if not far < _REACHED:
-            first = min(missed)
-            begin = _first_missed(problem, nearest, times[first - 1], times[first]) if first else times[0]
-            return _miss_in_words(problem, begin, times[k], miss)
+            break
         del missed[k]
-    return ""
+    else:
+        return ""
+    first, begin = min(missed), times[0]
+    if first:
+        guess = _guess(problem, times[first - 1])
+        starts = [guess, *_around(problem, guess)]
+        ends = times[first - 1], times[first]
+        _, begin = bisected(lambda time: nearest(time, starts)[1] < _REACHED, *ends, BISECTIONS // 2)
+    return _miss_in_words(problem, begin, times[k], miss)
 
 
 def _guess(problem: Problem, time: float) -> Array:
@@ -156,12 +162,6 @@ def _around(problem: Problem, x: Array) -> list[Array]:
     size = np.maximum(1.0, np.abs(x))
     spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
     return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
-
-
-def _first_missed(problem: Problem, nearest: Nearest, good: float, bad: float) -> float:
-    guess = _guess(problem, good)
-    starts = [guess, *_around(problem, guess)]
-    return bisected(lambda time: nearest(time, starts)[1] < _REACHED, good, bad, BISECTIONS // 2)[1]
 
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:

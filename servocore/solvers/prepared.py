@@ -280,18 +280,15 @@ class PreparedInversion:
 
     def _changed(self, parameters: Mapping[str, float], path: Reference | None) -> Problem:
         """Return the problem with other parameters and another path."""
-        problem = self._problem
-        declared = problem.system.parameters
+        problem, declared = self._problem, self._problem.system.parameters
         values = declared.values({**dict(zip(declared.names, problem.p.tolist(), strict=True)), **parameters})
-        changed = replace(problem, p=values)
-        if path is None:
-            return changed
+        path = problem.reference if path is None else path
         require_kind(path, Reference, "the path", "a Reference", InvalidReference)
         if path.dimension != problem.reference.dimension:
             raise InvalidReference(
                 f"{problem.name} needs a path with {problem.reference.dimension} components, not {path.dimension}"
             )
-        return replace(changed, reference=path)
+        return replace(problem, p=values, reference=path)
 
     def _posed(self, problem: Problem) -> tuple[Array, Array, float, Array]:
         """Return the first state, the jets of the path at all nodes, h and p."""
