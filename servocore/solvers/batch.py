@@ -136,9 +136,8 @@ class Batch:
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
             return self._dynamic.of_cases(self.names, references, times, p).transpose(0, 2, 1)
-        count = len(p) if p.ndim == 2 else len(references)
-        if not (times.size and count):
-            return np.empty((count, times.size, len(self.names)))
+        if not (times.size and len(p)):
+            return np.empty((len(p), times.size, len(self.names)))
         inputs = self._evaluation.of_cases(references, times, p)[0]
         values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.
@@ -180,11 +179,9 @@ class Batch:
         if steps < 1:
             raise InvalidSetting(f"a path is divided into one step or more, not {steps}")
         p, references = self._cases(parameters, paths)
-        count = len(p) if p.ndim == 2 else len(references)
-        p = np.broadcast_to(p, (count, p.shape[-1]))
-        values_of_cases = np.empty((count, steps + 1, len(self.names)))
-        for case in range(count):
-            values = zip(self._problem.system.parameters.names, p[case].tolist(), strict=True)
+        values_of_cases = np.empty((len(p), steps + 1, len(self.names)))
+        for case, row in enumerate(p.tolist()):
+            values = zip(self._problem.system.parameters.names, row, strict=True)
             path = references[case % len(references)]
             scene = replace(self._scene, parameters=dict(values), reference=path)
             try:
@@ -197,10 +194,7 @@ class Batch:
     def _cases(
         self, parameters: Mapping[str, npt.ArrayLike] | None, paths: Sequence[Reference] | None
     ) -> tuple[Array, list[Reference]]:
-        """Return parameters and paths of cases; those of the problem where none are given.
-
-        Parameters have shape (size,), or (cases, size) where some have values of their own.
-        """
+        """Return parameters (cases, size), and one path a case or one for all; the problem's where none are given."""
         references, given = [*(paths or (self._problem.reference,))], parameters or {}
         quantities = {name: k for k, name in enumerate(self._problem.system.parameters.names)}
         columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
@@ -211,13 +205,12 @@ class Batch:
         sizes = {values.size for values in columns.values() if values.ndim}
         if len(sizes) > 1 or any(values.ndim > 1 for values in columns.values()):
             raise InvalidSetting("parameters of a batch are single values, or rows of one length")
-        # Where no parameter varies all cases share one row.
-        p = np.tile(self._problem.p, (*sizes, 1)) if sizes else self._problem.p.copy()
+        p = np.tile(self._problem.p, (*(sizes or (len(references),)), 1))
         for name, values in columns.items():
-            p[..., quantities[name]] = values
+            p[:, quantities[name]] = values
         for reference in references:
             require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
-        if p.ndim == 2 and paths and len(references) != len(p):
+        if paths and len(references) != len(p):
             raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
         return p, references
 

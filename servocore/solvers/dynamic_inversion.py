@@ -167,8 +167,8 @@ class DynamicInversion:
             One a case, or one for all.
         t : ndarray, shape (N,)
             Times in s within the paths.
-        p : ndarray, shape (cases, size) or (size,)
-            Parameter values, of each case or of all.
+        p : ndarray, shape (cases, size)
+            Parameter values of each case.
 
         Returns
         -------
@@ -180,10 +180,8 @@ class DynamicInversion:
         InvalidReference
             If a time lies outside a path.
         """
-        count = len(p) if p.ndim == 2 else len(references)
-        p = np.broadcast_to(p, (count, p.shape[-1]))
-        paths = [*references] if len(references) == count else [references[0]] * count
-        inputs = np.full((count, len(names), len(t)), np.nan)
+        paths = [references[case % len(references)] for case in range(len(p))]
+        inputs = np.full((len(p), len(names), len(t)), np.nan)
         groups: dict[object, list[int]] = {}
         for case, path in enumerate(paths):
             if len(t) and not (t.min() >= path.start_time and t.max() <= path.end_time):
