@@ -127,8 +127,6 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     )
 
 
-STEPWISE = "one: no step of the motion stands out from its neighbours"
-
 _MOST_HALVINGS = 3
 
 
@@ -226,7 +224,7 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
     if not len(odd):
-        return STEPWISE
+        return "one: no step of the motion stands out from its neighbours"
     t, k = solution.t, int(odd[0])
     said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
     if comparison is None:

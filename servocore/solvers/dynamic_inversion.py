@@ -108,8 +108,7 @@ class DynamicInversion:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
-        first, _ = first_state(problem, program_of(problem, *_FORM), 0.0)
-        self._start = first[: len(problem.array.states)]
+        self._start = self._starts([problem.reference], problem.p[None])[0]
         self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked)
         self._run = self._steps.run([problem.reference], self.steps, problem.p, self._start)

@@ -153,8 +153,9 @@ def _integrated(
     problem: Problem, inputs: SampledInputs, t: Array, tolerance: tuple[float, float, float | None]
 ) -> tuple[tuple[Array, ...], tuple[int, int, int, float]]:
     """Return states, multipliers and inputs (rows, N) at instants, with the integrator's totals."""
-    move, undisturbed, p = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs)), problem.p
-    clocks = problem.system.time.numel()  # 0 or 1
+    system, p = problem.system, problem.p
+    move, undisturbed = _free_motion(problem.resolved), np.zeros(len(system.outputs))
+    clocks = system.time.numel()  # 0 or 1
 
     def moved(state: Array, now: Array, u: Array) -> tuple[Array, ...]:
         return move(state, u, undisturbed, p, *(now,) * clocks)
@@ -163,11 +164,8 @@ def _integrated(
         now = np.array([time])
         return moved(state, now, inputs(now))[0]
 
-    name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
-    states, steps, evaluations = integrated(
-        name, [quantity.name for quantity in quantities], rate, start, t, *tolerance
-    )
+    states, steps, evaluations = integrated(system.name, system.coordinates.names, rate, start, t, *tolerance)
     u = inputs(t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(*instant)[1] for instant in zip(states.T, t, u, strict=True)]
