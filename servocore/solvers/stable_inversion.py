@@ -121,9 +121,8 @@ class StableInversion(JudgedRoute):
                 change = np.abs(now.values - last.values)[:, :inputs].max(axis=0)
                 relative = float((change / np.maximum(np.abs(now.values[:, :inputs]).max(axis=0), 1e-300)).max())
                 if relative <= self.tolerance:
-                    return replace(
-                        now, statistics=replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
-                    )
+                    summary = replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
+                    return replace(now, statistics=summary)
             last = now
         raise IntegrationFailed(
             f"{problem.system.name}: the inputs still change by {relative:.2g} of their peak when the mesh is halved to"
@@ -168,9 +167,9 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
             f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
             " method computes the motion that starts at rest"
         )
-    size = float(np.abs(ends[:, 0]).max()) + 1.0
+    slow = ROUND_OFF * (float(np.abs(ends[:, 0]).max()) + 1.0) / reference.duration
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
-        if not periodic and np.abs(jet[1]).max() > ROUND_OFF * size / reference.duration:
+        if not periodic and np.abs(jet[1]).max() > slow:
             raise InvalidReference(
                 f"a stable inversion needs a path that is at rest at its ends or periodic, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
