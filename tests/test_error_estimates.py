@@ -324,9 +324,7 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     turned, problem = replace(found, values=values), sc.Problem.of(aircraft.scene)
     route = FixedStep(sc.Projected(), sc.BDF(2))
     with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
-        said = stated_branch(
-            problem, turned, (route.formulation, route.method), route.better(problem).compared(problem, turned)
-        )
+        said = stated_branch(problem, turned, route.better(problem), "")
     assert said == (
         "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
         " another motion from t = 2.005 s"

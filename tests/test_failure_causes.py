@@ -240,7 +240,7 @@ def test_inputs_of_another_scene_are_missed_by_name(inputs: sc.Solution) -> None
         ({"inputs": lambda _: ["a", "b", "c"]}, "the inputs at t = 0 s must be numbers, not a list"),
         ({"rtol": "tight"}, "rtol must be a positive number, not the text 'tight'"),
         ({"atol": np.inf}, "atol must be positive and finite, not inf"),
-        ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0.0"),
+        ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0"),
     ],
 )
 def test_arguments_of_a_simulation_are_looked_at(arguments: dict[str, Any], said: str) -> None:

@@ -13,7 +13,7 @@ from problems import Rest, scene
 import servocore as sc
 from servocore.numerics.memoization import made_once
 from servocore.solvers.exact_inversion import Pointwise
-from servocore.solvers.fixed_step import FixedStep, StateSelection, ToTolerance
+from servocore.solvers.fixed_step import FixedStep, ToTolerance
 from servocore.solvers.solve import chosen_route
 from servocore.solvers.stable_inversion import StableInversion
 
@@ -27,7 +27,7 @@ CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
         (CRANE, sc.Reduced(), sc.RadauIIA(3), sc.Adaptive(), Pointwise),
         (CRANE, sc.Projected(), sc.BackwardEuler(), None, FixedStep),
         (CRANE, sc.Projected(), sc.BDF(3), sc.Adaptive(1e-3), ToTolerance),
-        (CAR, sc.Reduced(), sc.RadauIIA(3), None, StateSelection),
+        (CAR, sc.Reduced(), sc.RadauIIA(3), None, FixedStep),
         (CAR, sc.Reduced(), sc.RadauIIA(3), sc.Adaptive(1e-3), ToTolerance),
         (CAR, sc.Reduced(), StableInversion(), None, StableInversion),
         (CAR, sc.Reduced(), Rest(), None, Rest),

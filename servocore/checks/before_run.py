@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -62,11 +61,6 @@ class InternalDynamics:
         """Whether errors grow forward in time."""
         return self.kind == NON_MINIMUM_PHASE
 
-    @property
-    def advice(self) -> str:
-        """The kind, and the recommended method."""
-        return f"{self.kind}: {ADVICE[self.kind]}"
-
 
 def internal_dynamics(problem: Problem) -> InternalDynamics:
     """Linearize the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
@@ -95,7 +89,27 @@ _FEWER = 8  # of the survey's instants one is enough where all margins are large
 
 def warn_before_run(problem: Problem, formulation: Formulation, method: Method | None) -> None:
     """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge."""
-    for text in _doubts(problem, formulation, method):
+    dynamics, reference, doubts = internal_dynamics(problem), problem.reference, list[str]()
+    if dynamics.grows:
+        doubts.append(
+            f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
+            f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
+            f" t = {reference.end_time:g} s; the method StableInversion finds the bounded solution"
+        )
+    order = problem.array.reference_order
+    if reference.smoothness < order <= reference.max_order:
+        doubts.append(
+            f"the inputs of {problem.name} need the path's derivative of order {order}, but the path is continuous up"
+            f" to order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
+            f" {reference.end_time:g} s, the ends included, wherever that derivative does"
+        )
+    dae = problem.dae(formulation)
+    if method is not None and dae.index > 3 and (order := method.orders(dae.index).forces) < 1:
+        doubts.append(
+            f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
+            f" the step to the power {order} and no step is small enough; use the form Reduced()"
+        )
+    for text in doubts:
         warnings.warn(text, ServocoreWarning, stacklevel=_CALLER)
 
 
@@ -110,30 +124,6 @@ def require_smooth(problem: Problem) -> None:
             f"{problem.system.name} has index {problem.signature.index}: its velocities need the path's derivative of"
             f" order {order - 1}, but the path is continuous up to order {reference.smoothness} only: it would have to"
             f" be hit where that jumps; a law such as the polynomial of degree {2 * order + 1} is smooth enough"
-        )
-
-
-def _doubts(problem: Problem, formulation: Formulation, method: Method | None) -> Iterator[str]:
-    """Yield what is doubtful: unstable internal dynamics forward in time, inputs that jump, inputs that err."""
-    dynamics, reference = internal_dynamics(problem), problem.reference
-    if dynamics.grows:
-        yield (
-            f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
-            f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
-            f" t = {reference.end_time:g} s; the method StableInversion finds the bounded solution"
-        )
-    order = problem.array.reference_order
-    if reference.smoothness < order <= reference.max_order:
-        yield (
-            f"the inputs of {problem.name} need the path's derivative of order {order}, but the path is continuous up"
-            f" to order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
-            f" {reference.end_time:g} s, the ends included, wherever that derivative does"
-        )
-    dae = problem.dae(formulation)
-    if method is not None and dae.index > 3 and (order := method.orders(dae.index).forces) < 1:
-        yield (
-            f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
-            f" the step to the power {order} and no step is small enough; use the form Reduced()"
         )
 
 

@@ -19,9 +19,6 @@ import numpy.typing as npt
 
 from servocore.checks.findings import FEWEST, ROUND_OFF
 from servocore.errors import ServocoreError, ServocoreWarning
-from servocore.formulations.base import Formulation
-from servocore.methods.base import Method, errs_less_with_smaller_steps
-from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import subdivided
@@ -45,40 +42,36 @@ class Comparison:
 
     Attributes
     ----------
-    inputs : tuple of Quantity
-        Names of the first columns.
     solution : Solution
         The run in question, at some of its instants, the inputs first.
     better : ndarray, shape (N, number of channels)
         Better values there.
     basis : str
         Their source.
-    known : ndarray of bool, shape (inputs,) or longer, or True
-        Whether the difference is the error of the run, rather than that of the better values.
+    known : ndarray of bool, shape (inputs,)
+        Whether the difference of an input is the error of the run, rather than that of the better values.
     """
 
-    inputs: tuple[Quantity, ...]
     solution: Solution
     better: Array
     basis: str
-    known: npt.NDArray[np.bool_] | bool = True
+    known: npt.NDArray[np.bool_]
 
     @property
     def off(self) -> Array:
         """Distance of the inputs, shape (N, inputs)."""
-        inputs = slice(len(self.inputs))
+        inputs = slice(len(self.known))
         differences: Array = np.abs(self.solution.values[:, inputs] - self.better[:, inputs])
         return differences
 
     @property
     def estimate(self) -> ErrorEstimate:
         """Largest distance of every input that is known."""
-        names = [quantity.name for quantity in self.inputs]
-        peaks = np.abs(self.better[:, : len(names)]).max(axis=0)
+        peaks = np.abs(self.better[:, : len(self.known)]).max(axis=0)
         largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
-        rows = zip(names, largest.tolist(), np.broadcast_to(self.known, self.better.shape[1]), strict=False)
+        rows = zip(self.solution.names, largest.tolist(), self.known, strict=False)
         errors = {name: error if known else None for name, error, known in rows}
-        return ErrorEstimate(errors, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
+        return ErrorEstimate(errors, dict(zip(errors, peaks.tolist(), strict=True)), self.basis)
 
 
 def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
@@ -96,10 +89,8 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
     return np.flatnonzero((np.abs(steps - (continued[:-2] + continued[2:]) / 2.0) > beside).any(axis=1))
 
 
-def warn_of_wrong_inputs(
-    problem: Problem, formulation: Formulation, method: Method | None, solution: Solution, comparison: Comparison
-) -> None:
-    """Warn if a run of steps gives an input that is off by more than `LARGEST_UNWARNED` of its peak."""
+def warn_of_wrong_inputs(solution: Solution, comparison: Comparison, advice: str) -> None:
+    """Warn if a run gives an input that is off by more than `LARGEST_UNWARNED` of its peak."""
     relative = {k: v for k, v in comparison.estimate.relative.items() if v is not None}
     name = max(relative, key=lambda each: relative[each], default="")
     if not name or not relative[name] > LARGEST_UNWARNED:
@@ -109,7 +100,6 @@ def warn_of_wrong_inputs(
     at = int(np.searchsorted(solution.t, comparison.solution.t[k]))
     turn = _fastest_turn(solution, at, _HALF / relative[name]) if relative[name] > _HALF else ""
     share = f"{100.0 * relative[name]:.2g} % of" if relative[name] < 1.0 else f"{relative[name]:.3g} times"
-    advice = _advice(problem, formulation, method)
     step = (solution.t[-1] - solution.t[0]) / (len(solution.t) - 1)
     warnings.warn(
         f"{solution.route}, step {step:.6g} s: {name} is off by {share} its peak; at"
@@ -118,25 +108,6 @@ def warn_of_wrong_inputs(
         ServocoreWarning,
         stacklevel=5,
     )
-
-
-def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
-    """Return the advice: the default route, unless this is it, and smaller steps only where the inputs converge."""
-    from servocore.formulations.original import Original  # noqa: PLC0415 - a flat scene takes no steps
-    from servocore.methods.collocation import RadauIIA  # noqa: PLC0415
-
-    if method is None:
-        return "take a smaller tolerance for StableInversion"
-    index = problem.dae(formulation).index
-    advice = list[str]()
-    if problem.flat:
-        advice.append("the default route, solve without a form and a method, has no step")
-    elif index > 1 or method != RadauIIA(3):
-        advice.append("the default route, solve without a form and a method, errs less")
-    converges = method.orders(index).forces >= 1 and errs_less_with_smaller_steps(method, index)
-    if converges and not isinstance(formulation, Original):
-        advice.append("a smaller step errs less")
-    return "; ".join(advice)
 
 
 def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
@@ -156,11 +127,6 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     )
 
 
-STEPWISE = "one: no step of the motion stands out from its neighbours"
-
-Run = Callable[[Problem, Array], Solution]
-"""(problem, instants) -> its solution."""
-
 _MOST_HALVINGS = 3
 
 
@@ -171,14 +137,14 @@ class BetterSolver:
     Attributes
     ----------
     run : callable
-        Solves the same problem better.
+        (problem, instants) -> a better solution of the same problem, which may reach beyond the instants.
     exact : bool
         Whether its results do not depend on its steps.
     basis : str
         Its name in messages.
     """
 
-    run: Run
+    run: Callable[[Problem, Array], Solution]
     exact: bool
     basis: str
 
@@ -190,9 +156,11 @@ class BetterSolver:
         ServocoreError
             If there are none.
         """
-        t, inputs = solution.t, problem.system.inputs
+        t, inputs = solution.t, len(problem.system.inputs)
         if self.exact:
-            return Comparison(inputs, solution, _at_instants_of(solution, self.run(problem, t)), self.basis)
+            exact = self.run(problem, t)
+            better = np.column_stack([np.interp(t, exact.t, column) for column in exact.values.T])
+            return Comparison(solution, better, self.basis, np.ones(inputs, dtype=bool))
         found, failed = list[Array](), ServocoreError("no step was small enough")
         for parts in 2 ** np.arange(_MOST_HALVINGS + 1):
             try:
@@ -202,23 +170,15 @@ class BetterSolver:
                 continue
             if len(found) > 1:
                 *_, last, better = found
-                own = solution.values[:, : better.shape[1]]  # what a run adds up comes last
-                doubt, off = (np.abs(better - each).max(axis=0) for each in (last, own))
+                best = better[:, :inputs]
+                doubt, off = (np.abs(best - each[:, :inputs]).max(axis=0) for each in (last, solution.values))
                 # At half the step they err by less than they changed: a larger difference is the error of the run.
-                known = (off >= doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(better).max(axis=0))
-                comparison = Comparison(inputs, solution, better, self.basis, known)
-                if known[: len(inputs)].all():
+                known = (off >= doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(best).max(axis=0))
+                if known.all():
                     break
         if len(found) < 2:
             raise failed
-        return comparison
-
-    def estimate(self, problem: Problem, solution: Solution) -> ErrorEstimate:
-        """Return how far the inputs of a solution are from better ones."""
-        try:
-            return self.compared(problem, solution).estimate
-        except ServocoreError as error:
-            return unknown_errors(problem, solution, str(error))
+        return Comparison(solution, better, self.basis, known)
 
 
 def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstimate:
@@ -227,70 +187,47 @@ def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstim
     return ErrorEstimate(dict.fromkeys(peaks), peaks, f"unknown: {why}")
 
 
-def _at_instants_of(solution: Solution, better: Solution) -> Array:
-    """Return better values at the instants of a solution, which may reach further beyond the path."""
-    return np.column_stack([np.interp(solution.t, better.t, column) for column in better.values.T])
-
-
-def stated_branch(
-    problem: Problem, solution: Solution, how: tuple[Formulation, Method | None], comparison: Comparison | None
-) -> str:
+def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | None, advice: str) -> str:
     """Warn if inputs are far from better ones, and return on which branch the motion of a solution is.
+
+    It is compared with better values, those of steps at some hundred instants only. If there are none, warn of inputs
+    that nothing confirms.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         The problem, and the result.
-    how : tuple of Formulation and Method or None
-        Form and method, on which the advice depends.
-    comparison : Comparison or None
-        With better values; None where none are known.
+    better : BetterSolver or None
+        Of better values; None where the result is not doubtful.
+    advice : str
+        Remedy for inputs that are far off.
     """
     columns = [solution.names.index(name) for name in problem.system.coordinates.names]
+    comparison = None
+    if better is not None:
+        every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
+        kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
+        try:
+            comparison = better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
+        except ServocoreError as error:
+            warnings.warn(
+                f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"
+                f" {error}",
+                ServocoreWarning,
+                stacklevel=5,
+            )
     if comparison is not None:
-        warn_of_wrong_inputs(problem, *how, solution, comparison)
-        run, better = comparison.solution.values[:, columns], comparison.better[:, columns]
-        allowed = LARGEST_UNWARNED * np.ptp(better, axis=0) + ROUND_OFF * np.abs(better).max()
-        far = np.abs(run - better) > allowed
+        warn_of_wrong_inputs(solution, comparison, advice)
+        own, exact = comparison.solution.values[:, columns], comparison.better[:, columns]
+        far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
         if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
     odd = steps_that_stand_out(solution.values[:, columns])
     if not len(odd):
-        return STEPWISE
+        return "one: no step of the motion stands out from its neighbours"
     t, k = solution.t, int(odd[0])
     said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
     if comparison is None:
         return said
     time = comparison.solution.t[far.any(axis=1).argmax()]
     return f"{said}, and {comparison.basis} gives another motion from t = {time:.6g} s"
-
-
-def compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison | None:
-    """Compare a solution with better values, those of steps at some hundred instants only.
-
-    If there are none, warn of inputs that nothing confirms, and return None.
-    """
-    every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
-    kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-    try:
-        return better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
-    except ServocoreError as error:
-        warnings.warn(
-            f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong: {error}",
-            ServocoreWarning,
-            stacklevel=5,
-        )
-        return None
-
-
-def is_smooth(problem: Problem, formulation: Formulation, method: Method, solution: Solution) -> bool:
-    """Whether a stable result of collocation on a form of index one is smooth from instant to instant, and so right.
-
-    Third differences of all values are small.
-    """
-    from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
-
-    index, values = problem.dae(formulation).index, solution.values
-    if index > 1 or not isinstance(method, RadauIIA) or method.orders(index).forces <= 1 or len(values) < 4:
-        return False
-    return bool((np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= NOTICED * np.ptp(values, axis=0)).all())

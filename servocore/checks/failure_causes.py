@@ -7,7 +7,6 @@ of reach, and at a solution where the equations have lost rank.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -22,7 +21,7 @@ from servocore.numerics.components import condition_number
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
-from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
+from servocore.stepping.exact_evaluation import exact_unknowns
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import lost_rank
 
@@ -54,52 +53,47 @@ def _jump(problem: Problem) -> str:
     return f"{problem.system.name}: {jump.what}" if jump else ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Reach:
-    """Functions for the least distance of a system from a point of its path."""
+Nearest = Callable[[float, list[Array]], tuple[Array, float, Array]]
+"""(time, configurations to start from) -> the configuration nearest to the path there, the largest miss of an output
+relative to the size of the path, and the misses (outputs,) in their units; configurations in nominal magnitudes."""
 
-    problem: Problem
-    rows: Call
-    size: Array
-    held: Array
 
-    @classmethod
-    def of(cls, problem: Problem) -> _Reach:
-        reference = problem.reference
-        times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-        # Outputs of one unit have one scale, so that distances are those in space.
-        units = np.array([quantity.unit for quantity in problem.system.outputs])
-        largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
-        size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
-        size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
-        nominal = np.array(problem.system.coordinates.nominal)
-        residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
-        # Constraints hold to a part of the change of their rows over the range of a coordinate.
-        scale = np.abs(np.nan_to_num(jacobian.reshape(len(residual), -1)) * nominal).max(axis=1)
-        scale = np.where(scale > 0.0, scale, 1.0)[: len(residual) - len(size)]
-        return cls(problem, rows, size, _HELD / scale)
+def _nearest_of(problem: Problem) -> Nearest:
+    """Return the search for the configurations of a system that are nearest to its path."""
+    reference, nominal = problem.reference, np.array(problem.system.coordinates.nominal)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
+    # Outputs of one unit have one scale, so that distances are those in space.
+    units = np.array([quantity.unit for quantity in problem.system.outputs])
+    largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
+    size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
+    size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
 
-    def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
-        """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
-        place, found = self.problem.reference.jet(time, 0)[0], list[tuple[Array, Array]]()
+    def rows(x: Array, place: Array) -> tuple[Array, Array]:
+        residual, jacobian = constraint_rows(problem.resolved)(x * nominal, place, problem.p)
+        return residual, jacobian.reshape(len(residual), -1) * nominal
+
+    # Constraints hold to a part of the change of their rows over the range of a coordinate.
+    _, jacobian = rows(_guess(problem, float(times[0])), reference.jet(float(times[0]), 0)[0])
+    scale = np.abs(np.nan_to_num(jacobian)).max(axis=1)
+    constraints = len(scale) - len(size)
+    weights = np.concatenate([_HELD / np.where(scale > 0.0, scale, 1.0)[:constraints], 1.0 / size])
+
+    def nearest(time: float, starts: list[Array]) -> tuple[Array, float, Array]:
+        place, found = reference.jet(time, 0)[0], list[tuple[Array, Array]]()
+
+        def weighed(x: Array) -> tuple[Array, Array]:
+            residual, jacobian = rows(x, place)
+            return residual * weights, jacobian * weights[:, None]
+
         for start in starts:
-            found.append(_least_squares(lambda x: self._weighed(x, place), start))
+            found.append(_least_squares(weighed, start))
             if np.linalg.norm(found[-1][1]) < _REACHED:
                 break
         x, residual = min(found, key=lambda each: float(np.linalg.norm(each[1])))
-        return x, residual[len(residual) - len(self.size) :] * self.size
+        missed = residual[constraints:]
+        return x, float(np.abs(missed).max(initial=0.0)), missed * size
 
-    def missed(self, miss: Array) -> bool:
-        """Whether a miss is one."""
-        return bool(not np.abs(miss / self.size).max(initial=0.0) < _REACHED)
-
-    def _weighed(self, x: Array, place: Array) -> tuple[Array, Array]:
-        problem, nominal = self.problem, np.array(self.problem.system.coordinates.nominal)
-        residual, jacobian = self.rows(x * nominal, place, problem.p)
-        weights = np.concatenate([self.held, 1.0 / self.size])
-        jacobian = jacobian.reshape(len(residual), -1) * nominal
-        return residual * weights, jacobian * weights[:, None]
+    return nearest
 
 
 def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
@@ -121,22 +115,28 @@ def out_of_reach(problem: Problem) -> str:
     Every configuration that the holonomic constraints allow counts. The nearest one to a point may be a saddle, as the
     axis of a crane is on the way to the other side: a miss counts if starts from all around lead to no better one.
     """
-    reference, reach = problem.reference, _Reach.of(problem)
-    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-    x, missed = _guess(problem, float(times[0])), list[tuple[float, int, Array]]()
+    reference, nearest = problem.reference, _nearest_of(problem)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS).tolist()
+    x, missed = _guess(problem, times[0]), dict[int, float]()
     for k, time in enumerate(times):
-        x, miss = reach.nearest(float(time), [x, _guess(problem, float(time))])
-        if reach.missed(miss):
-            missed.append((float(np.abs(miss / reach.size).max()), k, miss))
+        x, far, _ = nearest(time, [x, _guess(problem, time)])
+        if not far < _REACHED:
+            missed[k] = far
     while missed:
-        _, k, miss = max(missed, key=lambda each: each[0])
-        _, again = reach.nearest(float(times[k]), _around(problem, x))
-        if reach.missed(again):
-            first = min(k for _, k, _ in missed)
-            begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
-            return _miss_in_words(problem, begin, float(times[k]), again)
-        missed = [each for each in missed if each[1] != k]
-    return ""
+        k = max(missed, key=missed.__getitem__)
+        _, far, miss = nearest(times[k], _around(problem, x))
+        if not far < _REACHED:
+            break
+        del missed[k]
+    else:
+        return ""
+    first, begin = min(missed), times[0]
+    if first:
+        guess = _guess(problem, times[first - 1])
+        starts = [guess, *_around(problem, guess)]
+        ends = times[first - 1], times[first]
+        _, begin = bisected(lambda time: nearest(time, starts)[1] < _REACHED, *ends, BISECTIONS // 2)
+    return _miss_in_words(problem, begin, times[k], miss)
 
 
 def _guess(problem: Problem, time: float) -> Array:
@@ -162,12 +162,6 @@ def _around(problem: Problem, x: Array) -> list[Array]:
     size = np.maximum(1.0, np.abs(x))
     spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
     return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
-
-
-def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
-    guess = _guess(problem, good)
-    starts = [guess, *_around(problem, guess)]
-    return bisected(lambda time: not reach.missed(reach.nearest(time, starts)[1]), good, bad, BISECTIONS // 2)[1]
 
 
 def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
@@ -197,8 +191,6 @@ def singular(problem: Problem) -> str:
     states, _ = exact_unknowns(problem, times)
     for k, time in enumerate(times):
         values, jet = states[:, k], side_by_side(reference.jet(np.array([time]), array.reference_order))
-        if not np.isfinite(values).all() and last is not None:
-            values = unknowns_from(problem, times[k : k + 1], last[:, None])[:, 0]
         if not np.isfinite(values).all():
             values = _solved(problem, jet, guess(jet, problem.p)[0] if last is None else last)
         if not np.isfinite(values).all():
@@ -251,43 +243,34 @@ def singular_in_words(problem: Problem, time: float, values: Array, jacobian: Ar
     jacobian : ndarray, shape (size, size)
         System Jacobian.
     """
-    reference = problem.reference
-    jet = reference.jet(time, min(problem.array.reference_order, reference.max_order))
-    resting = _at_rest(problem, time, jet, values) if len(jet) > problem.array.reference_order else ""
-    if resting:
-        return resting
-    said = (
-        f"{problem.system.name} is singular at t = {time:.6g} s: the system Jacobian has condition"
-        f" {condition_number(jacobian):.2g}"
-    )
-    return f"{said}, {lost_rank(problem.signature, jacobian)}" if np.isfinite(jacobian).all() else said
+    name, array, reference = problem.system.name, problem.array, problem.reference
+    jet = reference.jet(time, min(array.reference_order, reference.max_order))
+    moves = np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0)
+    if len(jet) > array.reference_order and not moves:
+        state = values if np.isfinite(values).all() else call_of(inversion(array).guess)(jet.T, problem.p)[0]
+        J = call_of(system_jacobian(array))(state, jet.T, problem.p)[0]
+        if not condition_number(J) < SINGULAR_CONDITION:
+            return f"{name} {_cause_at_rest(problem, time, jet, state)}; {lost_rank(array.signature, J)}"
+    said = f"{name} is singular at t = {time:.6g} s: the system Jacobian has condition {condition_number(jacobian):.2g}"
+    return f"{said}, {lost_rank(array.signature, jacobian)}" if np.isfinite(jacobian).all() else said
 
 
-def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
-    """Return why the system Jacobian is singular where the path rests; empty where it moves, or for another cause.
+def _cause_at_rest(problem: Problem, time: float, jet: Array, state: Array) -> str:
+    """Return why the system Jacobian is singular where the path rests.
 
     Velocities and higher derivatives that are numbers without symmetry show whether the configuration is the cause.
     """
-    array, p = problem.array, problem.p
-    if np.abs(jet[1:]).max(initial=0.0) > ROUND_OFF * np.abs(jet).max(initial=0.0):
-        return ""
-    state = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
-    jacobian = call_of(system_jacobian(problem.array))
-    J = jacobian(state, jet.T, p)[0]
-    if condition_number(J) < SINGULAR_CONDITION:
-        return ""
-    places, n = array.places(unknown for unknown in array.unknowns if unknown[1]), len(problem.system.coordinates)
+    array, names = problem.array, problem.system.coordinates.names
+    places = array.places(unknown for unknown in array.unknowns if unknown[1])
     moving = np.array(state)
     moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
-    where = ", ".join(f"{name} = {state[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
-    only = condition_number(jacobian(moving, jet.T, p)[0]) < SINGULAR_CONDITION
-    if only:
-        what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"
-        what += ", and with velocities it is not"
-    elif array.signature.equations.combined:
-        what = f"is singular at t = {time:.6g} s ({where}): either there is no relative degree, or terms cancel where"
-        what += " its combined equations hold and nowhere else, which structural analysis does not see"
-    else:
-        what = f"has no relative degree at t = {time:.6g} s ({where}): the system Jacobian is singular there, whatever"
-        what += " the velocities"
-    return f"{problem.system.name} {what}; {lost_rank(array.signature, J)}"
+    where = ", ".join(f"q.{name} = {state[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(names))
+    at, singular_there = f"t = {time:.6g} s ({where})", "the system Jacobian is singular there"
+    if condition_number(call_of(system_jacobian(array))(moving, jet.T, problem.p)[0]) < SINGULAR_CONDITION:
+        return f"has no relative degree at rest, at {at}: {singular_there}, and with velocities it is not"
+    if array.signature.equations.combined:
+        return (
+            f"is singular at {at}: either there is no relative degree, or terms cancel where its combined equations"
+            " hold and nowhere else, which structural analysis does not see"
+        )
+    return f"has no relative degree at {at}: {singular_there}, whatever the velocities"

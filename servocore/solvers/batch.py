@@ -135,12 +135,10 @@ class Batch:
         times = numbers_of(t, "the times of a batch").reshape(-1)
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
-            paths = references or [self._problem.reference]
-            return self._dynamic.of_cases(self.names, paths, times, p).transpose(0, 2, 1)
-        count = _count(p, references)
-        if not (times.size and count):
-            return np.empty((count, times.size, len(self.names)))
-        inputs = self._evaluation.of_cases(references or [self._problem.reference], times, p)[0]
+            return self._dynamic.of_cases(self.names, references, times, p).transpose(0, 2, 1)
+        if not (times.size and len(p)):
+            return np.empty((len(p), times.size, len(self.names)))
+        inputs = self._evaluation.of_cases(references, times, p)[0]
         values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.
         if not (signs > 0.0).all():
@@ -181,11 +179,10 @@ class Batch:
         if steps < 1:
             raise InvalidSetting(f"a path is divided into one step or more, not {steps}")
         p, references = self._cases(parameters, paths)
-        count = _count(p, references)
-        values_of_cases = np.empty((count, steps + 1, len(self.names)))
-        for case in range(count):
-            values = zip(self._problem.system.parameters.names, (p[case] if p.ndim == 2 else p).tolist(), strict=True)
-            path = references[case] if references else self._scene.reference
+        values_of_cases = np.empty((len(p), steps + 1, len(self.names)))
+        for case, row in enumerate(p.tolist()):
+            values = zip(self._problem.system.parameters.names, row, strict=True)
+            path = references[case % len(references)]
             scene = replace(self._scene, parameters=dict(values), reference=path)
             try:
                 solution = self._solve_case(scene, step=path.duration / steps)
@@ -197,18 +194,10 @@ class Batch:
     def _cases(
         self, parameters: Mapping[str, npt.ArrayLike] | None, paths: Sequence[Reference] | None
     ) -> tuple[Array, list[Reference]]:
-        """Return the values of all parameters, as `_parameters` does, and the paths."""
-        p, references = self._parameters(parameters or {}), [*(paths or ())]
-        for reference in references:
-            require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
-        if p.ndim == 2 and references and len(references) != len(p):
-            raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
-        return p, references
-
-    def _parameters(self, values_by_name: Mapping[str, npt.ArrayLike]) -> Array:
-        """Return the values of all parameters, shape (size,), or (cases, size) where some have values of their own."""
+        """Return parameters (cases, size), and one path a case or one for all; the problem's where none are given."""
+        references, given = [*(paths or (self._problem.reference,))], parameters or {}
         quantities = {name: k for k, name in enumerate(self._problem.system.parameters.names)}
-        columns = {name: np.asarray(values, dtype=np.float64) for name, values in values_by_name.items()}
+        columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
         for name, values in columns.items():
             if name not in quantities:
                 raise InvalidModel(f"{self._problem.name} has no parameter {name}; it has {', '.join(quantities)}")
@@ -216,16 +205,14 @@ class Batch:
         sizes = {values.size for values in columns.values() if values.ndim}
         if len(sizes) > 1 or any(values.ndim > 1 for values in columns.values()):
             raise InvalidSetting("parameters of a batch are single values, or rows of one length")
-        # Where no parameter varies all cases share one row.
-        p = np.tile(self._problem.p, (*sizes, 1)) if sizes else self._problem.p.copy()
+        p = np.tile(self._problem.p, (*(sizes or (len(references),)), 1))
         for name, values in columns.items():
-            p[..., quantities[name]] = values
-        return p
-
-
-def _count(p: Array, references: Sequence[Reference]) -> int:
-    """Return how many cases there are."""
-    return len(p) if p.ndim == 2 else max(len(references), 1)
+            p[:, quantities[name]] = values
+        for reference in references:
+            require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
+        if paths and len(references) != len(p):
+            raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
+        return p, references
 
 
 def _require_allowed(parameter: Parameter, values: Array) -> None:

@@ -5,7 +5,7 @@ Of many cases, too, with other parameters and other paths, for `Batch`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -108,8 +108,7 @@ class DynamicInversion:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
-        first, _ = first_state(problem, program_of(problem, *_FORM), 0.0)
-        self._start = first[: len(problem.array.states)]
+        self._start = self._starts([problem.reference], problem.p[None])[0]
         self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked)
         self._run = self._steps.run([problem.reference], self.steps, problem.p, self._start)
@@ -167,8 +166,8 @@ class DynamicInversion:
             One a case, or one for all.
         t : ndarray, shape (N,)
             Times in s within the paths.
-        p : ndarray, shape (cases, size) or (size,)
-            Parameter values, of each case or of all.
+        p : ndarray, shape (cases, size)
+            Parameter values of each case.
 
         Returns
         -------
@@ -180,10 +179,8 @@ class DynamicInversion:
         InvalidReference
             If a time lies outside a path.
         """
-        count = len(p) if p.ndim == 2 else len(references)
-        p = np.broadcast_to(p, (count, p.shape[-1]))
-        paths = [*references] if len(references) == count else [references[0]] * count
-        inputs = np.full((count, len(names), len(t)), np.nan)
+        paths = [references[case % len(references)] for case in range(len(p))]
+        inputs = np.full((len(p), len(names), len(t)), np.nan)
         groups: dict[object, list[int]] = {}
         for case, path in enumerate(paths):
             if len(t) and not (t.min() >= path.start_time and t.max() <= path.end_time):
@@ -193,10 +190,8 @@ class DynamicInversion:
                 )
             groups.setdefault((path.formula, path.start_time, path.end_time), []).append(case)
         for group in groups.values():
-            alone = all(paths[case] is paths[group[0]] for case in group)
-            group_paths = [paths[group[0]]] if alone else [paths[case] for case in group]
-            steps = compile_explicit_steps(self._problem.resolved, group_paths[0].formula, self._native, names)
-            self._solve(steps, inputs, np.array(group), group_paths, t, np.ascontiguousarray(p[group]))
+            steps = compile_explicit_steps(self._problem.resolved, paths[group[0]].formula, self._native, names)
+            self._solve(steps, inputs, np.array(group), [paths[case] for case in group], t, p[group])
         return inputs
 
     def _solve(
@@ -204,14 +199,14 @@ class DynamicInversion:
     ) -> None:
         """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
         compared = np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED)
-        start, count, size = self._starts(paths, p), self.steps, len(self.inputs)
+        start, count, size = self._starts(_of(paths, range(len(paths))), p), self.steps, len(self.inputs)
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
             if not len(left):
                 return
             tried = _of(paths, left)
             instants = steps.instants(tried, compared)
-            errors = _judged(steps, tried, count, p[left], start[left], instants, size)[1]
+            errors = self._judged(steps, tried, count, p[left], start[left], instants)[1]
             good = errors <= self._tolerance
             taken = left[good]
             if len(taken):
@@ -239,6 +234,16 @@ class DynamicInversion:
         starts = states.reshape(-1, len(p), order="F")[:size].T
         return np.where(np.isfinite(residual).reshape(-1, 1), starts, np.nan)
 
+    def _judged(
+        self, steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants
+    ) -> tuple[Array, Array]:
+        """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many."""
+        with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
+            runs = (steps.runs(steps.run(paths, count * many, p, start), instants)[0] for many in (1, 2))
+            coarse, fine = (values[..., : len(self.inputs), :] for values in runs)
+            peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
+            return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
+
     def _enough(self, checked: Solution) -> int:
         """Return how many steps keep the tolerance, from comparisons with twice as many."""
         reference, inputs = self._problem.reference, len(self.inputs)
@@ -246,10 +251,7 @@ class DynamicInversion:
         instants = self._instants(t)
         exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
         while count < _MOST:
-            fine, errors = _judged(
-                self._steps, [reference], round(count), self._problem.p, self._start, instants, inputs
-            )
-            error = float(errors)
+            fine, error = self._judged(self._steps, [reference], round(count), self._problem.p, self._start, instants)
             if error <= self._tolerance:
                 if not (np.abs(fine - exact) <= _ASTRAY * np.abs(exact).max(axis=1, keepdims=True)).all():
                     name = self._problem.system.name
@@ -262,18 +264,7 @@ class DynamicInversion:
         )
 
 
-def _judged(
-    steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants, inputs: int
-) -> tuple[Array, Array]:
-    """Return inputs (..., inputs, N) by twice so many steps, and their largest relative change from so many, (...)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-        coarse, fine = (
-            steps.runs(steps.run(paths, count * many, p, start), instants)[0][..., :inputs, :] for many in (1, 2)
-        )
-        peaks = np.maximum(np.abs(fine).max(axis=-1), 1e-300)
-        return fine, np.asarray((np.abs(fine - coarse).max(axis=-1) / peaks).max(axis=-1))
-
-
-def _of(paths: list[Reference], cases: Cases) -> list[Reference]:
-    """Return the paths of some cases; one for all stays one."""
-    return paths if len(paths) == 1 else [paths[case] for case in cases]
+def _of(paths: list[Reference], cases: Iterable[int]) -> list[Reference]:
+    """Return the paths of some cases; one that all of them share once."""
+    chosen = [paths[case] for case in cases]
+    return chosen[:1] if all(path is chosen[0] for path in chosen) else chosen

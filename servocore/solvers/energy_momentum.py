@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,6 @@ from servocore.numerics.compiled_calls import Array, chained, mapped, repeated
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
-from servocore.solvers.input_functions import GivenInputs
 from servocore.solvers.runs import CHUNK
 from servocore.stepping.energy_momentum import (
     ConservingStep,
@@ -27,6 +27,9 @@ BALANCE = (
     Quantity("work", "J", "work of inputs and forces since the start"),
     *(Quantity(f"angular_momentum_{axis}", "N.m.s", "angular momentum about the origin") for axis in "xyz"),
 )
+
+SampledInputs = Callable[[Array], Array]
+"""Times (N,) in s -> inputs, shape (N, m)."""
 
 _ON_GRID = 1e-6  # of a step
 _MOST_STEPS = 10**7
@@ -64,7 +67,7 @@ class EnergyMomentum:
 
 
 def conserved_motion(
-    problem: Problem, method: EnergyMomentum, start: Array, inputs: GivenInputs, t: Array, step: float
+    problem: Problem, method: EnergyMomentum, start: Array, inputs: SampledInputs, t: Array, step: float
 ) -> tuple[tuple[Array, Array, Array], tuple[int, int, int, float]]:
     """Integrate by the energy-momentum scheme.
 
@@ -77,7 +80,7 @@ def conserved_motion(
     start : ndarray, shape (2 n,)
         (q, v) at t[0], which satisfy the constraints and their rates.
     inputs : callable
-        Inputs as a function of time, evaluated at the middle of every step.
+        Inputs as a function of times, evaluated at the middle of every step.
     t : ndarray, shape (N,)
         Instants in rising order, whole numbers of steps after the first.
     step : float
@@ -110,7 +113,7 @@ def conserved_motion(
     while done < count:
         length = min(CHUNK, count - done)
         middles = np.minimum(t[0] + step * (done + 0.5 + np.arange(length)), t[-1])
-        arguments = (inputs.many(middles).T, np.full((1, length), step), repeated(problem.p, length))
+        arguments = (inputs(middles).T, np.full((1, length), step), repeated(problem.p, length))
         states, counts, residual, work = chained(scheme.step, length)(now[:-1], *arguments)
         table = np.vstack([states.reshape(len(now) - 1, -1, order="F"), now[-1] + np.cumsum(work.ravel())])
         bad = ~np.isfinite(table[:-1]).all(axis=0)

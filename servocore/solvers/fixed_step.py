@@ -13,18 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
-from servocore.checks.better_solutions import (
-    NOTICED,
-    BetterSolver,
-    Comparison,
-    compared_closely,
-    is_smooth,
-    stated_branch,
-)
+from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
 from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.formulations.base import Formulation
+from servocore.formulations.original import Original
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Method
+from servocore.methods.base import Method, errs_less_with_smaller_steps
 from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, call_of, side_by_side
 from servocore.numerics.memoization import made_once
@@ -46,7 +40,7 @@ from servocore.solvers.runs import (
 )
 from servocore.solvers.stable_inversion import StableInversion
 from servocore.stepping.exact_evaluation import along_path, guessed_unknowns
-from servocore.stepping.program import Program, program_of
+from servocore.stepping.program import program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
 
@@ -81,50 +75,56 @@ class Stepped(JudgedRoute):
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
-        run = StateSelection(form, _BETTER_METHOD).run
+        run = FixedStep(form, _BETTER_METHOD).run
         return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
-        comparison = None
+        better, motion = None, solution.motion
         if problem.flat:
-            motion = solution.motion
             if motion is not None and motion.values is not None:
-                parts = (len(motion.t) - 1) // (len(solution.t) - 1)
-                exact = motion.values[:, ::parts].T
-                comparison = Comparison(problem.system.inputs, solution, exact, "the exact inversion")
+                exact = replace(solution, t=motion.t, values=motion.values.T)
+                better = BetterSolver(lambda *_: exact, True, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
         elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
-            comparison = compared_closely(problem, self.better(problem), solution)
-        return stated_branch(problem, solution, (self.formulation, self.method), comparison)
+            better = self.better(problem)
+        return stated_branch(problem, solution, better, self._advice(problem))
 
     def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
-        """Whether inputs may be far from right, with internal dynamics that do not grow."""
+        """Whether inputs may be far from right, with internal dynamics that do not grow.
+
+        Stable results of collocation on a form of index one are right where third differences of all values are small.
+        """
         estimate = solution.statistics.error_estimate
         if estimate is not None:
             return not estimate <= NOTICED
-        return not is_smooth(problem, self.formulation, self.method, solution)
+        index, values = problem.dae(self.formulation).index, solution.values
+        stable = index <= 1 and isinstance(self.method, RadauIIA) and self.method.orders(index).forces > 1
+        allowed = NOTICED * np.ptp(values, axis=0)
+        return not (stable and len(values) > 3 and (np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= allowed).all())
+
+    def _advice(self, problem: Problem) -> str:
+        """Return the advice: the default route, unless this is it, and smaller steps only where the inputs converge."""
+        index, advice = problem.dae(self.formulation).index, list[str]()
+        if problem.flat:
+            advice.append("the default route, solve without a form and a method, has no step")
+        elif index > 1 or self.method != RadauIIA(3):
+            advice.append("the default route, solve without a form and a method, errs less")
+        converges = self.method.orders(index).forces >= 1 and errs_less_with_smaller_steps(self.method, index)
+        if converges and not isinstance(self.formulation, Original):
+            advice.append("a smaller step errs less")
+        return "; ".join(advice)
 
 
 class FixedStep(Stepped):
-    """One step of a method from instant to instant."""
+    """One step of a method from instant to instant.
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
-        """Step through the instants and report every one; see `Route`."""
-        program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [run_steps(problem, program, times, progress)])
-
-
-class StateSelection(Stepped):
-    """Fixed steps of the reduced form, with other states wherever the chosen ones become a bad choice.
-
-    The states of its formulation are those to begin with.
+    On the reduced form with other states wherever the chosen ones become a bad choice; those of its formulation are the
+    ones to begin with.
     """
 
-    formulation: Reduced
-
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
-        """Step a reduced form with internal dynamics through the instants; see `Route`.
+        """Step through the instants and report every one; see `Route`.
 
         Raises
         ------
@@ -133,6 +133,8 @@ class StateSelection(Stepped):
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native, len(times))
+        if not isinstance(formulation, Reduced):
+            return solution_of(problem, [run_steps(problem, program, times, progress)])
         try:
             state, _ = first_state(problem, program, step)
         except InconsistentStart:
@@ -279,16 +281,13 @@ class ToTolerance(Stepped):
                     return replace(fine, statistics=replace(fine.statistics, steps=total, error_estimate=error))
                 # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
                 if ratio is not None and ratio[unmet].min() < _STAGNATION:
-                    raise IntegrationFailed(_stagnation(problem, program, control, relative, count))
+                    worst = int(relative.argmax())
+                    raise IntegrationFailed(
+                        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at"
+                        f" {relative[worst]:.2g} of its peak after {count} steps, but rtol is {control.rtol:g}; likely"
+                        " causes: round-off, which grows like 1/h^2 on this form, a method that does not damp errors of"
+                        " the inputs, or a path that is not smooth enough"
+                    )
                 last_change = change
             coarse, division = fine, 2 * division
         raise IntegrationFailed(f"{program.name}: {_MOST_STEPS} steps are not enough")
-
-
-def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:
-    worst = int(relative.argmax())
-    return (
-        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
-        f" after {count} steps, but rtol is {control.rtol:g}; likely causes: round-off, which grows like 1/h^2 on"
-        f" this form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
-    )

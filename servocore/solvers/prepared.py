@@ -12,12 +12,10 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
 from servocore.errors import (
     InconsistentStart,
@@ -53,6 +51,8 @@ _DIVERGED = 100.0  # times the least error, with several times as many elements:
 _LOOSE = 3e-3  # of the root of a tolerance, for corrections of Newton's method
 _MOST_LOOPS = 32  # functions of whole runs that are kept
 _TRUTH = Reduced(), RadauIIA(5)
+
+Steps = npt.NDArray[np.intp]
 
 
 def prepare(
@@ -130,31 +130,18 @@ def prepare(
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
     require_stable(problem)
     exact = solve(scene, *_TRUTH, model=model, start=start)
-    trial = problem, FixedStep(formulation, method, native=False), exact
-    found = _tried(*trial, int(elements)) if elements is not None else _fewest(*trial, tolerance)
-    run = PreparedInversion(problem, FixedStep(formulation, method, native), found.elements, found.newton)
-    run.error = found.error
-    return run
+    newton = NEWTON_TOLERANCE
+    if elements is None:
+        elements, newton = _fewest(problem, FixedStep(formulation, method, native=False), exact, tolerance)
+    return PreparedInversion(problem, FixedStep(formulation, method, native), exact, int(elements), newton)
 
 
-def _tried(
-    problem: Problem, route: FixedStep, exact: Solution, elements: int, newton: float = NEWTON_TOLERANCE
-) -> PreparedInversion:
-    """Prepare a run, interpreted, and measure its error against exact inputs."""
-    run = PreparedInversion(problem, route, elements, newton)
-    inputs = exact.values[:, : len(run.inputs)]
-    with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
-        off = np.abs(run._read(run._problem, run._own, exact.t) - inputs).max(axis=0)
-        run.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
-    return run
-
-
-def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: float) -> PreparedInversion:
-    """Return the run with the fewest elements that keeps a tolerance."""
+def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: float) -> tuple[int, float]:
+    """Return the fewest elements that keep a tolerance, and the largest correction of Newton's method that does."""
     best, count = None, float(_FEWEST)
     while count <= _MOST and (best is None or best.error > tolerance):
         with suppress(InconsistentStart):  # steps so long that the past of a multistep method has no solution
-            found = _tried(problem, route, exact, round(count))
+            found = PreparedInversion(problem, route, exact, round(count))
             best = found if best is None or found.error < best.error else best
             if found.error > _DIVERGED * best.error and count > 4 * best.elements:
                 break
@@ -167,37 +154,33 @@ def _fewest(problem: Problem, route: FixedStep, exact: Solution, tolerance: floa
             " as elements get shorter"
         )
     # Errors of Newton's method are the square of its last correction, which an iteration less often keeps small.
-    loose = _tried(problem, route, exact, best.elements, max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE))
-    return loose if loose.error <= tolerance else best
-
-
-@partial(made_once, most=_MOST_LOOPS)
-def _whole(program: Program, elements: int, newton: float) -> SimpleNamespace:
-    """Return a whole run as one function, (state, gamma, h, p) -> entries of the states at both ends of every step.
-
-    They are NaN after a step that is not solved or ends with a wrong sign.
-    """
-    step, (_, entries) = _bare_step(program.discretization, newton), _dense_output(program)
-    state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
-    gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
-    after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
-    verdict = _verdict(program).map(elements)(after, ca.repmat(p, 1, elements))
-    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(verdict, len(entries), 1))
-    return SimpleNamespace(run=ca.Function("sc_run", [state, gamma, h, p], [solved]))
+    newton = max(_LOOSE * tolerance**0.5, NEWTON_TOLERANCE)
+    loose = PreparedInversion(problem, route, exact, best.elements, newton)
+    return best.elements, newton if loose.error <= tolerance else NEWTON_TOLERANCE
 
 
 _bare_step = made_once(compile_bare_step)
 
 
-def _verdict(program: Program) -> ca.Function:
-    """Return (state, p) -> zero, or NaN where a quantity has a wrong sign."""
-    observe = program.observe
-    state, gamma, p = (ca.SX.sym("argument", *observe.size_in(k)) for k in range(3))
-    values, verdict = observe(state, gamma, p)[0], ca.SX(0)
-    for channel, value in zip(program.channels, ca.vertsplit(values), strict=True):
-        if channel.positive and not ca.depends_on(value, gamma):
-            verdict += ca.if_else(value > 0, 0.0, np.nan)
-    return ca.Function("sc_verdict", [state, p], [verdict])
+@partial(made_once, most=_MOST_LOOPS)
+def _whole(program: Program, elements: int, newton: float) -> ca.Function:
+    """Return a whole run as one function, (state, gamma, h, p) -> entries of the states at both ends of every step.
+
+    They are NaN after a step that is not solved or ends with a wrong sign.
+    """
+    step, observe, (_, entries) = _bare_step(program.discretization, newton), program.observe, _dense_output(program)
+    given = [ca.SX.sym("argument", *observe.size_in(k)) for k in range(3)]
+    sound = ca.SX(0)
+    for channel, value in zip(program.channels, ca.vertsplit(observe.call(given)[0]), strict=True):
+        if channel.positive and not ca.depends_on(value, given[1]):
+            sound += ca.if_else(value > 0, 0.0, np.nan)
+    verdict = ca.Function("sc_verdict", given[::2], [sound])
+    state, gamma, h, p = (ca.MX.sym("argument", rows, columns) for rows, columns in map(step.size_in, range(4)))
+    gamma = ca.MX.sym("gamma", gamma.size1(), gamma.size2() * elements)
+    after = step.mapaccum("sc_elements", elements)(state, gamma, ca.repmat(h, 1, elements), ca.repmat(p, 1, elements))
+    signs = verdict.map(elements)(after, ca.repmat(p, 1, elements))
+    solved = ca.horzcat(state[entries], after[entries, :] + ca.repmat(signs, len(entries), 1))
+    return ca.Function("sc_run", [state, gamma, h, p], [solved])
 
 
 class PreparedInversion:
@@ -212,6 +195,8 @@ class PreparedInversion:
         With the scene's own parameters and path.
     route : FixedStep
         Form and method.
+    exact : Solution
+        Inputs on the scene's own path, to measure the error.
     elements : int
         Number of steps from start to end.
     newton : float
@@ -229,17 +214,25 @@ class PreparedInversion:
         Largest error of the inputs on the scene's own path, relative to their peaks, at 201 instants.
     program : Program
         The compiled form and method.
+    whole : casadi.Function
+        A whole run, interpreted.
     """
 
-    def __init__(self, problem: Problem, route: FixedStep, elements: int, newton: float = NEWTON_TOLERANCE) -> None:
+    def __init__(
+        self, problem: Problem, route: FixedStep, exact: Solution, elements: int, newton: float = NEWTON_TOLERANCE
+    ) -> None:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
-        self.elements, self.error = elements, float("nan")
+        self.elements = elements
         self.program = program = program_of(problem, route.formulation, route.method)
-        self.newton, self._interpreted = newton, _whole(program, elements, newton)
-        self._code = in_machine_code(self._interpreted, ("run",), program.name, route.native)
+        self.newton, self.whole = newton, _whole(program, elements, newton)
+        self._code = in_machine_code(self, ("whole",), program.name, route.native)
         self._route = route
         self._problem, self._own = problem, self._posed(problem)
-        self._known: dict[tuple[bytes, float, float], csr_array] = {}
+        self._known: dict[tuple[bytes, float, float], tuple[Steps, Array]] = {}
+        inputs = exact.values[:, : len(self.inputs)]
+        with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
+            off = np.abs(self._read(self.whole, problem, self._own, exact.t) - inputs).max(axis=0)
+            self.error = float(np.nan_to_num(off / np.maximum(np.abs(inputs).max(axis=0), 1e-300), nan=np.inf).max())
 
     def __call__(
         self,
@@ -277,7 +270,8 @@ class PreparedInversion:
             problem = self._changed(parameters or {}, path)
             posed = self._posed(problem)
         require_inside(problem.reference, times)
-        found = self._read(problem, posed, times.ravel())
+        best = self._code.best(self.elements) or self
+        found = self._read(best.whole, problem, posed, times.ravel())
         if not np.isfinite(found).all():
             # This names instant, quantity and causes.
             self._route.run(problem, time_grid(problem.reference, problem.reference.duration / self.elements))
@@ -286,18 +280,15 @@ class PreparedInversion:
 
     def _changed(self, parameters: Mapping[str, float], path: Reference | None) -> Problem:
         """Return the problem with other parameters and another path."""
-        problem = self._problem
-        declared = problem.system.parameters
+        problem, declared = self._problem, self._problem.system.parameters
         values = declared.values({**dict(zip(declared.names, problem.p.tolist(), strict=True)), **parameters})
-        changed = replace(problem, p=values)
-        if path is None:
-            return changed
+        path = problem.reference if path is None else path
         require_kind(path, Reference, "the path", "a Reference", InvalidReference)
         if path.dimension != problem.reference.dimension:
             raise InvalidReference(
                 f"{problem.name} needs a path with {problem.reference.dimension} components, not {path.dimension}"
             )
-        return replace(changed, reference=path)
+        return replace(problem, p=values, reference=path)
 
     def _posed(self, problem: Problem) -> tuple[Array, Array, float, Array]:
         """Return the first state, the jets of the path at all nodes, h and p."""
@@ -308,30 +299,28 @@ class PreparedInversion:
         nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * h).ravel()
         return first, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), h, problem.p
 
-    def _read(self, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:
+    def _read(self, run: ca.Function, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:
         """Return the inputs at times within the path, (N, inputs), by one run; NaN after a step that is not solved."""
-        whole = self._code.best(self.elements) or self._interpreted
-        (states,) = call_of(whole.run)(*posed)
-        found: Array = self._weights(problem.reference, t) @ states.ravel(order="F")
-        return found.reshape(len(t), len(self.inputs))
+        (states,) = call_of(run)(*posed)
+        step, weights = self._weights(problem.reference, t)
+        return np.asarray(np.einsum("nij,jn->ni", weights, states[:, step]))
 
-    def _weights(self, reference: Reference, t: Array) -> csr_array:
-        """Return the matrix from states to inputs; the last is kept: callers often use the same times again."""
+    def _weights(self, reference: Reference, t: Array) -> tuple[Steps, Array]:
+        """Return the steps at times, (N,), and the weights of the states at their ends, (N, inputs, entries).
+
+        The last are kept: callers often use the same times again.
+        """
         h = reference.duration / self.elements
         key = t.tobytes(), h, reference.start_time
         if key not in self._known:
             place = (t - key[2]) / h
-            step = np.clip(np.ceil(place), 0, self.elements).astype(np.int32)
+            step = np.clip(np.ceil(place), 0, self.elements).astype(np.intp)
             # The first state is that at the end of a step before the path.
             fractions = np.where(step > 0, place - step + 1, 1.0)
             dense, entries = _dense_output(self.program)
-            rows = [call_of(dense)(fraction, h)[0].reshape(-1, len(entries), order="F") for fraction in fractions]
-            size, count = len(self.inputs), len(entries)
-            columns = np.repeat(step * count, size)[:, None] + np.arange(count, dtype=np.int32)
-            values = np.array(rows).reshape(columns.shape)
-            ends = np.arange(len(values) + 1, dtype=np.int32) * count
-            shape = len(values), (self.elements + 1) * count
-            self._known = {key: csr_array((values.ravel(), columns.ravel(), ends), shape)}
+            shape = len(self.inputs), len(entries)
+            weights = [call_of(dense)(fraction, h)[0].reshape(shape, order="F") for fraction in fractions]
+            self._known = {key: (step, np.array(weights).reshape(-1, *shape))}
         return self._known[key]
 
 

@@ -104,22 +104,15 @@ def solution_of(
         t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), t])
         values = np.vstack([*(table[:-1] for table, _ in observed[:-1]), values])
         violations = np.hstack([each for _, each in observed])
-        for k, channel in enumerate(program.channels):
-            if channel.wraps:
-                values[:, k] = np.unwrap(values[:, k])
-    servo, servo_rate, constraint, constraint_rate = violations.max(axis=1).tolist()
-    summary = Statistics(
-        len(t) - 1,
-        sum(segment.newton_iterations for segment in segments),
-        sum(segment.factorizations for segment in segments),
-        max(segment.worst_residual for segment in segments),
-        servo,
-        servo_rate,
-        constraint,
-        constraint_rate,
-        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
-        branch=branch,
-    )
+    for k, channel in enumerate(program.channels):
+        if channel.wraps and (np.abs(np.diff(values[:, k])) >= np.pi).any():
+            values[:, k] = np.unwrap(values[:, k])
+    iterations = sum(part.newton_iterations for part in segments)
+    factorizations = sum(part.factorizations for part in segments)
+    c, c_dot, g, g_dot = violations.max(axis=1).tolist()
+    totals = len(t) - 1, iterations, factorizations, max(part.worst_residual for part in segments)
+    choices = 1 + sum(a.program is not b.program for a, b in pairwise(segments))
+    summary = Statistics(*totals, c, c_dot, g, g_dot, choices_of_states=choices, branch=branch)
     fit_error = problem.reference.fit_error
     return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
 
@@ -143,34 +136,27 @@ def solution_of_states(problem: Problem, t: Array, values: Array, route: str, it
 
 
 def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array, Array]:
-    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
+    """Return observed values (N, channels) and violations (4, N)."""
     program, t, known, jets = segment.program, segment.t, segment.observed, segment.jets
     orders = program.observe.size2_in(1)
     if not known and jets is not None and jets.shape[1] >= orders:
         known = at_instants(program.observe, segment.states, jets=jets[:, :orders], p=problem.p)
     observed, violations, *_ = known or along_path(problem, program.observe, t, segment.states)
     table = observed.T
-    _require_numbers(problem, program, t, table)
-    if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
-        require_less_than_half_a_turn(problem, program, t, table)
-    for k, channel in enumerate(program.channels):
-        if channel.wraps and (np.abs(np.diff(table[:, k])) >= np.pi).any():
-            table[:, k] = np.unwrap(table[:, k])
-        if channel.positive and not (table[:, k] > 0.0).all():
-            first = int((~(table[:, k] > 0.0)).argmax())
-            program.require_branch(table[first], float(t[first]))
-    return table, violations
-
-
-def _require_numbers(problem: Problem, program: Program, t: Array, table: Array) -> None:
-    """Raise `IntegrationFailed` if an input is not finite: no equation of the derivative array may show that."""
     finite = np.isfinite(table[:, : len(problem.system.inputs)])
-    if not finite.all():
+    if not finite.all():  # no equation of the derivative array may show that
         k, j = np.argwhere(~finite)[0]
         raise IntegrationFailed(
             f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
             " no finite number there, as v/|v| is none at rest"
         )
+    if refuse_turns and program.index > 1:  # else velocities are unknowns too, and decide
+        require_less_than_half_a_turn(problem, program, t, table)
+    for k, channel in enumerate(program.channels):
+        if channel.positive and not (table[:, k] > 0.0).all():
+            first = int((~(table[:, k] > 0.0)).argmax())
+            program.require_branch(table[first], float(t[first]))
+    return table, violations
 
 
 def with_run_quantities(solution: Solution) -> Solution:
@@ -286,13 +272,11 @@ def advance_chunk(
         # Where CasADi gives up, all of the loop is lost: a part of it ends at a good state.
         half = length // 2
         return advance_chunk(problem, program, t[: half + 1], step, state, half)
-    iterations, factorizations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], states_after[:, :good]])
-    worst_residual = float(worst[:good].max(initial=0.0))
-    run = Run(program, t[: good + 1], states, round(iterations), round(factorizations), worst_residual)
-    if program.nodes[-1] == 1.0:  # of the end of a step
-        run = replace(run, jets=jets[:: len(program.nodes)][: good + 1])
-    return run, good == used
+    iterations, factorizations = (round(total) for total in counts[:, :good].sum(axis=1))
+    residual = float(worst[:good].max(initial=0.0))
+    at_ends = jets[:: len(program.nodes)][: good + 1] if program.nodes[-1] == 1.0 else None
+    return Run(program, t[: good + 1], states, iterations, factorizations, residual, jets=at_ends), good == used
 
 
 _STICKS = (

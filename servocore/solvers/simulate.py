@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,18 +12,27 @@ import numpy as np
 from servocore.checks.along_motion import left_out, steps_passed, with_switches
 from servocore.checks.before_run import require_smooth
 from servocore.checks.between_instants import Moments
-from servocore.checks.findings import told
-from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
+from servocore.checks.findings import ROUND_OFF, told
+from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
+    InvalidSetting,
+    described,
+    require_callable,
+    require_positive,
+    require_real,
+)
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import numbers_of
 from servocore.solution import Solution, Statistics
-from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
+from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, SampledInputs, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import integrated
-from servocore.solvers.input_functions import GivenInputs, Inputs, checked, interpolated, rising_times
 from servocore.solvers.runs import with_run_quantities
 from servocore.stepping.exact_evaluation import along_path, exact_unknowns
 from servocore.stepping.forward_dynamics import forward_rate
@@ -31,6 +41,9 @@ from servocore.stepping.prescribed_initial_values import with_initial_values
 from servocore.structure.derivative_array import DerivativeArray
 
 _SMALLEST_RTOL = 1e-13
+
+Inputs = Callable[[float], Array]
+"""Time in s -> inputs u, shape (m,)."""
 
 
 def simulate(
@@ -101,25 +114,23 @@ def simulate(
     require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
     for what, value in (("rtol", rtol), ("atol", atol), ("time_limit", time_limit if time_limit is not None else 1.0)):
-        require_real(value, what, "a positive number", InvalidSetting)
-        if not 0.0 < value < float("inf"):
-            raise InvalidSetting(f"{what} must be positive and finite, not {value}")
+        require_positive(value, what, "a positive number")
     if rtol < _SMALLEST_RTOL:
         raise InvalidSetting(f"rtol must be {_SMALLEST_RTOL:g} or more, not {rtol:g}: numbers are no more accurate")
     if isinstance(inputs, Solution):
-        instants = rising_times(inputs.t if t is None else t)
-        evaluate: GivenInputs = interpolated(inputs, problem.system, instants)
+        instants = _rising_times(inputs.t if t is None else t)
+        evaluate: SampledInputs = _interpolated(inputs, problem.system, instants)
     else:
         require_callable(inputs, "the inputs", "a Solution or a function of time")
         if t is None:
             raise InvalidSetting("inputs given as a function need the times at which to report")
-        instants, evaluate = rising_times(t), checked(inputs, problem.system)
+        instants, evaluate = _rising_times(t), _checked(inputs, problem.system)
     if method is None and step is None:
         return _report(problem, instants, *_integrated(problem, evaluate, instants, (rtol, atol, time_limit)))
     return _conserved(problem, evaluate, instants, method, step)
 
 
-def _conserved(problem: Problem, inputs: GivenInputs, t: Array, method: object, step: float | None) -> Solution:
+def _conserved(problem: Problem, inputs: SampledInputs, t: Array, method: object, step: float | None) -> Solution:
     """Return the motion by the energy-momentum scheme, with its balance of energy."""
     if not isinstance(method, EnergyMomentum):
         raise InvalidSetting(
@@ -129,8 +140,7 @@ def _conserved(problem: Problem, inputs: GivenInputs, t: Array, method: object, 
     scheme_of(problem, method)  # first: a system without a conserved energy needs no start
     start = _initial_state(problem, float(t[0]))
     (states, forces, balance), totals = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
-    _require_no_steps(problem, t, states)
-    known = _report(problem, t, (states, forces, inputs.many(t).T), totals)
+    known = _report(problem, t, (states, forces, inputs(t).T), totals)
     return replace(
         known,
         channels=(*known.channels, *BALANCE),
@@ -140,27 +150,25 @@ def _conserved(problem: Problem, inputs: GivenInputs, t: Array, method: object, 
 
 
 def _integrated(
-    problem: Problem, inputs: GivenInputs, t: Array, tolerance: tuple[float, float, float | None]
+    problem: Problem, inputs: SampledInputs, t: Array, tolerance: tuple[float, float, float | None]
 ) -> tuple[tuple[Array, ...], tuple[int, int, int, float]]:
     """Return states, multipliers and inputs (rows, N) at instants, with the integrator's totals."""
-    move, undisturbed = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs))
+    system, p = problem.system, problem.p
+    move, undisturbed = _free_motion(problem.resolved), np.zeros(len(system.outputs))
+    clocks = system.time.numel()  # 0 or 1
 
-    def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
-        clock = (np.array([time]),) if problem.system.time.numel() else ()
-        return move(state, u, undisturbed, problem.p, *clock)
+    def moved(state: Array, now: Array, u: Array) -> tuple[Array, ...]:
+        return move(state, u, undisturbed, p, *(now,) * clocks)
 
     def rate(time: float, state: Array) -> Array:
-        return moved(time, state, inputs.at(time))[0]
+        now = np.array([time])
+        return moved(state, now, inputs(now))[0]
 
-    name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
-    states, steps, evaluations = integrated(
-        name, [quantity.name for quantity in quantities], rate, start, t, *tolerance
-    )
-    _require_no_steps(problem, t, states)
-    u = inputs.many(t)
+    states, steps, evaluations = integrated(system.name, system.coordinates.names, rate, start, t, *tolerance)
+    u = inputs(t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
-    forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
+    forces = [moved(*instant)[1] for instant in zip(states.T, t, u, strict=True)]
     return (states, np.array(forces).reshape(len(t), -1).T, u.T), (steps, 0, evaluations, 0.0)
 
 
@@ -209,25 +217,25 @@ def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
 
 def _report(problem: Problem, t: Array, columns: tuple[Array, ...], totals: tuple[int, int, int, float]) -> Solution:
     known, function = _observation(problem.resolved)
+    _require_no_steps(problem, t, columns[0])
     told(problem.system.name, "", left_out(problem, t, columns[0][: len(problem.system.coordinates)]))
-    values, violations, deviations = along_path(problem, function, t, *columns)
+    values, violations = along_path(problem, function, t, *columns)
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
             # atan2 jumps by a full turn where a motion is continuous.
             row[:] = np.unwrap(row)
-    deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
-    c, c_dot, g, g_dot = (float(each.max()) for each in (deviation, rate_deviation, *violations[2:]))
+    c, c_dot, g, g_dot = violations.max(axis=1).tolist()
     statistics = Statistics(*totals, c, c_dot, g, g_dot)
-    table = np.column_stack([values.T, deviation])
+    table = np.column_stack([values.T, violations[0]])
     name = f"{problem.system.name}, forward simulation"
     return with_run_quantities(Solution(t, (*known, tracking), table, name, statistics))
 
 
 @made_once
 def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
-    """Compile (state, lam, u, gamma, p) -> observed values, violations, distances from position and rate of the path.
+    """Compile (state, lam, u, gamma, p) -> observed values, and violations (4,), of the path as distances.
 
     Quantities of higher derivatives of the path are not observed: the motion need not follow it.
     """
@@ -239,7 +247,105 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
     ]
     known.sort(key=lambda pair: pair[0] not in system.observables)  # they come first, the others keep their order
     distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
-    results = ca.vertcat(*(expression for _, expression in known)), violations_of(system), ca.vertcat(*distances)
+    violations = ca.vertcat(*distances, violations_of(system)[2:])
+    results = ca.vertcat(*(expression for _, expression in known)), violations
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
     function = ca.Function("sc_report", arguments, [ca.densify(result) for result in results])
     return tuple(quantity for quantity, _ in known), function
+
+
+# Inputs as functions of time ------------------------------------------------------------------------------------------
+
+
+def _rising_times(t: Any, what: str = "the times at which to report") -> Array:
+    """Return times (N,) as an array; `what` names them in messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are none, or they are no finite numbers in rising order.
+    """
+    times = np.atleast_1d(numbers_of(t, what, InvalidSetting))
+    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+        raise InvalidSetting(
+            f"{what} must be one row of finite numbers in s, not an array of shape {times.shape}"
+            + ("" if np.isfinite(times).all() else f" that holds {times[~np.isfinite(times)][0]}")
+        )
+    falls = np.flatnonzero(np.diff(times) < 0.0)
+    if len(falls):
+        k = int(falls[0])
+        raise InvalidSetting(f"{what} must rise, but {times[k + 1]:g} s follows {times[k]:g} s")
+    return times
+
+
+def _interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> SampledInputs:
+    """Return the inputs of a solution as a function of times: a cubic spline through its samples.
+
+    A time may lie outside theirs by round-off.
+
+    Parameters
+    ----------
+    solution : Solution
+        With the inputs of the system by name.
+    system : MechanicalSystem
+        The system that they drive.
+    t : ndarray, shape (N,)
+        Times that they are to cover, in rising order.
+
+    Raises
+    ------
+    InvalidSetting
+        If an input is missing or not finite, or the times leave those of the solution.
+    """
+    import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    names = [quantity.name for quantity in system.inputs]
+    missing = [name for name in names if name not in solution]
+    if missing:
+        raise InvalidSetting(
+            f"the solution lacks the inputs {', '.join(missing)} of {system.name}; it has {', '.join(solution.names)}"
+        )
+    known = _rising_times(solution.t, "the times of the inputs")
+    if (np.diff(known) <= 0.0).any():
+        raise InvalidSetting(f"the inputs are given twice at t = {known[int((np.diff(known) <= 0.0).argmax())]:g} s")
+    first, last = float(known[0]), float(known[-1])
+    # Times that were written to a file and read again may differ in the last digit.
+    slack = ROUND_OFF * (last - first)
+    if t[0] < first - slack or t[-1] > last + slack:
+        raise InvalidSetting(
+            f"the inputs are known from t = {first:g} s to {last:g} s, the simulation is to go from {t[0]:g} s to"
+            f" {t[-1]:g} s: outside their time they are unknown"
+        )
+    table = np.column_stack([np.empty((len(solution.t), 0)), *(solution[name] for name in names)])
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        k, j = bad[0]
+        raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
+    curve = scipy.interpolate.make_interp_spline(known, table, k=min(3, len(known) - 1))
+    return lambda t: np.asarray(curve(np.minimum(np.maximum(t, first), last)))
+
+
+def _checked(inputs: Callable[[float], Any], system: MechanicalSystem) -> SampledInputs:
+    """Return a function of times whose values are checked: as many finite numbers as the system has inputs."""
+    names = [quantity.name for quantity in system.inputs]
+
+    def at(time: float) -> Array:
+        answer = inputs(time)
+        try:
+            values = np.asarray(() if answer is None else answer, dtype=np.float64).reshape(-1)
+        except (TypeError, ValueError):
+            raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(answer)}") from None
+        if len(values) != len(names):
+            raise InvalidSetting(
+                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {system.name} has"
+                f" {len(names)}: {', '.join(names)}"
+            )
+        if not np.isfinite(values).all():
+            lost = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise IntegrationFailed(
+                f"{system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
+                f" {values[lost]}"
+            )
+        return values
+
+    return lambda t: np.array([at(time) for time in t.tolist()]).reshape(len(t), -1)

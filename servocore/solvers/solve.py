@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from servocore.checks.before_run import internal_dynamics, require_feasible, require_smooth, warn_before_run
+from servocore.checks.before_run import ADVICE, internal_dynamics, require_feasible, require_smooth, warn_before_run
 from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out, unknown_errors
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
@@ -256,21 +256,25 @@ def chosen_route(
         warn_before_run(problem, formulation, method)
     if method is None or not stepped:
         return Pointwise(formulation, native)
-    from servocore.solvers.fixed_step import FixedStep, StateSelection, ToTolerance  # noqa: PLC0415 - as above
+    from servocore.solvers.fixed_step import FixedStep, ToTolerance  # noqa: PLC0415 - as above
 
     if isinstance(step, Adaptive):
         return ToTolerance(formulation, method, native, step)
-    return (StateSelection if isinstance(formulation, Reduced) else FixedStep)(formulation, method, native)
+    return FixedStep(formulation, method, native)
 
 
 def error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     """Return how far the inputs of a solution by a route are from more accurate ones."""
-    if isinstance(route, JudgedRoute):
-        return route.better(problem).estimate(problem, solution)
-    if problem.flat:
-        return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion").estimate(problem, solution)
-    why = f"no more accurate solver of {problem.system.name} is known for this route"
-    return unknown_errors(problem, solution, why)
+    try:
+        if isinstance(route, JudgedRoute):
+            return route.better(problem).compared(problem, solution).estimate
+        if problem.flat:
+            return (
+                BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion").compared(problem, solution).estimate
+            )
+        raise ServocoreError(f"no more accurate solver of {problem.system.name} is known for this route")
+    except ServocoreError as error:
+        return unknown_errors(problem, solution, str(error))
 
 
 def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate | None:
@@ -300,12 +304,13 @@ def _fit_effect(problem: Problem, route: Route, solution: Solution) -> ErrorEsti
 def recommended(problem: Problem) -> tuple[Method | Route | None, str]:
     """Return the method that the analysis recommends for the reduced form, None if it needs none, and its advice."""
     dynamics = internal_dynamics(problem)
+    advice = f"{dynamics.kind}: {ADVICE[dynamics.kind]}"
     if problem.flat:
-        return None, dynamics.advice  # without differential states all methods are one
+        return None, advice  # without differential states all methods are one
     if not dynamics.grows:
         from servocore.methods.collocation import RadauIIA  # noqa: PLC0415 - a flat scene takes no steps
 
-        return RadauIIA(3), dynamics.advice
+        return RadauIIA(3), advice
     from servocore.solvers.stable_inversion import StableInversion  # noqa: PLC0415 - few scenes need it
 
-    return StableInversion(), dynamics.advice
+    return StableInversion(), advice

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.better_solutions import NOTICED, BetterSolver, compared_closely, stated_branch
+from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
 from servocore.checks.findings import ROUND_OFF
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
@@ -90,9 +90,8 @@ class StableInversion(JudgedRoute):
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Judge a solution whose tolerance is loose; see `JudgedRoute`."""
-        loose = self.tolerance > NOTICED
-        comparison = compared_closely(problem, self.better(problem), solution) if loose else None
-        return stated_branch(problem, solution, (Reduced(), None), comparison)
+        better = self.better(problem) if self.tolerance > NOTICED else None
+        return stated_branch(problem, solution, better, "take a smaller tolerance for StableInversion")
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
@@ -142,11 +141,6 @@ class _Bounded:
     method: Gauss
     periodic: bool
 
-    def nodes(self, mesh: Array) -> tuple[float, Array]:
-        """Return the length of the intervals of a mesh, and all nodes in them."""
-        h = (mesh[-1] - mesh[0]) / (len(mesh) - 1)
-        return h, (mesh[:-1, None] + h * self.method.tableau.c).ravel()
-
     @property
     def conditions(self) -> tuple[Array, Array, Array]:
         """L, R, b of the boundary conditions L x + R x = b with the internal states x at the left and right end."""
@@ -165,43 +159,31 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
         raise InvalidSetting(f"{name} has no internal dynamics; Reduced is exact, no boundary values are needed")
     require_derivatives(problem, array.reference_order, f"{name} needs")
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
-    periodic = _repeats(ends, reference.duration)
+    scaled = ends * reference.duration ** np.arange(ends.shape[1])[:, None]
+    moves = np.abs(scaled[:, 1:]).max() > ROUND_OFF
+    periodic = moves and np.abs(scaled[1] - scaled[0]).max() <= ROUND_OFF * (np.abs(scaled[0]).max() + 1.0)
     if problem.system.time.numel() and not periodic:
         raise InvalidModel(
             f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
             " method computes the motion that starts at rest"
         )
-    size = float(np.abs(ends[:, 0]).max()) + 1.0
+    slow = ROUND_OFF * (float(np.abs(ends[:, 0]).max()) + 1.0) / reference.duration
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
-        if not periodic and np.abs(jet[1]).max() > ROUND_OFF * size / reference.duration:
+        if not periodic and np.abs(jet[1]).max() > slow:
             raise InvalidReference(
                 f"a stable inversion needs a path that is at rest at its ends or periodic, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
             )
     left, right = (internal_equilibrium(problem.array, problem.p, jet[0]) for jet in ends)
-    bounded = _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
-    _require_as_many_conditions_as_states(bounded)
-    return bounded
-
-
-def _require_as_many_conditions_as_states(bounded: _Bounded) -> None:
-    """Raise `IntegrationFailed` if stability changes along the path so that no or many motions stay bounded."""
-    size, stable, unstable = bounded.dae.x.numel(), len(bounded.left.stable), len(bounded.right.unstable)
-    if not bounded.periodic and stable + unstable != size:
+    size, stable, unstable = len(left.states), len(left.stable), len(right.unstable)
+    if not periodic and stable + unstable != size:  # stability changes along the path
         count = "no motion stays" if stable + unstable > size else "a family of motions stays"
         raise IntegrationFailed(
-            f"{bounded.problem.system.name}: of {size} internal states {size - stable} grow at the start of the path"
+            f"{name}: of {size} internal states {size - stable} grow at the start of the path"
             f" and {unstable} at its end, so that {count} bounded; Reduced() with a method computes the one that starts"
             " at rest"
         )
-
-
-def _repeats(ends: Array, duration: float) -> bool:
-    """Whether a path ends as it began, in motion; `ends` are its jets (2, orders, m)."""
-    weights = duration ** np.arange(ends.shape[1])[:, None]
-    first, last = ends * weights
-    moving = np.abs(ends[:, 1:] * weights[1:]).max()
-    return bool(moving > ROUND_OFF and np.abs(last - first).max() <= ROUND_OFF * (np.abs(first).max() + 1.0))
+    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), bool(periodic))
 
 
 def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
@@ -220,10 +202,10 @@ def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
 
 
 @made_once
-def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.Function, Places]:
+def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, Places]:
     """Compile the collocation equations of one mesh interval.
 
-    Returns (values, gamma, h, p) -> residual, the same -> nonzeros of its Jacobian by values, and their (row, column)
+    Returns (values, gamma, h, p) -> residual and the nonzeros of its Jacobian by values, and their (row, column)
     places; values are [x at the left; stages; x at the right].
     """
     dae = resolved.dae(Reduced())
@@ -233,29 +215,33 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.
     # Continuity of x as equations of their own keeps the Jacobian of the horizon banded.
     residual = ca.vertcat(step.equations.residual, step.next_state[: dae.x.numel()] - right)
     jacobian = ca.jacobian(residual, values)
-    arguments = [values, step.reference, step.step, dae.p]
-    places = np.array(jacobian.sparsity().get_triplet(), dtype=np.int64)
-    return (
-        ca.Function("sc_interval", arguments, [ca.densify(residual)], {"cse": True}),
-        ca.Function("sc_interval_jacobian", arguments, [ca.vertcat(*jacobian.nonzeros())], {"cse": True}),
-        places,
-    )
+    results = [ca.densify(residual), ca.vertcat(*jacobian.nonzeros())]
+    function = ca.Function("sc_interval", [values, step.reference, step.step, dae.p], results, {"cse": True})
+    return function, np.array(jacobian.sparsity().get_triplet(), dtype=np.int64)
 
 
 def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     """Solve on a mesh of equal intervals; returns x at the mesh points and the Newton iterations."""
     import scipy.sparse.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    evaluate, assemble, ends = _collocation(bounded, mesh)
-    y = _quasi_static(bounded, mesh)
-    residual = evaluate(y)
+    h = step_of(mesh)
+    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
+    linearized, ends = _collocation(bounded, h, nodes)
+    y = _quasi_static(bounded, nodes)
+    residual, jacobian = linearized(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         try:
             # A chain of blocks and a few boundary rows: sparse LU fills in little.
-            change = scipy.sparse.linalg.splu(assemble(y)).solve(-residual)
+            change = scipy.sparse.linalg.splu(jacobian).solve(-residual)
         except RuntimeError:  # exactly singular
             break
-        y, residual, length = _damped(evaluate, y, residual, change)
+        start, most, length = y, float(np.linalg.norm(residual)) * (1.0 + 1e-6) + 1e-9, 1.0
+        y = start + change
+        residual, jacobian = linearized(y)
+        while not np.linalg.norm(residual) <= most and length >= 1e-3:  # damped, so that the residual does not grow
+            length /= 2.0
+            y = start + length * change
+            residual, jacobian = linearized(y)
         if length == 1.0 and np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
             return y[ends].T, iteration
         if not np.isfinite(residual).all():
@@ -267,61 +253,42 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     )
 
 
-def _damped(evaluate: Callable[[Array], Array], y: Array, residual: Array, change: Array) -> tuple[Array, Array, float]:
-    """Halve a Newton correction until the residual does not grow."""
-    size, length = float(np.linalg.norm(residual)), 1.0
-    while True:
-        tried = y + length * change
-        tried_residual = evaluate(tried)
-        if np.linalg.norm(tried_residual) <= size * (1.0 + 1e-6) + 1e-9 or length < 1e-3:
-            return tried, tried_residual, length
-        length /= 2.0
-
-
-def _collocation(bounded: _Bounded, mesh: Array) -> tuple[Callable[[Array], Array], Callable[[Array], Any], Places]:
-    """Return residual and Jacobian of the whole horizon, and the places of x at the mesh points.
+def _collocation(bounded: _Bounded, h: float, nodes: Array) -> tuple[Callable[[Array], tuple[Array, Any]], Places]:
+    """Return the function from unknowns of the whole horizon to residual and Jacobian, and where x at mesh points is.
 
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
     import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
-    one, one_jacobian, (rows, columns) = _interval(problem.resolved, bounded.method)
+    problem, dae, count = bounded.problem, bounded.dae, len(nodes) // bounded.method.stages
+    one, (rows, columns) = _interval(problem.resolved, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
-    h, nodes = bounded.nodes(mesh)
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
     constant = (gamma, np.full(count, h), repeated(problem.p, count))
-    residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
-    starts = width * np.arange(count)
-    take = starts[:, None] + np.arange(width + size_x)
-    places = (height * np.arange(count)[:, None] + rows).ravel(), (starts[:, None] + columns).ravel()
+    evaluate, starts = mapped(one, count), width * np.arange(count + 1)[:, None]
+    take = starts[:-1] + np.arange(width + size_x)
     L, R, b = bounded.conditions
     total = width * count + size_x
     # The boundary conditions take the first len x rows.
-    parts = L, np.zeros((size_x, total - 2 * size_x)), R
-    boundary = scipy.sparse.csc_array(np.hstack(parts))
+    i, j = np.indices(L.shape).reshape(2, -1)
+    inside = (size_x + height * np.arange(count)[:, None] + rows).ravel(), (starts[:-1] + columns).ravel()
+    places = np.concatenate([i, i, inside[0]]), np.concatenate([j, total - size_x + j, inside[1]])
 
-    def evaluate(y: Array) -> Array:
-        (inside,) = residuals(y[take].T, *constant)
-        return np.concatenate([L @ y[:size_x] + R @ y[-size_x:] - b, inside.ravel(order="F")])
+    def linearized(y: Array) -> tuple[Array, Any]:
+        residual, entries = evaluate(y[take].T, *constant)
+        values = np.concatenate([L.ravel(), R.ravel(), entries.ravel(order="F")])
+        jacobian = scipy.sparse.csc_array((values, places), (total, total))
+        return np.concatenate([L @ y[:size_x] + R @ y[-size_x:] - b, residual.ravel(order="F")]), jacobian
 
-    def assemble(y: Array) -> Any:
-        (values,) = jacobians(y[take].T, *constant)
-        inside = scipy.sparse.csc_array((values.ravel(order="F"), places), (height * count, total))
-        return scipy.sparse.vstack([boundary, inside], format="csc")
-
-    ends = (width * np.arange(count + 1))[:, None] + np.arange(size_x)
-    return evaluate, assemble, ends
+    return linearized, starts + np.arange(size_x)
 
 
-def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
+def _quasi_static(bounded: _Bounded, nodes: Array) -> Array:
     """Return a first guess: the internal states at rest, everything else following the reference."""
-    reference, count = bounded.problem.reference, len(mesh) - 1
-    _, nodes = bounded.nodes(mesh)
+    reference, size_x = bounded.problem.reference, bounded.dae.x.numel()
     # From one rest to the other along with the path: forward integration as a guess would blow up.
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
-    stage = of_states(bounded.problem, nodes, states.T).T.reshape(count, -1)
-    size_x = bounded.dae.x.numel()
+    stage = of_states(bounded.problem, nodes, states.T).T.reshape(len(nodes) // bounded.method.stages, -1)
     inside = np.hstack([stage[:, :size_x], stage]).ravel()
     return np.concatenate([inside, bounded.right.states])

@@ -10,7 +10,7 @@ import numpy as np
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula
@@ -73,10 +73,10 @@ class Sundials:
         numbers = np.concatenate([formula.numbers(array.reference_order), problem.p])
         integrate = _integrator(problem.resolved, formula, self.rtol, tuple(times.tolist()))
         try:
-            states, _ = integrate(x0, z0, numbers)
+            states = np.asarray(integrate(x0=x0, z0=z0, p=numbers)["xf"])
         except RuntimeError as error:  # SUNDIALS gives up
             raise IntegrationFailed(f"{problem.name}: SUNDIALS gave up: {str(error).splitlines()[-1]}") from None
-        values = of_states(problem, times, np.hstack([x0[:, None], states.reshape(size, count, order="F")]))
+        values = of_states(problem, times, np.hstack([x0[:, None], states]))
         if not np.isfinite(values).all():
             k = int(np.isfinite(values).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")
@@ -86,8 +86,8 @@ class Sundials:
 
 
 @made_once
-def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, times: tuple[float, ...]) -> Call:
-    """Compile (x0, z0, [numbers of the path; p]) -> states at the instants after the first, and the last z."""
+def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, times: tuple[float, ...]) -> ca.Function:
+    """Compile (x0, z0, p = [numbers of the path; p]) -> states xf at the instants after the first."""
     dae, order = resolved.dae(Reduced()), resolved.array.reference_order
     numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
     t = ca.SX.sym("t")
@@ -96,7 +96,4 @@ def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, times: 
     ode, alg = ca.substitute([rates, dae.h], [ca.vec(dae.gamma[:, : order + 1])], [ca.vec(gamma)])
     equations = {"x": dae.x, "z": dae.z, "p": ca.vertcat(numbers, dae.p), "t": t, "ode": ode, "alg": alg}
     options = {"reltol": rtol, "abstol": rtol / 1000.0, "max_num_steps": _MOST_STEPS, "show_eval_warnings": False}
-    made = ca.integrator("sc_sundials", "idas", equations, times[0], list(times[1:]), options)
-    x0, z0, p = (ca.MX.sym(name, *made.size_in(name)) for name in ("x0", "z0", "p"))
-    result = made(x0=x0, z0=z0, p=p)
-    return Call(ca.Function("sc_sundials_run", [x0, z0, p], [result["xf"], result["zf"][:, -1]]))
+    return ca.integrator("sc_sundials", "idas", equations, times[0], list(times[1:]), options)
