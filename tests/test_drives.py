@@ -347,6 +347,7 @@ REFUSALS = {
     (SHEET, ""): "drives.toml has no drive: write a table for each input",
     (SHEET, "F = 3"): "drives.toml: F is no drive: write a table [F]",
     (SHEET, "[F]"): "drives.toml: F is no drive: write a table [F] with lines such as",
+    (SHEET, "[M_w.motor]"): "drives.toml: M_w.motor is no drive: write a table [M_w.motor] with lines such as",
 }
 
 

@@ -77,11 +77,8 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
     native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without_libraries(*given: Any) -> bytes:
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w") as file:
-            for name, data in members(io.BytesIO(packed(*given))).items():
-                file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
-        return stream.getvalue()
+        parts = members(io.BytesIO(packed(*given)))
+        return zipped({name.replace("/libraries/linux64/", "/libraries/win64/"): parts[name] for name in parts})
 
     monkeypatch.setattr(build, "native_model", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)

@@ -142,7 +142,7 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
     path, known, drives = Path(path), [each.name for each in fields(Drive)], dict[str, Drive]()
     for key, value in _by_name(read_table(path)):
         name, _, datum = key.rpartition(".")
-        if not name:
+        if not name or (value == {} and datum not in known):  # a table without lines
             raise InvalidModel(f"{path}: {key} is no drive: write a table [{key}] with lines such as ratio = 42.1")
         if datum not in known:
             raise InvalidModel(f"{path}: [{name}] has no {datum}; a drive has {', '.join(known)}")
