@@ -62,7 +62,7 @@ def simulated(
     fmu : Path
         The file of any FMU.
     rows : structured ndarray, shape (n,)
-        Inputs by the names of the variables, ``time`` first.
+        Inputs by the names of the variables, ``time`` first; with times alone nothing is connected.
     step : float
         Communication step in s; must divide the duration.
     start_values : mapping of str to float or int
@@ -81,6 +81,7 @@ def simulated(
         If the FMU does not reach the end, with the message of the FMU.
     """
     begin, end, messages = float(rows["time"][0]), float(rows["time"][-1]), list[str]()
+    given = rows if len(rows.dtype.fields or ()) > 1 else None  # FMPy prints a warning of each input without a column
 
     def listen(*arguments: Any) -> None:
         _component, _instance, status, _category, message = arguments
@@ -90,7 +91,7 @@ def simulated(
     try:
         with nothing_left():
             found = fmpy.simulate_fmu(
-                str(fmu), start_time=begin, stop_time=end, output_interval=step, step_size=step, input=rows,
+                str(fmu), start_time=begin, stop_time=end, output_interval=step, step_size=step, input=given,
                 output=outputs, start_values=dict(start_values), validate=False, debug_logging=True, logger=listen,
             )  # fmt: skip
     except Exception as error:  # a user's FMU may fail in any way

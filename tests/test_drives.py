@@ -261,7 +261,8 @@ SHEET_OF_CRANE = M_B + SHEET
 @pytest.mark.usefixtures("empty_folder")
 def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load_is_on_its_path() -> None:
     write("drives.toml", SHEET_OF_CRANE)
-    crane = sc.scenes.rotary_crane().with_drives(**read_drives("drives.toml"))
+    crane = sc.scenes.rotary_crane()
+    crane = crane.with_drives(**read_drives("drives.toml", crane))
     laws, h, times = feedback_of(crane).laws, 0.01, np.array([8.0, 8.01])
     motion, p = sc.solve(crane, step=h), Problem.of(crane).p
     jets = crane.reference.jet(times, 4).reshape(2, -1)
@@ -288,7 +289,8 @@ def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
     wanted, found = (np.array([rows[f"{of}.load.position[{k}]"] for k in (1, 2, 3)]) for of in ("trajectory", "plant"))
     assert np.linalg.norm(wanted - found, axis=0).max() < 1e-6
-    solution = sc.solve(sc.scenes.rotary_crane().with_drives(**read_drives("drives.toml")), step=0.01)
+    crane = sc.scenes.rotary_crane()
+    solution = sc.solve(crane.with_drives(**read_drives("drives.toml", crane)), step=0.01)
     for name in ("M_b.energy", "F.energy", *OF_RUN):
         for part in ("crane", "plant"):
             assert rows[f"{part}.{name}"][-1] == pytest.approx(solution[name][-1], rel=2e-4), name
@@ -347,6 +349,7 @@ REFUSALS = {
     (SHEET, ""): "drives.toml has no drive: write a table for each input",
     (SHEET, "F = 3"): "drives.toml: F is no drive: write a table [F]",
     (SHEET, "[F]"): "drives.toml: F is no drive: write a table [F] with lines such as",
+    (SHEET, "[M_w.motor]\ninertia = 1"): "has no input M_w.motor that a drive could act on; it has F, M_w",
 }
 
 

@@ -25,6 +25,7 @@ from crane_fmu.slave import kernel
 from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import base_units
 from servocore.export.targets import host
+from servocore.files import zipped
 
 THIS_MACHINE = (host(),)
 ROOT = Path(__file__).parents[1]
@@ -66,8 +67,8 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(
         with pytest.raises(RuntimeError, match="broken"):
             build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     broken.unlink()
-    monkeypatch.setattr(build, "packed", lambda *_: b"no archive")
-    with pytest.raises(sc.ServocoreError, match="failed its check"):
+    monkeypatch.setattr(build, "packed", lambda *_: zipped({}))
+    with pytest.raises(sc.ServocoreError, match=r"failed its check, .*modelDescription"):
         build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     assert [each.read_text() for each in tmp_path.iterdir()] == ["older"]
 
@@ -76,11 +77,8 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
     native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without_libraries(*given: Any) -> bytes:
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w") as file:
-            for name, data in members(io.BytesIO(packed(*given))).items():
-                file.writestr(name.replace("/libraries/linux64/", "/libraries/win64/"), data)
-        return stream.getvalue()
+        parts = members(io.BytesIO(packed(*given)))
+        return zipped({name.replace("/libraries/linux64/", "/libraries/win64/"): parts[name] for name in parts})
 
     monkeypatch.setattr(build, "native_model", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)

@@ -23,8 +23,9 @@ from fmu_host import JET, OUTPUTS, described, fmu_file, in_a_process, scratch
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.build.native import native_fmu
+from crane_fmu.build.native import native_model
 from crane_fmu.catalogue import KINDS, ORDERS, ROTARY_CRANE
+from servocore.export.fmu import written
 
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60
@@ -149,8 +150,7 @@ def at_end(native: bool, connected: str = ORDERS[-1]) -> Path:
     if not native:
         return build_fmu(scratch() / f"{connected} at end", starts=starts, targets="host")
     file = scratch() / f"native {connected} at end.fmu"
-    file.write_bytes(native_fmu(ROTARY_CRANE, starts=starts, targets="host"))
-    return file
+    return written(native_model(ROTARY_CRANE, starts=starts), file, 2, "host", lambda _: None)
 
 
 @pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])

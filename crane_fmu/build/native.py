@@ -26,11 +26,10 @@ from crane_fmu.catalogue import (
     crane_with,
 )
 from servocore.export.building import inverse_model
-from servocore.export.fmu import archive, described
+from servocore.export.fmu import described
 from servocore.export.native_model import NativeModel
 from servocore.export.plant_model import plant_model
 from servocore.export.routes import with_routes
-from servocore.export.targets import chosen_targets
 from servocore.export.trajectory_model import trajectory_model
 
 ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
@@ -94,19 +93,6 @@ def native_model(
     if host == OF_PYTHONFMU:
         made = with_routes(made, along, ROUTES)
     return described(made.with_starts(starts), host)
-
-
-def native_fmu(
-    kind: FmuKind,
-    path: sc.Reference | None = None,
-    starts: Starts = NO_STARTS,
-    drives: Mapping[str, sc.Drive] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-    targets: str | None = None,
-) -> bytes:
-    """Return the archive of a `native_model`, FMI 2, for platforms as `sc.export_fmu` takes them."""
-    platforms = chosen_targets(targets, 2)
-    return archive(native_model(kind, path, starts, drives, progress), 2, platforms, progress)
 
 
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:

@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 import servocore as sc
 from crane_fmu.build.estimates import amplification
 from crane_fmu.build.native import OF_PYTHONFMU, native_model
-from crane_fmu.catalogue import ORDERS, FmuKind
+from crane_fmu.catalogue import ORDERS, FmuKind, crane_with
 from servocore.export.native_model import NativeModel
 from servocore.export.sources import rendered
 from servocore.export.variables import Causality, listed
@@ -63,9 +63,7 @@ def documentation_page(kind: FmuKind, page: str) -> str:
 
 def _verdict(model: NativeModel) -> str:
     """Return the verdict of the certificate of the default crane on its default path."""
-    crane = sc.scenes.rotary_crane()
-    own = {each.name: each.starts[0] for each in model.of("parameter") if each.name in crane.parameter_values()}
-    return sc.certify(crane.with_parameters(**own)).verdict
+    return sc.certify(crane_with({each.name: each.starts[0] for each in model.of("parameter")})).verdict
 
 
 def _table(model: NativeModel, causality: Causality) -> str:

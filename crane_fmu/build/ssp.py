@@ -15,7 +15,7 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.build.fmu import build_fmu
-from crane_fmu.build.native import native_fmu
+from crane_fmu.build.native import native_model
 from crane_fmu.catalogue import (
     CRANE_PLANT,
     FEEDBACK_INPUTS,
@@ -31,6 +31,7 @@ from crane_fmu.catalogue import (
 )
 from crane_fmu.files import filled_folder, put
 from crane_fmu.run import input_rows, nothing_left
+from servocore.export.fmu import written
 from servocore.export.system import Element, Wire, packed_system, require_played, wires_by_name
 from servocore.files import cross_check_texts
 
@@ -132,13 +133,12 @@ def build_ssp(
         for kind in KINDS.values():
             given = (kind, path, starts[kind.name])
             if options.native:
-                put(draft, {kind.file_name: native_fmu(*given, options.drives, progress, options.targets)})
+                model = native_model(*given, options.drives, progress)
+                written(model, draft / kind.file_name, 2, options.targets, progress)
             else:
-                build_fmu(draft, progress, *given, options.targets, options.drives)
-        if not options.native:
-            progress("writing the cross-check files")
-            for kind in KINDS.values():
-                _cross_check(draft / kind.file_name, path, inverse)
+                fmu = build_fmu(draft, progress, *given, options.targets, options.drives)
+                progress(f"writing the cross-check files of {fmu.name}")
+                _cross_check(fmu, path, inverse)
         fmus = {kind.name: (draft / kind.file_name).read_bytes() for kind in KINDS.values()}
         elements = elements_of(fmus, starts)
         duration = _STOP if path is None else path.end_time

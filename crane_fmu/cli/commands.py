@@ -60,7 +60,7 @@ class Which:
 
 
 def build(subject: Subject, which: Which, place: Place, platforms: Platforms) -> None:
-    """Build RotaryCrane.fmu, check it in a separate process and write it into a folder.
+    """Build RotaryCrane.fmu, validate and run it with FMPy, and write it into a folder.
 
     With --parameters and --drives the default crane of the FMU is that of the files. Without --targets the FMU has
     libraries for this machine and 64-bit Windows. python build_fmu.py does the same. With --fmu it is another one of

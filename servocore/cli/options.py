@@ -119,7 +119,7 @@ class Subject:
     def driven(self) -> Scene:
         """Return the scene with its drives, with default parameters."""
         scene = chosen_scene(self.scene, self.imported())
-        return scene if self.drives is None else scene.with_drives(**read_drives(self.drives))
+        return scene if self.drives is None else scene.with_drives(**read_drives(self.drives, scene))
 
     def chosen(self) -> Scene:
         """Return the scene with its parameters; raises `InvalidSetting` or `InvalidModel` if there is no such scene."""

@@ -193,12 +193,18 @@ def driven(system: MechanicalSystem, drives: tuple[tuple[str, Drive], ...]) -> M
     )
 
 
+def place_of_input(system: MechanicalSystem, name: str) -> int:
+    """Return the number of an input; raises `InvalidModel` if there is none."""
+    names = [quantity.name for quantity in system.inputs]
+    if name not in names:
+        raise InvalidModel(f"{system.name} has no input {name} that a drive could act on; it has {', '.join(names)}")
+    return names.index(name)
+
+
 def _place(system: MechanicalSystem, name: str, drive: Drive) -> int:
     """Return the number of an input; raises `InvalidModel` if there is none, or unit and radius disagree."""
-    places = {quantity.name: (k, quantity.unit) for k, quantity in enumerate(system.inputs)}
-    if name not in places:
-        raise InvalidModel(f"{system.name} has no input {name} that a drive could act on; it has {', '.join(places)}")
-    place, unit = places[name]
+    place = place_of_input(system, name)
+    unit = system.inputs[place].unit
     if unit not in ("N", "N.m"):
         raise InvalidModel(
             f"the input {name} of {system.name} is in {unit}: a drive makes a torque in N.m or a force in N"

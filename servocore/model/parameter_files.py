@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from servocore.errors import InvalidModel, InvalidSetting, ServocoreWarning
-from servocore.model.drives import Drive
+from servocore.model.drives import Drive, place_of_input
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
@@ -119,14 +119,16 @@ def _is_bound(value: object) -> bool:
     return isinstance(value, int | float | str) and not isinstance(value, bool)
 
 
-def read_drives(path: str | Path) -> dict[str, Drive]:
-    """Read drives from a TOML file, as `Scene.with_drives` takes them.
+def read_drives(path: str | Path, scene: Scene) -> dict[str, Drive]:
+    """Read drives of a scene from a TOML file, as `Scene.with_drives` takes them.
 
     Parameters
     ----------
     path : str or Path
         A table for each input, such as ``[M_b]`` or ``[elbow.torque]``, with ``ratio = 120`` and
         ``motor_inertia = "0.012 kg m^2"``; a number without unit is in SI units.
+    scene : Scene
+        The scene, without these drives.
 
     Returns
     -------
@@ -136,13 +138,18 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
     Raises
     ------
     InvalidModel
-        If the file cannot be read or is not TOML, or a value is unknown, has the wrong unit or is outside its range;
-        the message names file, input and value.
+        If the file cannot be read or is not TOML, an input or a value is unknown, or a value has the wrong unit or is
+        outside its range; the message names file, input and value.
     """
     path, known, drives = Path(path), [each.name for each in fields(Drive)], dict[str, Drive]()
     for key, value in _by_name(read_table(path)):
         name, _, datum = key.rpartition(".")
-        if not name:
+        table = name if name and value != {} else key  # a number at the top level or a table without lines is no drive
+        try:
+            place_of_input(scene.model(), table)
+        except InvalidModel as error:
+            raise InvalidModel(f"{path}: {error}") from None
+        if table == key:
             raise InvalidModel(f"{path}: {key} is no drive: write a table [{key}] with lines such as ratio = 42.1")
         if datum not in known:
             raise InvalidModel(f"{path}: [{name}] has no {datum}; a drive has {', '.join(known)}")
