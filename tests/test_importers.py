@@ -158,6 +158,20 @@ def test_an_sdf_slider_crank_moves_and_takes_the_power_as_by_hand() -> None:
     assert apart([(power, solution["turn.torque"][8:-8] * rate(a)[4:-4])]) < 1e-8
 
 
+def test_poses_and_axes_of_an_sdf_are_those_of_its_model(tmp_path: Path) -> None:
+    quarter, text = "1.5707963267948966", (OWN / "loop.sdf").read_text()
+    for old, new in (
+        ("<pose>0 0 0 0 0 0", f"<pose>0 0 0 {quarter} 0 0"), ("<xyz>", "<xyz expressed_in='__model__'>"),
+        ("<link", f"<static>true</static><pose>0 0 0 0 {quarter} 0</pose><link"),
+    ):  # fmt: skip
+        text = text.replace(old, new, 1)
+    (tmp_path / "loop.sdf").write_text(text)
+    options: dict[str, Any] = {"outputs": ["turn"], "inputs": ["turn"], "posture": {"turn": 0.7}}
+    upright = sc.scenes.from_file(OWN / "loop.sdf", gravity=[9.8, 0, 0], **options)
+    turned = sc.scenes.from_file(tmp_path / "loop.sdf", **options)
+    assert apart([(inputs_of(upright)["turn.torque"], inputs_of(turned)["turn.torque"])]) < 1e-12
+
+
 @pytest.mark.parametrize(("name", "options", "hint"), [
     ("gantry.xml", {"outputs": ["load"], "posture": {"hoist": 4.0}}, "ropes=['load'] replaces swing_y, swing_x by its"),
     ("drone.xml", ALOFT | {"inputs": ["front", "left", "rear", "right"]}, ""),
@@ -197,6 +211,8 @@ BROKEN = {
     "axis": ('xyz="0 2 0"', 'xyz="0 0 0"', "joint name='elbow'> has an axis of length zero"),
     "xacro": ("<link", '<xacro:link xmlns:xacro="x" name="a"/><link', "xacro: run xacro"),
     "other root": ("robot", "model", "is no robot file"),
+    "degrees": (".*", "<sdf><link><pose degrees='true'/></link></sdf>", "<pose> has degrees='true', which is not"),
+    "no gravity": (".*", "<sdf><model name='m'><link name='a'><gravity>0</gravity></link></model></sdf>", "> false, "),
     "mesh": (".*", "<mujoco><asset><mesh name='m' file='../m'/></asset></mujoco>", "names ../m, which is outside"),
     "include": (".*", "<mujoco><include file='/etc/passwd'/></mujoco>", "names /etc/passwd, which is outside"),
 }  # fmt: skip
