@@ -105,12 +105,14 @@ CRANES: dict[str, tuple[Callable[[], sc.Scene], list[tuple[str, str]], dict[str,
 def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str, form: str, tmp_path: Path) -> None:
     peer("mujoco")
     factory, changes, posture, outputs = CRANES[name]
-    text = (OWN / "gantry.xml").read_text()
+    # A load of 100 kg: of its body, of a frame that is fixed to it, and of a payload on that.
+    block = '<body name="block"><inertial pos="0 0 0" mass="30" diaginertia="1 1 1"/></body></body>'
+    text = (OWN / "gantry.xml").read_text().replace('mass="100"', 'mass="60"').replace("</body>", block, 1)
     for pattern, replacement in changes:
         text = re.sub(pattern, replacement, text)
     (tmp_path / "crane.xml").write_text(text)
     crane = factory()
-    options: dict[str, Any] = {"posture": posture, form: ["load"]}
+    options: dict[str, Any] = {"posture": posture, form: ["load"], "payload": {"block": 10.0}}
     scene = sc.scenes.from_file(tmp_path / "crane.xml", outputs, crane.reference, **options)
     assert [each.name for each in scene.model().observables if each.tension] == (form == "ropes") * ["load.tension"]
     times = np.linspace(crane.reference.start_time, crane.reference.end_time, 41)
@@ -293,6 +295,9 @@ def test_a_free_base_of_a_urdf_takes_a_wrench_as_that_of_an_mjcf_does(tmp_path: 
     ({"inputs": ["turn", "turn"]}, "turn.torque stands twice"),
     ({"ropes": ["wrist"]}, "wrist cannot hang on a rope: no hinge without a drive"),
     ({"gravity": [0, 9.81]}, "gravity must be three numbers"),
+    ({"inputs": ["turn.force"]}, "has no joint or drive turn.force; there are turn"),
+    ({"posture": {"right": 0.01}}, "posture: right follows left: name that one"),
+    ({"limits": "no"}, "limits must be true or false, not the text 'no'"),
     ({"payload": {"tool": -1.0}}, "tool.payload = -1 kg is outside its range"),
 ])  # fmt: skip
 def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: str) -> None:
@@ -308,10 +313,8 @@ def test_commands_take_files_and_settings() -> None:
     )
     words = [str(ARM), "--import", "arm.toml", "--motor-inertia", "0.3"]
     shown = servocore("import", *words)
-    assert all(
-        each in shown.stdout
-        for each in ("elastic hinge", "locked slide", "mimics left", "turn.torque (N.m)", "0 is taken for none")
-    )
+    listed = "elastic hinge,locked slide,mimics left,turn.torque (N.m),0 is taken for none,right: it follows left"
+    assert all(each in shown.stdout for each in listed.split(","))
     assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
     assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
     swept = ["--vary", "duration=2..3:2", "--vary", "turn.stiffness=1e3..2e3:2", "-o", "cases"]
@@ -319,5 +322,6 @@ def test_commands_take_files_and_settings() -> None:
     for wrong, sentence in (
         (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
         ([str(ARM), "--elastic", "0"], "is no stiffness"),
+        ([str(ARM), "--motor-inertia", "0.3"], "motor_inertia is that of elastic joints, and there are none"),
     ):
         servocore.assert_refused(servocore("analyse", *wrong), sentence)
