@@ -184,22 +184,23 @@ def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None
     for k, data in enumerate(fit.stretches):
         model, name = fit.prediction(fit.splines[k].jets(found.state.paths[k]), fit.p).values, names[data.log]
         residual, _ = fit.residuals(found.state, k)
-        lags, explained = list[float](), True
+        lags, wrong, explained = list[float](), list[str](), True
         for channel, quantity in enumerate(fit.prediction.quantities[: fit.prediction.inputs]):
             a, b = (each - each.mean() for each in (data.values[:, channel], model[:, channel]))
             noisy = a.std() < 5.0 * float(np.median(data.noise[:, channel]))
             if noisy or not np.isfinite(b).all():
                 continue
             explained &= bool(residual[:, channel].std() < _EXPLAINED * a.std())
-            ratio = float(a.std() / (b.std() or np.inf))
-            if not explained and not 1 / _UNITS < ratio < _UNITS:
-                raise InvalidReference(
-                    f"{name}: {quantity.name} changes by {ratio:.3g} times what the model needs: is its unit right?"
-                )
+            if not 1 / _UNITS < a.std() / (b.std() or np.inf) < _UNITS:
+                wrong.append(f"{quantity.name} changes by {np.ptp(a):.3g} {quantity.unit}")
             products = np.correlate(a, b, "full")
             lags.append((int(products.argmax()) - len(b) + 1) * float(np.median(np.diff(data.t))))
+        if explained:
+            continue
+        if wrong:
+            raise InvalidReference(f"{name}: {wrong[0]}, far from what the model needs: is its unit right?")
         # A clock is late for all inputs alike; an effect that the model lacks delays each in its own way.
-        if not explained and min(map(abs, lags)) > _LAG and float(np.ptp(lags)) < _ALIKE:
+        if min(map(abs, lags)) > _LAG and float(np.ptp(lags)) < _ALIKE:
             raise InvalidReference(
                 f"{name}: the inputs are {1e3 * np.mean(lags):.0f} ms behind the positions: their clocks are not"
                 " synchronized"
