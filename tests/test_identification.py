@@ -285,7 +285,8 @@ def test_the_command_writes_an_exciting_path_that_keeps_its_limits_and_shows_mor
 
 
 @pytest.mark.parametrize(
-    ("limits", "duration", "words"), [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")]
+    ("limits", "duration", "words"),
+    [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more"), ({"F": 9.0}, 1e5, "100000 s: .*, 300 s at most")],
 )
 def test_an_excitation_without_limits_or_time_is_refused(limits: Any, duration: float, words: str) -> None:
     with pytest.raises(sc.errors.InvalidSetting, match=words):

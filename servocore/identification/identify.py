@@ -133,7 +133,7 @@ def chosen_parameters(parameters: str | Sequence[str], problem: Problem) -> tupl
     for pattern in patterns:
         require_kind(pattern, str, "a parameter to be identified", "a name or a pattern", InvalidModel)
         if not any(fnmatchcase(name, pattern) for name in known):
-            raise InvalidModel(f"no parameter is called {pattern}; there are {', '.join(known)}")
+            raise InvalidModel(f"no parameter is called {pattern}; there are {', '.join(known) or 'none'}")
     if not patterns:
         raise InvalidSetting(f"name at least one parameter to be identified, of {', '.join(known)}")
     return tuple(name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns))
