@@ -64,6 +64,9 @@ def test_elastic_inputs_are_the_closed_form_and_tend_to_the_rigid_ones() -> None
         assert np.abs(sc.ExactInversion(scenes[K])(times) - exact).max() < 1e-9 * np.abs(exact).max()
     report = sc.analyse(scenes[1e3])
     assert (report.classification, report.index) == ("flat", 5)
+    assert not any(
+        "damping" in name for name in scenes[1e3].parameter_values()
+    )  # none, and no parameter without effect
 
 
 @pytest.mark.parametrize(("name", "options"), [

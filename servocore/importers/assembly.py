@@ -172,8 +172,8 @@ class Assembly(Layout):
             if np.isnan(tendon.rest) and name not in self.options.taut:
                 raise self.tree.fault(f"the tendon {name} has a spring with a slack range, which cannot be represented")
         for name, elastic in self.options.elastic.items():
-            stiffness, damping = (self.parameters[f"{name}.{what}"] for what in ("stiffness", "spring_damping"))
-            springs.append((self._twist(name), stiffness, damping if elastic.damping else ca.SX(0)))
+            damping = self.parameters[f"{name}.spring_damping"] if elastic.damping else ca.SX(0)
+            springs.append((self._twist(name), self.parameters[f"{name}.stiffness"], damping))
         return springs
 
     def _twist(self, name: str) -> ca.SX:

@@ -77,8 +77,9 @@ class Layout:
             declared += [
                 Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),
                 Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9),
-                Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9),
             ]
+            if elastic.damping:  # without any, other equations hold: the index is higher
+                declared += [Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)]
         return declared + [
             Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
             for name, mass in self.options.payload.items()
