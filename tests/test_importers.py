@@ -154,8 +154,8 @@ TURNED = [
 @pytest.mark.parametrize(("changes", "gravity"), [([], None), (TURNED, (-9.8, 0.0, 0.0))])
 def test_an_sdf_slider_crank_moves_and_takes_the_power_as_by_hand(changes: Any, gravity: Any, tmp_path: Path) -> None:
     text = (OWN / "loop.sdf").read_text()
-    for change in changes:
-        text = text.replace(*change, 1)
+    for old, new in changes:
+        text = text.replace(old, new, 1)
     (tmp_path / "loop.sdf").write_text(text)
     options: dict[str, Any] = {"inputs": ["turn"], "posture": {"turn": 0.7}, "gravity": gravity}
     scene = sc.scenes.from_file(tmp_path / "loop.sdf", ["turn"], **options)
