@@ -229,6 +229,12 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}])
+def test_arguments_of_another_kind_are_refused(wrong: Any) -> None:
+    with pytest.raises(sc.ServocoreError, match="must be"):
+        sc.identify(CRANE, log(), **{"parameters": NAMES} | wrong)
+
+
 @pytest.mark.usefixtures("empty_folder")
 def test_the_command_writes_files_and_page_of_the_result() -> None:
     result = found()

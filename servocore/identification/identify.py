@@ -111,6 +111,10 @@ def identify(
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
     require_positive(bias, "the bias of the inputs", "a fraction, such as 0.01", or_zero=True)
+    require_kind(loops, PositionLoops, "loops", "PositionLoops", InvalidSetting)
+    require_kind(jobs, Sequence, "jobs", "a list of paths", InvalidSetting)
+    for job in jobs:
+        require_kind(job, Reference, "a job", "a Reference", InvalidSetting)
     names = chosen_parameters(parameters, problem)
     read = records(log, scene, positions_of(problem.resolved))
     fit = _fit(problem, read, scene.effects.measured, names, spreads_of(names, believed), bias)
@@ -129,6 +133,7 @@ def identify(
 def chosen_parameters(parameters: str | Sequence[str], problem: Problem) -> tuple[str, ...]:
     """Return the names of parameters that match patterns, in the order of the model."""
     known = problem.system.parameters.names
+    require_kind(parameters, Sequence, "the parameters to be identified", "names or patterns", InvalidModel)
     patterns = [parameters] if isinstance(parameters, str) else list(parameters)
     for pattern in patterns:
         require_kind(pattern, str, "a parameter to be identified", "a name or a pattern", InvalidModel)

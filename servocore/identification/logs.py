@@ -152,7 +152,7 @@ def _require_sampling(record: Record) -> None:
             " needed"
         )
     spacing = float(np.median(np.diff(t)))
-    if spacing > _SLOWEST:
+    if spacing > _SLOWEST * (1.0 + 1e-9):
         raise InvalidReference(
             f"{record.name} has a sample every {spacing:.3g} s, where at most {_SLOWEST:g} s are needed; if its times"
             " are milliseconds, write time [ms] into the header"
