@@ -118,6 +118,7 @@ def test_an_axis_of_a_users_own_is_identified_from_a_file_with_its_offset(tmp_pa
     columns = sc.measured(axis(), plant=real, drives=("x",), step=0.001, bias=0.0)
     rows = np.column_stack(list(columns.values()))
     rows[:, 2] *= 1e3
+    rows[::997, 2] = 1e9  # dropouts of an encoder are no millimetres
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,F [N],x [mm]", comments="")
     result = sc.identify(axis(), tmp_path / "log.csv", "*", bias=0.0)
     assert np.abs(z_scores(result, real)).max() < 4.0
@@ -215,6 +216,7 @@ BAD: dict[str, tuple[str, Callable[[Columns], Columns]]] = {
     "few": ("as many positions as inputs", lambda c: {k: v for k, v in c.items() if k != "l"}),
     "still": ("nothing moves", lambda c: {**c, "s": 0 * c["s"], "l": 0 * c["l"] + 1}),
     "clocks": ("clocks", lambda c: {**c, "F": np.roll(c["F"], 150), "M_w": np.roll(c["M_w"], 150)}),
+    "newtons": (r"F changes by 0\..* N, .* unit", lambda c: {**c, "F": 1e-3 * c["F"]}),
     "kilonewtons": ("unit", lambda c: {**c, "F": 1e3 * c["F"]}),
 }
 
@@ -227,10 +229,17 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}])
+def test_arguments_of_another_kind_are_refused(wrong: Any) -> None:
+    with pytest.raises(sc.ServocoreError, match="must be"):
+        sc.identify(CRANE, log(), **{"parameters": NAMES} | wrong)
+
+
 @pytest.mark.usefixtures("empty_folder")
 def test_the_command_writes_files_and_page_of_the_result() -> None:
     result = found()
-    np.savetxt("log.csv", np.column_stack([*log().values()]), "%.17g", ",", header=",".join(log()), comments="")
+    rows, head = np.column_stack([*log().values()]), ",".join(log())
+    np.savetxt("log.csv", rows, "%.17g," * 5 + "ok", header=f"{head},note", comments="")
     Path("job.csv").write_text(sc.path_to_csv(JOB, ("x", "z")))
     files = ("--job", "job.csv", "-o", "found.toml", "--page", "found.html")
     assert run("identify", "overhead_crane", "log.csv", *files, *ESTIMATED).stdout == f"{result}\n"
@@ -282,7 +291,8 @@ def test_the_command_writes_an_exciting_path_that_keeps_its_limits_and_shows_mor
 
 
 @pytest.mark.parametrize(
-    ("limits", "duration", "words"), [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more")]
+    ("limits", "duration", "words"),
+    [(None, 20.0, "needs limits"), ({"F": 9.0}, 5.0, "8 s or more"), ({"F": 9.0}, 1e5, "100000 s: .*, 300 s at most")],
 )
 def test_an_excitation_without_limits_or_time_is_refused(limits: Any, duration: float, words: str) -> None:
     with pytest.raises(sc.errors.InvalidSetting, match=words):

@@ -64,6 +64,9 @@ def test_elastic_inputs_are_the_closed_form_and_tend_to_the_rigid_ones() -> None
         assert np.abs(sc.ExactInversion(scenes[K])(times) - exact).max() < 1e-9 * np.abs(exact).max()
     report = sc.analyse(scenes[1e3])
     assert (report.classification, report.index) == ("flat", 5)
+    assert not any(
+        "damping" in name for name in scenes[1e3].parameter_values()
+    )  # none, and no parameter without effect
 
 
 @pytest.mark.parametrize(("name", "options"), [
@@ -105,12 +108,14 @@ CRANES: dict[str, tuple[Callable[[], sc.Scene], list[tuple[str, str]], dict[str,
 def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str, form: str, tmp_path: Path) -> None:
     peer("mujoco")
     factory, changes, posture, outputs = CRANES[name]
-    text = (OWN / "gantry.xml").read_text()
+    # A load of 100 kg: of its body, of a frame that is fixed to it, and of a payload on that.
+    block = '<body name="block"><inertial pos="0 0 0" mass="30" diaginertia="1 1 1"/></body></body>'
+    text = (OWN / "gantry.xml").read_text().replace('mass="100"', 'mass="60"').replace("</body>", block, 1)
     for pattern, replacement in changes:
         text = re.sub(pattern, replacement, text)
     (tmp_path / "crane.xml").write_text(text)
     crane = factory()
-    options: dict[str, Any] = {"posture": posture, form: ["load"]}
+    options: dict[str, Any] = {"posture": posture, form: ["load"], "payload": {"block": 10.0}}
     scene = sc.scenes.from_file(tmp_path / "crane.xml", outputs, crane.reference, **options)
     assert [each.name for each in scene.model().observables if each.tension] == (form == "ropes") * ["load.tension"]
     times = np.linspace(crane.reference.start_time, crane.reference.end_time, 41)
@@ -139,8 +144,21 @@ def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:
     assert apart([(inputs[0][name], inputs[1][name]) for name in inputs[0]]) < 1e-12
 
 
-def test_an_sdf_slider_crank_moves_and_takes_the_power_as_by_hand() -> None:
-    scene = sc.scenes.from_file(OWN / "loop.sdf", ["turn"], inputs=["turn"], posture={"turn": 0.7})
+QUARTER = "1.5707963267948966"
+TURNED = [
+    ("<pose>0 0 0 0 0 0", f"<pose>0 0 0 {QUARTER} 0 0"), ("<xyz>", "<xyz expressed_in='__model__'>"),
+    ("<link", f"<static>true</static><pose>0 0 0 0 {QUARTER} 0</pose><link"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "gravity"), [([], None), (TURNED, (-9.8, 0.0, 0.0))])
+def test_an_sdf_slider_crank_moves_and_takes_the_power_as_by_hand(changes: Any, gravity: Any, tmp_path: Path) -> None:
+    text = (OWN / "loop.sdf").read_text()
+    for old, new in changes:
+        text = text.replace(old, new, 1)
+    (tmp_path / "loop.sdf").write_text(text)
+    options: dict[str, Any] = {"inputs": ["turn"], "posture": {"turn": 0.7}, "gravity": gravity}
+    scene = sc.scenes.from_file(tmp_path / "loop.sdf", ["turn"], **options)
     solution = sc.solve(scene, step=0.005)
     a = solution["turn"]
     rod = np.arcsin(-0.4 * np.sin(a))  # its angle from the line of the slider; both turn about y
@@ -197,6 +215,8 @@ BROKEN = {
     "axis": ('xyz="0 2 0"', 'xyz="0 0 0"', "joint name='elbow'> has an axis of length zero"),
     "xacro": ("<link", '<xacro:link xmlns:xacro="x" name="a"/><link', "xacro: run xacro"),
     "other root": ("robot", "model", "is no robot file"),
+    "degrees": (".*", "<sdf><link><pose degrees='true'/></link></sdf>", "<pose> has degrees='true', which is not"),
+    "no gravity": (".*", "<sdf><model name='m'><link name='a'><gravity>0</gravity></link></model></sdf>", "> false, "),
     "mesh": (".*", "<mujoco><asset><mesh name='m' file='../m'/></asset></mujoco>", "names ../m, which is outside"),
     "include": (".*", "<mujoco><include file='/etc/passwd'/></mujoco>", "names /etc/passwd, which is outside"),
 }  # fmt: skip
@@ -277,6 +297,9 @@ def test_a_free_base_of_a_urdf_takes_a_wrench_as_that_of_an_mjcf_does(tmp_path: 
     ({"inputs": ["turn", "turn"]}, "turn.torque stands twice"),
     ({"ropes": ["wrist"]}, "wrist cannot hang on a rope: no hinge without a drive"),
     ({"gravity": [0, 9.81]}, "gravity must be three numbers"),
+    ({"inputs": ["turn.force"]}, "has no joint or drive turn.force; there are turn"),
+    ({"posture": {"right": 0.01}}, "posture: right follows left: name that one"),
+    ({"limits": "no"}, "limits must be true or false, not the text 'no'"),
     ({"payload": {"tool": -1.0}}, "tool.payload = -1 kg is outside its range"),
 ])  # fmt: skip
 def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: str) -> None:
@@ -292,10 +315,8 @@ def test_commands_take_files_and_settings() -> None:
     )
     words = [str(ARM), "--import", "arm.toml", "--motor-inertia", "0.3"]
     shown = servocore("import", *words)
-    assert all(
-        each in shown.stdout
-        for each in ("elastic hinge", "locked slide", "mimics left", "turn.torque (N.m)", "0 is taken for none")
-    )
+    listed = "elastic hinge,locked slide,mimics left,turn.torque (N.m),0 is taken for none,right: it follows left"
+    assert all(each in shown.stdout for each in listed.split(","))
     assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
     assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
     swept = ["--vary", "duration=2..3:2", "--vary", "turn.stiffness=1e3..2e3:2", "-o", "cases"]
@@ -303,5 +324,6 @@ def test_commands_take_files_and_settings() -> None:
     for wrong, sentence in (
         (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
         ([str(ARM), "--elastic", "0"], "is no stiffness"),
+        ([str(ARM), "--motor-inertia", "0.3"], "motor_inertia is that of elastic joints, and there are none"),
     ):
         servocore.assert_refused(servocore("analyse", *wrong), sentence)

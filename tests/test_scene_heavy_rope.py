@@ -154,10 +154,19 @@ def test_a_massless_rope_needs_one_derivative_more() -> None:
         march_rope(path, VALUES | {"rope_mass": 0.0})
 
 
-@pytest.mark.parametrize(("step", "sentence"), [(0.0, "not 0.0 s"), (1e-7, "1 pieces"), (2e-4, "for memory")])
-def test_steps_that_fit_no_march_are_refused(step: float, sentence: str) -> None:
+@pytest.mark.parametrize(
+    ("step", "sentence"),
+    [(0.0, "not 0.0 s"), (1e-7, "1 pieces"), (2e-4, "for memory"), (2.0, "too long"), (0.1, "rope_mass of .* not -1")],
+)
+def test_steps_and_values_that_fit_no_march_are_refused(step: float, sentence: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=sentence):
-        march_rope(SMOOTH, VALUES, step)
+        march_rope(SMOOTH, VALUES | {"rope_mass": -1.0} if sentence.startswith("rope") else VALUES, step)
+
+
+def test_a_rope_that_stretches_to_several_times_its_length_is_marched_in_shorter_pieces() -> None:
+    motions = [march_rope(SMOOTH, VALUES | {"rope_stiffness": 50.0}, step) for step in (0.02, 0.01)]
+    one, other = (CubicSpline(each.t, each.inputs)(np.linspace(0.0, 6.0, 61)) for each in motions)
+    assert np.abs(one - other).max() < 1e-6 * np.abs(other).max()
 
 
 @pytest.mark.parametrize(

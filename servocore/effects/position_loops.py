@@ -61,8 +61,10 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
             f"{system.name} reports no {', '.join(missing)} for its drives to measure; there are {', '.join(by_name)}"
         )
     if len(names) != len(system.inputs):
+        known = [name for name, (_, each) in by_name.items() if is_position(system, each)]
         raise InvalidModel(
-            f"{system.name} has {len(system.inputs)} inputs, and drives that measure {', '.join(names) or 'nothing'}"
+            f"{system.name} has {len(system.inputs)} inputs, and drives that measure {', '.join(names) or 'nothing'}:"
+            f" name as many positions, of {', '.join(known)}"
         )
     expressions = [by_name[name] for name in names]
     column = ca.vertcat(*(each for _, each in expressions))

@@ -32,6 +32,7 @@ from servocore.stepping.exact_evaluation import exact_unknowns
 _FASTEST, _MOST = 0.4, 12  # Hz and number of harmonics: faster ones excite what models leave out
 _SPACING, _GRID = 0.5, 0.1  # s between waypoints, and between instants of the search
 _WINDOW = 2.0  # s in which the harmonics grow from rest
+_LONGEST = 300.0  # s: all waypoints are unknowns of one spline, and the harmonics are slow then
 _STARTS, _TRIALS = 30, 1000
 _MARGIN = 0.03  # of half a range that the search stays within limits, for what lies between its instants
 _SAMPLE, _NOISE = 0.005, 0.01  # s between samples of the log that is predicted, its noise by the inputs
@@ -114,8 +115,10 @@ def excitation(
     """
     require_scene(scene, "excitation")
     require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
-    if not 4 * _WINDOW <= duration < np.inf:
-        raise InvalidSetting(f"the duration of an excitation is {duration:g} s: it must be 8 s or more")
+    if not 4 * _WINDOW <= duration <= _LONGEST:
+        raise InvalidSetting(
+            f"the duration of an excitation is {duration:g} s: it must be 8 s or more, {_LONGEST:g} s at most"
+        )
     extended = within_limits(scene, limits)
     problem = Problem.of(extended)
     if not problem.motion_limits:

@@ -111,6 +111,10 @@ def identify(
     if problem.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations depend on time, so that a log would have to begin with them")
     require_positive(bias, "the bias of the inputs", "a fraction, such as 0.01", or_zero=True)
+    require_kind(loops, PositionLoops, "loops", "PositionLoops", InvalidSetting)
+    require_kind(jobs, Sequence, "jobs", "a list of paths", InvalidSetting)
+    for job in jobs:
+        require_kind(job, Reference, "a job", "a Reference", InvalidSetting)
     names = chosen_parameters(parameters, problem)
     read = records(log, scene, positions_of(problem.resolved))
     fit = _fit(problem, read, scene.effects.measured, names, spreads_of(names, believed), bias)
@@ -129,11 +133,12 @@ def identify(
 def chosen_parameters(parameters: str | Sequence[str], problem: Problem) -> tuple[str, ...]:
     """Return the names of parameters that match patterns, in the order of the model."""
     known = problem.system.parameters.names
+    require_kind(parameters, Sequence, "the parameters to be identified", "names or patterns", InvalidModel)
     patterns = [parameters] if isinstance(parameters, str) else list(parameters)
     for pattern in patterns:
         require_kind(pattern, str, "a parameter to be identified", "a name or a pattern", InvalidModel)
         if not any(fnmatchcase(name, pattern) for name in known):
-            raise InvalidModel(f"no parameter is called {pattern}; there are {', '.join(known)}")
+            raise InvalidModel(f"no parameter is called {pattern}; there are {', '.join(known) or 'none'}")
     if not patterns:
         raise InvalidSetting(f"name at least one parameter to be identified, of {', '.join(known)}")
     return tuple(name for name in known if any(fnmatchcase(name, pattern) for pattern in patterns))
@@ -184,22 +189,23 @@ def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None
     for k, data in enumerate(fit.stretches):
         model, name = fit.prediction(fit.splines[k].jets(found.state.paths[k]), fit.p).values, names[data.log]
         residual, _ = fit.residuals(found.state, k)
-        lags, explained = list[float](), True
+        lags, wrong, explained = list[float](), list[str](), True
         for channel, quantity in enumerate(fit.prediction.quantities[: fit.prediction.inputs]):
             a, b = (each - each.mean() for each in (data.values[:, channel], model[:, channel]))
             noisy = a.std() < 5.0 * float(np.median(data.noise[:, channel]))
             if noisy or not np.isfinite(b).all():
                 continue
             explained &= bool(residual[:, channel].std() < _EXPLAINED * a.std())
-            ratio = float(a.std() / (b.std() or np.inf))
-            if not explained and not 1 / _UNITS < ratio < _UNITS:
-                raise InvalidReference(
-                    f"{name}: {quantity.name} changes by {ratio:.3g} times what the model needs: is its unit right?"
-                )
+            if not 1 / _UNITS < a.std() / (b.std() or np.inf) < _UNITS:
+                wrong.append(f"{quantity.name} changes by {np.ptp(a):.3g} {quantity.unit}")
             products = np.correlate(a, b, "full")
             lags.append((int(products.argmax()) - len(b) + 1) * float(np.median(np.diff(data.t))))
+        if explained:
+            continue
+        if wrong:
+            raise InvalidReference(f"{name}: {wrong[0]}, far from what the model needs: is its unit right?")
         # A clock is late for all inputs alike; an effect that the model lacks delays each in its own way.
-        if not explained and min(map(abs, lags)) > _LAG and float(np.ptp(lags)) < _ALIKE:
+        if min(map(abs, lags)) > _LAG and float(np.ptp(lags)) < _ALIKE:
             raise InvalidReference(
                 f"{name}: the inputs are {1e3 * np.mean(lags):.0f} ms behind the positions: their clocks are not"
                 " synchronized"

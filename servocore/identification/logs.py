@@ -40,6 +40,7 @@ _SHORTEST, _FEWEST = 2.0, 100  # s and samples of a log
 _SLOWEST = 0.05  # s between samples: the swing of a load, its friction and its spline need more
 _TURNS = 12.6  # rad: an angle that goes farther without a unit is probably in degrees
 _FAR = 30.0  # times the reach of the scene: probably millimetres
+_TYPICAL = 0.95  # of the samples are nearer to the median: others may be outliers
 _SATURATED = 0.05  # of the samples at the same extreme
 _TIME = "time"
 
@@ -151,7 +152,7 @@ def _require_sampling(record: Record) -> None:
             " needed"
         )
     spacing = float(np.median(np.diff(t)))
-    if spacing > _SLOWEST:
+    if spacing > _SLOWEST * (1.0 + 1e-9):
         raise InvalidReference(
             f"{record.name} has a sample every {spacing:.3g} s, where at most {_SLOWEST:g} s are needed; if its times"
             " are milliseconds, write time [ms] into the header"
@@ -169,7 +170,7 @@ def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quant
             raise InvalidReference(f"{record.name}: {label} has no value in {1 - len(known) / len(column):.0%} of rows")
         span = float(np.ptp(known))
         if label in positions:
-            unit, size = positions[label].unit, float(np.abs(known - np.median(known)).max())
+            unit, size = positions[label].unit, float(np.quantile(np.abs(known - np.median(known)), _TYPICAL))
             likely, most = usual.get(unit, ("", np.inf))
             if size > most:
                 hint = f"; write {label} [{likely}] into the header if that is meant"
@@ -270,9 +271,10 @@ def _outliers(x: Array) -> npt.NDArray[np.bool_]:
 
 def _quantum(x: Array) -> float:
     """Return the step of a quantized signal; 0 for one that is not quantized."""
-    steps = np.abs(np.diff(x[np.isfinite(x)]))
-    size = float(np.abs(x[np.isfinite(x)]).max(initial=0.0))
-    steps = steps[steps > 1e-9 * size]
+    known = x[np.isfinite(x)]
+    steps = np.abs(np.diff(known))
+    if len(known):
+        steps = steps[steps > 1e-9 * np.quantile(np.abs(known), _TYPICAL)]
     if len(steps) < 10:
         return 0.0
     least = float(np.quantile(steps, 0.01))

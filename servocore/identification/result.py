@@ -261,7 +261,7 @@ class Identified:
             at, own = np.linspace(0.0, 1.0, len(base)), np.linspace(0.0, 1.0, len(deviation))
             slopes.append((np.column_stack([np.interp(at, own, each) for each in deviation.T]) - base) / change)
         normal = np.random.default_rng(0).multivariate_normal
-        drawn = normal(np.zeros(len(self.names)), self.covariance, _SAMPLES, method="eigh")
+        drawn = normal(np.zeros(len(self.names)), self.covariance, _SAMPLES, "ignore", method="eigh")  # round-off
         samples = np.linalg.norm(np.tensordot(drawn, np.array(slopes), axes=1), axis=2)
         by_parameters = float(np.quantile(samples.max(axis=1), _QUANTILE))
         # Residuals that stay act on the plant as a disturbance.

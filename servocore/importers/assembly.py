@@ -96,7 +96,7 @@ class Assembly(Layout):
         parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
         for name in tips or [self.tree.bodies[-1].name]:
-            tip, stage = self.position(name), self.place(name).stage
+            tip, stage = self.position(name), self.places[name].stage
             parts += [("body", (tip,), name)]
             parts += [("bar", (origins[stage], tip), "")] if stage >= 0 and name not in self.loads else []
 
@@ -142,7 +142,7 @@ class Assembly(Layout):
         armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
         mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
         beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
-        beside += [(f"{body}.{axis}", ca.SX(self.tree.body[body].mass)) for body in self.loads for axis in "xyz"]
+        beside += [(f"{body}.{axis}", self.load_mass(body)) for body in self.loads for axis in "xyz"]
         for name, inertia in beside:
             k = self.coordinates.index(name)
             mass[k, k] += inertia
@@ -157,7 +157,7 @@ class Assembly(Layout):
         for stretch, stiffness, _ in self._springs:
             potential += stiffness / 2 * stretch**2
         for body in self.loads:
-            potential -= self.tree.body[body].mass * ca.dot(gravity, self.point(body))
+            potential -= self.load_mass(body) * ca.dot(gravity, self.point(body))
         return potential
 
     @cached_property
@@ -168,9 +168,12 @@ class Assembly(Layout):
             for tendon in self.tree.tendons.values()
             if (tendon.stiffness or tendon.damping) and tendon.name not in self.options.taut
         ]
+        for name, tendon in self.tree.tendons.items():
+            if np.isnan(tendon.rest) and name not in self.options.taut:
+                raise self.tree.fault(f"the tendon {name} has a spring with a slack range, which cannot be represented")
         for name, elastic in self.options.elastic.items():
-            stiffness, damping = (self.parameters[f"{name}.{what}"] for what in ("stiffness", "spring_damping"))
-            springs.append((self._twist(name), stiffness, damping if elastic.damping else ca.SX(0)))
+            damping = self.parameters[f"{name}.spring_damping"] if elastic.damping else ca.SX(0)
+            springs.append((self._twist(name), self.parameters[f"{name}.stiffness"], damping))
         return springs
 
     def _twist(self, name: str) -> ca.SX:

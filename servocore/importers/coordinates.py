@@ -45,16 +45,17 @@ class Layout:
         options.require_known(tree)
         self.tree, self.options, self.driven = tree, options, driven_joints(tree, options)
         self.ropes = {body: rope_hinges(tree, body, self.driven) for body in options.ropes}
-        on_way = {name for body, hinges in self.ropes.items() for name in _below(tree, body, hinges)}
-        on_way |= {name for body in options.points for name in _light(tree, tree.body[body], self.driven)}
+        self.roped = {name for body, hinges in self.ropes.items() for name in _below(tree, body, hinges)}
+        on_way = {name for body in options.points for name in _light(tree, tree.body[body], self.driven)} | self.roped
         self.loads = (*options.points, *options.ropes)
+        self.carried = {body.name: load for body in tree.bodies if (load := self._load(body.name))}
         taut = {f"range of tendon {name}" for name in options.taut}
         self.left_out = [each for each in tree.left_out if each.partition(",")[0] not in taut]
         self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in self.loads]
-        on_way = on_way.difference(self.loads)
+        on_way = on_way.difference(self.carried)
         self.left_out += [f"mass of {name}: it is part of a rope" for name in on_way if tree.body[name].mass]
         self.locked = {*options.locked, *(joint.name for hinges in self.ropes.values() for joint in hinges)}
-        self.stages, self.places = stages_of(tree, on_way.union(self.loads))
+        self.stages, self.places = stages_of(tree, on_way.union(self.carried))
         self.joints = [stage.joint for stage in self.stages]
         self.moving = [joint for joint in self.joints if joint.name not in self.locked and not joint.mimic]
         self.coordinates = Coordinates(
@@ -76,8 +77,9 @@ class Layout:
             declared += [
                 Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),
                 Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9),
-                Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9),
             ]
+            if elastic.damping:  # without any, other equations hold: the index is higher
+                declared += [Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)]
         return declared + [
             Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
             for name, mass in self.options.payload.items()
@@ -93,6 +95,8 @@ class Layout:
         for joint in self.joints:
             if joint.kind == "ball":
                 turn = np.array([given.get(name, float(k == 0)) for k, name in enumerate(joint.coordinates)])
+                if not turn.any():
+                    raise self.tree.fault(f"posture: the quaternion of {joint.name} is zero")
                 start |= zip(joint.coordinates, (turn / np.linalg.norm(turn)).tolist(), strict=True)
             else:
                 at_zero = self.tree.closures or joint.lower <= joint.zero <= joint.upper
@@ -133,13 +137,26 @@ class Layout:
     def motion(self) -> Motion:
         """Kinematics and dynamics of the stages."""
         rates = dict(zip(self._values, ca.vertsplit(ca.mtimes(self.reduction, self.v)), strict=True))
-        loads = [(self.place(name), self.parameters[f"{name}.payload"]) for name in self.options.payload]
+        beside = [name for name in self.options.payload if name not in self.carried]
+        loads = [(self.place(name), self.parameters[f"{name}.payload"]) for name in beside]
         return Motion(self.stages, self._values, rates, loads)
 
     def place(self, name: str) -> Place:
-        """Return the place of a frame; raises `InvalidModel` if there is none."""
+        """Return the place of a frame; raises `InvalidModel` if there is none, or a rope has replaced its joints."""
         self.tree.above(name)
+        if name in self.roped:
+            load = self._load(name)
+            what = f"the body {load} hangs on a rope as a point mass" if load else f"the body {name} is part of a rope"
+            raise self.tree.fault(f"{what}: it has no orientation")
         return self.places[name]
+
+    def load_mass(self, load: str) -> ca.SX:
+        """Return the mass of a point mass, kg: of the body, all that is fixed to it, and payloads."""
+        masses = (self.tree.body[name].mass for name, on in self.carried.items() if on == load)
+        payloads = (
+            self.parameters[f"{name}.payload"] for name in self.options.payload if self.carried.get(name) == load
+        )
+        return sum(payloads, ca.SX(sum(masses)))
 
     def point(self, body: str) -> ca.SX:
         """Return the coordinates x, y, z of a body that is a point mass, shape (3,)."""
@@ -159,8 +176,6 @@ class Layout:
 
     def rotation(self, name: str) -> ca.SX:
         """Return the axes of a frame in those of the ground, shape (3, 3)."""
-        if (load := self._load(name)) in self.options.ropes:
-            raise self.tree.fault(f"the body {load} hangs on a rope as a point mass: it has no orientation")
         return self.motion.pose(self.place(name))[0]
 
     def length(self, tendon: Tendon) -> ca.SX:
@@ -195,10 +210,10 @@ class Layout:
                 rows[Quantity(name, UNITS[joint.kind][0])] = self.motion.q[name]
                 continue
             frame, _, part = name.rpartition(".")
-            if part in ("rx", "ry", "rz"):
+            if part in ("rx", "ry", "rz") and name not in self.tree.body:
                 vector = self._rotation_vector(frame, posture)
                 rows[Quantity(name, "rad", f"rotation of {frame} from its posture")] = vector["xyz".index(part[1])]
-            elif part in ("x", "y", "z") and frame:
+            elif part in ("x", "y", "z") and frame and name not in self.tree.body:
                 rows[Quantity(name, "m", f"position of {frame}")] = self.position(frame)["xyz".index(part)]
             else:
                 for axis, place in zip("xyz", ca.vertsplit(self.position(name)), strict=True):

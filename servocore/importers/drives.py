@@ -84,10 +84,12 @@ def _drive(name: str, layout: Layout) -> Drive:
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         unit = np.eye(6)[number]
-        power = motion.power(layout.centre(part[1]), unit[:3], unit[3:])
+        power = motion.power(layout.place(part[1]).moved(tree.body[part[1]].centre), unit[:3], unit[3:])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
     joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
-    joint = joint if joint in tree.joints else joint.rpartition(".")[0]
+    own, _, force = joint.rpartition(".")
+    if joint not in tree.joints and own in tree.joints and force == UNITS[tree.joints[own].kind][2]:
+        joint = own
     if joint in tree.joints:
         return _on_joint(tree.joints[joint], layout)
     if name not in actuators:

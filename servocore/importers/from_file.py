@@ -93,7 +93,7 @@ def from_file(
         Driven joints, drives of the file, or components of wrenches at the centre of mass of a body in its axes
         (``drone.force_z``, ``drone.torque_x``); all drives of the file when not given.
     elastic : mapping of str to Elastic, optional
-        Elastic joints; their stiffness, motor inertia and damping become parameters.
+        Elastic joints; their stiffness, motor inertia and damping, unless zero, become parameters.
     passive, locked : sequence of str
         Joints without a drive; joints that are held in the posture.
     points : sequence of str

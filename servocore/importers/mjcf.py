@@ -185,10 +185,11 @@ class _Reader:
             else:
                 refusal = f"wraps around the geom {m.geom(place).name or place}, which cannot be represented"
         low, high = m.tendon_lengthspring[k].tolist()
+        slack = low != high and m.tendon_stiffness[k]
         if m.tendon_limited[k]:
             self.left_out.append(f"range of tendon {name}, unless it is taut=['{name}']")
         return Tendon(
-            name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), low if low == high else math.nan,
+            name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), math.nan if slack else low,
             float(m.tendon_damping[k]), _range(m.tendon_limited[k], m.tendon_range[k])[1], refusal,
         )  # fmt: skip
 
@@ -242,6 +243,11 @@ class _Reader:
         if m.actuator_dyntype[k] != dynamics.mjDYN_NONE:
             self.left_out.append(f"dynamics of actuator {name}: the input is its force")
         lower, upper = _range(m.actuator_forcelimited[k], m.actuator_forcerange[k])
+        element = {"joint": "jnt", "tendon": "tendon"}.get(where, "")
+        if hasattr(m, f"{element}_actfrclimited"):  # of the force behind the gear; older versions lack it for tendons
+            behind = (getattr(m, f"{element}_actfrc{what}")[target] for what in ("limited", "range"))
+            low, high = sorted(end / gear[0] for end in _range(*behind))
+            lower, upper = max(lower, low), min(upper, high)
         control = _range(m.actuator_ctrllimited[k], m.actuator_ctrlrange[k])
         bias = tuple(m.actuator_biasprm[k][:3].tolist()) if affine else (0.0, 0.0, 0.0)
         return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, lower, upper, control)

@@ -99,6 +99,8 @@ class Options:
         if unknown := [name for name in values if name not in cls.__dataclass_fields__]:
             known = ", ".join([*cls.__dataclass_fields__, "motor_inertia"])
             raise InvalidSetting(f"{source}: there is no setting {unknown[0]}; there are {known}")
+        if motor is not None and not elastic:
+            raise InvalidSetting(f"{source}: motor_inertia is that of elastic joints, and there are none: set elastic")
         cls(**values)._require_kinds()
         if not isinstance(elastic, Mapping):
             elastic = dict.fromkeys(driven_joints(tree, cls(**values)), elastic)
@@ -124,8 +126,10 @@ class Options:
             for option in options:
                 for name in getattr(self, option):
                     if name not in known:
-                        there_are = ", ".join(known) or "none"
+                        there_are = ", ".join(dict.fromkeys(known)) or "none"
                         raise InvalidSetting(f"{option}: {tree.source} has no {kind} {name}; there are {there_are}")
+                    if option in ("locked", "posture") and name in tree.joints and (mimic := tree.joints[name].mimic):
+                        raise InvalidSetting(f"{option}: {name} follows {mimic[0]}: name that one")
         self._require_consistent(tree)
 
     def _require_kinds(self) -> None:
@@ -139,6 +143,7 @@ class Options:
         for option in ("posture", "payload"):
             for name, value in getattr(self, option).items():
                 require_real(value, f"the {option} of {name}", "a number", InvalidSetting)
+        require_kind(self.limits, bool, "limits", "true or false", InvalidSetting)
         numbers = self.gravity if isinstance(self.gravity, Sequence) else (self.gravity,)
         if self.gravity is not None and not (len(numbers) == 3 and all(isinstance(x, int | float) for x in numbers)):
             raise InvalidSetting(f"gravity must be three numbers in m/s2, not {self.gravity!r}")

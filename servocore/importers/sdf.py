@@ -7,6 +7,7 @@ a loop: it becomes a constraint.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -19,6 +20,18 @@ _AXES = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "ball":
 _LOOPS = {"revolute": "hinge", "continuous": "hinge", "ball": "connect", "fixed": "weld"}
 _GRAVITY = (0.0, 0.0, -9.8)
 _WORLD = "world"
+_IN_MODEL = ("1.0", "1.2", "1.3", "1.4")  # versions whose axes are in the axes of the model
+_UNREAD = ("visual", "collision", "sensor", "plugin", "gui", "light")
+_ATTRIBUTES = ("placement_frame", "expressed_in", "degrees", "rotation_format", "auto")
+_USUAL = ("", "0", "false", "euler_rpy", "__model__")  # values that change nothing, or are read
+
+
+def _read(element: Element) -> Iterator[Element]:
+    """Yield the elements below one that have a part in the motion."""
+    for child in element:
+        if child.tag not in _UNREAD:
+            yield child
+            yield from _read(child)
 
 
 def read_sdf(file: XmlFile) -> Tree:
@@ -45,15 +58,28 @@ def read_sdf(file: XmlFile) -> Tree:
 class _Reader(LinkReader):
     def tree(self) -> Tree:
         file, models = self.file, [*self.file.root.iter("model")]
-        for element in file.root.iter():
+        for element in _read(file.root):
             if element.get("relative_to") or element.get("frame") or element.tag == "include":
                 raise file.fault(element, "refers to another frame or file, which is not supported")
+            for name in _ATTRIBUTES:
+                if (value := element.get(name, "")) not in _USUAL:
+                    raise file.fault(
+                        element, f"has {name}={value!r}, which is not supported: write numbers in m and rad"
+                    )
         if len(models) != 1:
             raise file.fault(file.root, f"has {len(models)} models, one is read")
         model = models[0]
         links = {file.required(link, "name"): link for link in model.findall("link")}
-        self.poses = {_WORLD: (ZERO, IDENTITY)} | {name: self.pose(link, link) for name, link in links.items()}
-        self.static = file.value(model, "static", 0.0) != 0.0
+        (place, self.axes), poses = (
+            self.pose(model, model),
+            {name: self.pose(link, link) for name, link in links.items()},
+        )
+        placed = {
+            name: (place + self.axes @ position, self.axes @ turned) for name, (position, turned) in poses.items()
+        }
+        self.poses = {_WORLD: (ZERO, IDENTITY)} | placed
+        self.static = self._flag(model, "static")
+        self.left_out += [f"frame {frame.get('name')}: links are frames" for frame in model.findall("frame")]
         self.frames, self.closures, hung = list[Body](), list[Closure](), dict[str, Element]()
         for joint in model.findall("joint"):
             child, parent = (self.end(joint, which, self.poses) for which in ("child", "parent"))
@@ -74,9 +100,19 @@ class _Reader(LinkReader):
         elif not self.static:
             slides = (Joint(f"{name}.{'xyz'[k]}", "slide", rotation[k], zero=float(position[k])) for k in range(3))
             joints = (*slides, Joint(name, "ball"))
+        for tag, usual in (("gravity", True), ("kinematic", False)):
+            if self._flag(link, tag, usual) != usual:
+                raise self.file.fault(link, f"has <{tag}> {str(not usual).lower()}, which cannot be represented")
         parent = parent if parent != _WORLD else GROUND
         inertia = self.inertia(link, 1.0)  # mass and inertia of a link that states none
         return Body(name, parent, axes.T @ (position - origin), axes.T @ rotation, *inertia, joints)
+
+    def _flag(self, element: Element, tag: str, default: bool = False) -> bool:
+        """Return a truth value in the text of a child."""
+        text = (element.findtext(tag) or str(default)).strip().lower()
+        if text not in ("0", "1", "false", "true"):
+            raise self.file.fault(element, f"holds {text!r} in <{tag}> where true or false belongs")
+        return text in ("1", "true")
 
     def _kind(self, joint: Element) -> str:
         kind = self.file.required(joint, "type")
@@ -86,8 +122,9 @@ class _Reader(LinkReader):
 
     def _axis(self, joint: Element, axis: Element, child: str) -> Array:
         """Return the axis of a joint in the axes of its child."""
-        of_model = self.file.value(axis, "use_parent_model_frame", 0.0) != 0.0
-        turned = self.poses[child][1].T if of_model else self.pose(joint, joint)[1]
+        of_model = self._flag(axis, "use_parent_model_frame", self.file.root.get("version") in _IN_MODEL)
+        of_model |= axis.find("xyz[@expressed_in='__model__']") is not None
+        turned = self.poses[child][1].T @ self.axes if of_model else self.pose(joint, joint)[1]
         return np.asarray(turned @ self.direction(joint, axis, (0.0, 0.0, 1.0)))
 
     def _joints(self, joint: Element, child: str) -> tuple[Joint, ...]:

@@ -6,6 +6,7 @@ leave it out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
@@ -90,5 +91,7 @@ class _Reader(LinkReader):
         found, follows = self.single(joint, joint, name, kind, axis, ZERO), joint.find("mimic")
         if follows is None:
             return (found,)
+        if math.isfinite(found.upper - found.lower):
+            self.left_out.append(f"limits of joint {name}: it follows {follows.get('joint')}")
         factor, offset = file.value(follows, "multiplier", 1.0), file.value(follows, "offset", 0.0)
         return (replace(found, mimic=(file.required(follows, "joint"), factor, offset)),)

@@ -175,6 +175,8 @@ class LinkReader:
         ends = [file.value(holder, f"limit/{end}", sign * self._open) for end, sign in (("lower", -1), ("upper", 1))]
         if ends[0] > ends[1]:
             raise file.fault(joint, f"has the lower limit {ends[0]:g} above the upper {ends[1]:g}")
+        if kind != "continuous" and ends[0] == ends[1]:
+            self.left_out.append(f"limits of joint {name}, both {ends[0]:g}, are taken for none")
         if kind == "continuous" or ends[0] == ends[1]:
             ends = [-math.inf, math.inf]
         lower, upper = (end if abs(end) < LARGEST else math.copysign(math.inf, end) for end in ends)  # SDF writes 1e16

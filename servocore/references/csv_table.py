@@ -142,6 +142,7 @@ class _Layout(NamedTuple):
     free: int  # the first column whose cells may be empty
     notes: list[str]  # of conversions
     clock: Callable[[str], float] | None = None  # from dates to seconds, where times are dates
+    unread: frozenset[str] = frozenset()  # names of columns that may hold anything
 
 
 def read_columns(
@@ -185,6 +186,7 @@ def read_columns(
             raise InvalidReference(f"{file}, line {header.line}, column {name}: {error}") from None
     declared = set(units)
     layout = _Layout(names, header.delimiter, factors, units, header.line + 1, False, 1, header.notes)
+    layout = layout._replace(unread=frozenset(names[1:]).difference(known))
     _, numbers, _ = _rows(file, data, layout)
     _warn_of_conversions(file, layout)
     return numbers[:, 0], {name: numbers[:, k] for k, name in enumerate(names) if name in known}, declared
@@ -336,6 +338,9 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             except ValueError as why:
                 raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is {why}") from None
             continue
+        if name in layout.unread:
+            values.append(np.nan)
+            continue
         try:
             value = float(cell) if "_" not in cell else float("nan")  # only Python reads underscores
         except ValueError:
@@ -344,6 +349,8 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             hint = "; digits are not grouped, and decimals follow a point" if "," in cell or "'" in cell else ""
             if k == 0 and _CLOCK.search(cell):
                 hint = f"; times are numbers of seconds, or dates such as {EXAMPLE}"
+            elif k >= layout.free and not hint:
+                hint = "; where a value is missing the cell is empty"
             raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is not a finite number{hint}")
         values.append(value)
     return values

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servocore.errors import InvalidReference, InvalidSetting, require_real
+from servocore.errors import InvalidReference, InvalidSetting, require_kind, require_positive, require_real
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.scenes.bar_marching import require_rest
@@ -32,6 +32,7 @@ from servocore.scenes.heavy_rope import PARAMETERS
 _SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # central difference of fourth order
 _COURANT = 0.6  # of the way of the slowest wave at the load; Runge-Kutta and the difference are stable up to 1.22
 _STABLE = 1.2
+_FEWEST = 10  # steps along a path
 _MOST = 1e7  # sections times instants: some hundreds of megabytes
 
 
@@ -84,27 +85,40 @@ def march_rope(reference: Reference, parameters: Mapping[str, float], step: floa
         If the path has not 2 or 3 components, does not rest before and after, is so rough that the forces jump, or the
         rope goes slack.
     InvalidSetting
-        If the step is not positive, or so small that the grid would not fit into memory.
+        If a parameter is missing or invalid, or the step is not positive, too long for the path, or so small that the
+        grid would not fit into memory.
     """
+    require_kind(parameters, Mapping, "the parameters of the march", "values by name", InvalidSetting)
+    for name in PARAMETERS.names:
+        value = parameters.get(name, np.nan)
+        if not (name == "rope_stiffness" and value == np.inf):
+            require_positive(value, f"{name} of the march", "a number", or_zero=name in ("trolley_mass", "rope_mass"))
     m_t, m, length, line_mass, axial, g = (float(parameters[name]) for name in PARAMETERS.names)
     require_real(step, "the step of the march", "a time in s", InvalidSetting)
     if not 0.0 < step < float("inf"):
         raise InvalidSetting(f"the step of the march must be positive and finite, not {step} s")
     _require_path(reference, order=3 if line_mass else 4)
+    if step > reference.duration / _FEWEST:
+        raise InvalidSetting(f"the step of the march, {step:g} s, is too long for a path of {reference.duration:g} s")
     up = np.zeros(reference.dimension)
     up[-1] = g
     travel_time = 2.0 * (np.sqrt(m + line_mass * length) - np.sqrt(m)) / np.sqrt(g * line_mass) if line_mass else 0.0
-    margin = int(np.ceil(2.0 * travel_time / step)) + 4 * len(_SECOND)
+    longest = max(
+        2.0 * travel_time, travel_time + length * np.sqrt(line_mass / axial)
+    )  # waves of stretched ropes are slow
+    margin = int(np.ceil(longest / step)) + 4 * len(_SECOND)
     _require_room(int(reference.duration / step) + 2 * margin)
     t = reference.start_time + step * np.arange(-margin, np.ceil(reference.duration / step) + margin + 1)
     gamma = reference.jet(t, 2)
     r, n = gamma[:, 0], m * (gamma[:, 2] + up)
     _require_taut(t, n[:, -1], 0.0, 0.0)
-    slowest = np.sqrt(np.linalg.norm(n, axis=1).min() / line_mass) if line_mass else np.inf
+    pull = np.linalg.norm(n, axis=1).min()
+    slowest = np.sqrt(pull / (1.0 + pull / axial) / line_mass) if line_mass else np.inf
     pieces = max(1, int(np.ceil(length / (_COURANT * slowest * step))))
     _require_room(len(t), pieces)
     h = length / pieces
-    least = line_mass * (h / (_STABLE * step)) ** 2  # tension at which the march would become unstable
+    least = line_mass * (h / (_STABLE * step)) ** 2
+    least /= 1.0 - least / axial  # tension at which the march would become unstable
 
     def rates(r: Array, n: Array) -> tuple[Array, Array]:
         return (1.0 / np.linalg.norm(n, axis=1, keepdims=True) + 1.0 / axial) * n, line_mass * (second(r, step) + up)
