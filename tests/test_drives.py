@@ -341,7 +341,7 @@ REFUSALS = {
     ('"4 kg cm^2"', '"4 N m"'): "drives.toml: [F]: motor_inertia is given in N m, but its unit is kg.m2",
     ('"3000 rpm"', '"3000 m/s"'): "drives.toml: [M_w]: torque_speed, a speed is given in m/s, but its unit is rad/s",
     ('"3000 rpm"', "-1"): "torque_speed, a speed = -1 rad/s is outside its range",
-    ('"85 %"', "1.2"): "efficiency = 1.2 1 is outside its range",
+    ('"85 %"', "1.2"): "efficiency = 1.2 is outside its range [0.001, 1]",
     ("rope_falls", "falls"): "drives.toml: [M_w] has no falls; a drive has ratio, rope_falls",
     ("F =", "G ="): "has no input G that a drive could act on; it has F, M_w",
     ('drum_radius = "125 mm", ', ""): "F is a force: its drive needs drum_radius",

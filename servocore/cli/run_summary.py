@@ -13,6 +13,7 @@ from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces
 from servocore.model.limits import run_quantities
 from servocore.model.scene import Scene
+from servocore.numerics.units import behind
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
@@ -61,7 +62,7 @@ def summary(solution: Solution) -> list[str]:
     for name in [quantity.name for quantity in system.inputs] + (["swing"] if "swing" in solution else []):
         k = int(np.abs(solution[name]).argmax())
         value, unit = float(solution[name][k]), solution.unit(name)
-        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
+        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g}{behind(unit)}"
         lines.append(f"  {name}: peak {shown} at t = {solution.t[k]:.6g} s")
     for name in solution.names:
         gaps = np.flatnonzero(np.isnan(solution[name]))
