@@ -351,6 +351,7 @@ REFUSALS = {
     ('[["0 rpm", "12 N m"], ["3000 rpm", 11], ["8000 rpm", 9]]', "[[0, 0], [9, 0]]"): "not all with torque 0",
     (SHEET, ""): "drives.toml has no drive: write a table for each input",
     (SHEET, "F = 3"): "drives.toml: F is no drive: write a table [F]",
+    (SHEET, "ratio = 3"): "drives.toml: ratio is no drive: write ratio in the table of its input, as in [M_b]",
     (SHEET, "[F]"): "drives.toml: F is no drive: write a table [F] with lines such as",
 }
 

@@ -303,5 +303,6 @@ def test_commands_take_files_and_settings() -> None:
     for wrong, sentence in (
         (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
         ([str(ARM), "--elastic", "0"], "is no stiffness"),
+        ([str(ARM), "--motor-inertia", "1"], "motor_inertia belongs to elastic joints: give their stiffness too"),
     ):
         servocore.assert_refused(servocore("analyse", *wrong), sentence)

@@ -102,6 +102,8 @@ class Options:
         cls(**values)._require_kinds()
         if not isinstance(elastic, Mapping):
             elastic = dict.fromkeys(driven_joints(tree, cls(**values)), elastic)
+        if motor is not None and not elastic:
+            raise InvalidSetting(f"{source}: motor_inertia belongs to elastic joints: give their stiffness too")
         joints = dict[str, Elastic]()
         for name, value in elastic.items():
             table = dict(value) if isinstance(value, Mapping) else {"stiffness": value}
@@ -113,7 +115,7 @@ class Options:
 
     def require_known(self, tree: Tree) -> None:
         """Raise `InvalidSetting` for a wrong kind of a value, or a name that the file does not have."""
-        joints = [*tree.joints, *(name for joint in tree.joints.values() for name in joint.coordinates)]
+        joints = dict.fromkeys([*tree.joints, *(name for each in tree.joints.values() for name in each.coordinates)])
         listed = (
             ("joint", joints, ("elastic", "passive", "locked", "posture")),
             ("body", tree.body, ("points", "ropes")),

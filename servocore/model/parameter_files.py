@@ -143,7 +143,8 @@ def read_drives(path: str | Path) -> dict[str, Drive]:
     for key, value in _by_name(read_table(path)):
         name, _, datum = key.rpartition(".")
         if not name:
-            raise InvalidModel(f"{path}: {key} is no drive: write a table [{key}] with lines such as ratio = 42.1")
+            where = f"{key} in the table of its input, as in [M_b]" if key in known else f"a table [{key}]"
+            raise InvalidModel(f"{path}: {key} is no drive: write {where} with lines such as ratio = 42.1")
         if datum not in known:
             raise InvalidModel(f"{path}: [{name}] has no {datum}; a drive has {', '.join(known)}")
         try:
