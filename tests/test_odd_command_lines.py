@@ -93,7 +93,6 @@ servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs 
 servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
 servocore sweep cars -o s --vary duration=1..2:3 --vary duration=1..2:3 -> --vary gives duration twice
 servocore sweep cars -o s --vary duration=1..2:3 --seed 4 -> --seed belongs to --sample
-servocore sweep cars -o s --vary duration=2..1 --sample 5 -> --vary: the range 2..1 of duration is not finite, or does
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler nowhere -> no Dask scheduler answers at nowhere: missing
 servocore sweep cars -o s --vary duration=1..2:100000000000 -> more than 1e+07 values or instants fill the memory
 servocore effects overhead_crane --bandwidth 0 -> the bandwidth of position loops must be positive and finite, not 0
