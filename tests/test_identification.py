@@ -231,6 +231,7 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
 def test_the_command_writes_files_and_page_of_the_result() -> None:
     result = found()
     np.savetxt("log.csv", np.column_stack([*log().values()]), "%.17g", ",", header=",".join(log()), comments="")
+    Path("log.csv").write_text(Path("log.csv").read_text().replace("\n", ",crane 7\n"))  # a column of texts is ignored
     Path("job.csv").write_text(sc.path_to_csv(JOB, ("x", "z")))
     files = ("--job", "job.csv", "-o", "found.toml", "--page", "found.html")
     assert run("identify", "overhead_crane", "log.csv", *files, *ESTIMATED).stdout == f"{result}\n"

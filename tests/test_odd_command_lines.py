@@ -91,7 +91,6 @@ servocore sensitivities cars --output x.svg --plot x.svg -> --output and --plot 
 servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs a count of at least 1: write it as in
 servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
-servocore sweep cars -o s --vary duration=1..2:3 --vary duration=1..2:3 -> --vary gives duration twice
 servocore sweep cars -o s --vary duration=1..2:3 --seed 4 -> --seed belongs to --sample
 servocore sweep cars -o s --vary duration=1..2:3 --scheduler nowhere -> no Dask scheduler answers at nowhere: missing
 servocore sweep cars -o s --vary duration=1..2:100000000000 -> more than 1e+07 values or instants fill the memory

@@ -11,7 +11,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -142,6 +142,7 @@ class _Layout(NamedTuple):
     free: int  # the first column whose cells may be empty
     notes: list[str]  # of conversions
     clock: Callable[[str], float] | None = None  # from dates to seconds, where times are dates
+    ignored: Container[int] = ()  # columns that may hold texts
 
 
 def read_columns(
@@ -185,6 +186,7 @@ def read_columns(
             raise InvalidReference(f"{file}, line {header.line}, column {name}: {error}") from None
     declared = set(units)
     layout = _Layout(names, header.delimiter, factors, units, header.line + 1, False, 1, header.notes)
+    layout = layout._replace(ignored={k for k, name in enumerate(names) if k and name not in known})
     _, numbers, _ = _rows(file, data, layout)
     _warn_of_conversions(file, layout)
     return numbers[:, 0], {name: numbers[:, k] for k, name in enumerate(names) if name in known}, declared
@@ -340,7 +342,7 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             value = float(cell) if "_" not in cell else float("nan")  # only Python reads underscores
         except ValueError:
             value = float("nan")
-        if not np.isfinite(value) and (cell or k < layout.free):
+        if not np.isfinite(value) and (cell or k < layout.free) and k not in layout.ignored:
             hint = "; digits are not grouped, and decimals follow a point" if "," in cell or "'" in cell else ""
             if k == 0 and _CLOCK.search(cell):
                 hint = f"; times are numbers of seconds, or dates such as {EXAMPLE}"
