@@ -88,7 +88,6 @@ crane-fmu --versions -> see crane-fmu --help
 servocore sensitivities cars --wrt none -> cars has no parameter none
 servocore sensitivities cars --from 0 --to 1 -> a straight line also needs --duration
 servocore sensitivities cars --output x.svg --plot x.svg -> --output and --plot both name x.svg
-servocore sweep cars -o s --vary load=1..:3 -> --vary load=1..:3 is no NAME=LOW..HIGH:COUNT: write it
 servocore sweep cars -o s --vary load=1..2:0 -> --vary: the range of load needs a count of at least 1: write it as in
 servocore sweep cars -o s --vary load=1..inf:3 -> --vary: the range 1..inf of load is not finite, or does not run
 servocore sweep cars -o s --vary duration=1..2:3 --seed 4 -> --seed belongs to --sample
