@@ -175,10 +175,11 @@ class TestFeedforward:
 
     def test_what_rounded_samples_do_to_the_inputs_is_told_apart_from_numerics(self) -> None:
         t = np.linspace(0.0, 20.0, 201)
-        rows = np.column_stack([t, np.round(sc.scenes.rotary_crane().reference.jet(t, 0)[:, 0], 3)])
+        rows = np.column_stack([1e5 + t, np.round(sc.scenes.rotary_crane().reference.jet(t, 0)[:, 0], 3)])
         lines = [",".join(map(repr, row)) for row in rows.tolist()]
         Path("rounded.csv").write_text("\n".join(["time,x,y,z", *lines, ""]))
         told = run("feedforward", "--reference", "rounded.csv", "--tolerance", "1mm").stderr
+        assert re.search(r"M_b: peak \S+ N.m at t = 100012.2 s\n", told)
         assert re.search(r"inputs: numerical error at most \d\.\de-1[4-6] of their peaks", told)
         found = re.search(r"inputs: from path fitting about (\S+) of their peaks, by fits to every second sample", told)
         assert found, told

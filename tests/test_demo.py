@@ -88,12 +88,13 @@ class TestDemo:
         assert "101 rows up to <i>t</i> = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
 
     def test_a_second_run_replaces_what_is_there_and_keeps_the_rest(
-        self, done: Demo, monkeypatch: pytest.MonkeyPatch
+        self, done: Demo, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
     ) -> None:
         (done.folder / "notes.txt").write_text("mine")
         (done.folder / "report.html").write_text("old")
         _make_light(monkeypatch, done)
         demo(done.folder, steps=STEPS)
+        assert recwarn.list == []  # of the scheme of the paper the tables tell
         assert (done.folder / "notes.txt").read_text() == "mine"
         assert (done.folder / "report.html").read_text() == "9 sections"
         (done.folder / "notes.txt").unlink()

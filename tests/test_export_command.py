@@ -6,6 +6,7 @@ import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import casadi as ca
 import numpy as np
@@ -250,6 +251,13 @@ def test_c_source_that_cannot_be_written_leaves_nothing_half_written(monkeypatch
         export_c(cars, "source")
     assert sorted(each.name for each in Path("source").iterdir()) == ["cars.h", "main.c"]
     assert Path("source/cars.h").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.parametrize("command", ["export cars --c x", "ssp cars -o x.ssp"])
+def test_a_proof_that_is_stopped_leaves_no_file(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servocore.certificate.certify.certify", Mock(side_effect=KeyboardInterrupt))
+    assert run(*command.split()).exit_code == 130
+    assert list(Path().iterdir()) == []
 
 
 def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

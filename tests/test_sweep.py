@@ -134,6 +134,8 @@ def test_a_case_that_fails_is_a_row_with_its_sentence() -> None:
     assert np.isnan(found.peak_M_b[0])
     assert found.failure[1] == ""
     assert np.isfinite(found.peak_M_b[1])
+    weightless = sc.sweep(sc.scenes.overhead_crane(), {"gravity": [1.0, 9.81]})
+    assert "the rope goes slack" in weightless.failure[0].item()
 
 
 @pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])

@@ -98,12 +98,12 @@ def ssp(subject: Subject, path: GivenPath, place: Place, platforms: Platforms, c
     profile = next((name for name, known in sc.TIME_LAWS.items() if known == law), None)
     options = SystemOptions(line, profile, subject.changes(crane), crane.drives, place.native, platforms.targets)
     with PatientProgress("building the system") as progress:
-        files = build_ssp(place.output or Path("system"), progress.describe, options)
         usual = crane.reference
         if law is not None:
             start, end = usual.jet([usual.start_time, usual.end_time], 0)[:, 0]
             usual = sc.rest_to_rest(start, end, usual.duration, profile=law)
         told = certified.line(crane.with_parameters(**options.parameters).with_reference(line or usual))
+        files = build_ssp(place.output or Path("system"), progress.describe, options)
     print(*files, sep="\n")
     print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)
 

@@ -148,6 +148,7 @@ def export_scene(
         progress = shown.describe
         common: dict[str, Any] = {"fmi": fmi, "model": model, "targets": targets, "host": component.host(),
                                   "about": component.told(), "progress": progress}  # fmt: skip
+        told = [] if products.plant else certified.line(path.along(scene, model), model, progress)
         if file is not None and products.plant:
             kind = "plant of "
             export_plant(scene, file, **common)
@@ -156,8 +157,6 @@ def export_scene(
             export_trajectory(scene, file, TrajectoryOptions(path.path(scene, model)), **common)
         else:
             _export_inverse(path.along(scene, model), products, common)
-        progress("proving the inputs")
-        told = [] if products.plant else certified.line(path.along(scene, model), model)
     if file is not None:
         alone = "" if targets is not None or zig() else f"; for this machine only; for others {install('native')}"
         print(f"{file}: {kind}{scene.name}, FMI {fmi}{alone}")
@@ -220,11 +219,10 @@ def export_system(
     scene = path.along(subject.chosen(), subject.model)
     file = results.output or Path(f"{scene.name}.ssp")
     with PatientProgress("exporting") as shown:
+        told = certified.line(scene, subject.model, shown.describe)  # first: what stops it leaves no file
         export_ssp(
             scene, file, fmi=component.fmi or 2, model=subject.model, targets=platforms.targets,
             host=component.host(), about=component.told(), progress=shown.describe,
         )  # fmt: skip
-        shown.describe("proving the inputs")
-        told = certified.line(scene, subject.model)
     print(f"{file}: trajectory, inverse model and plant of {scene.name}")
     print(*told, sep="\n", end="\n" * len(told), file=sys.stderr)

@@ -13,6 +13,7 @@ from servocore.cli.options import Certified, Computation, GivenLimits, GivenPath
 from servocore.cli.run_summary import chosen_columns, details, summary, table_pieces
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene
+from servocore.numerics.units import behind
 from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
 from servocore.solution import Solution
@@ -90,9 +91,9 @@ def _far_off(scene: Scene, solution: Solution, model: str | None) -> str | None:
     worst = max(inputs, key=lambda name: shares[name])
     if shares[worst] < FAR_OFF:
         return None
-    unit, k = solution.unit(worst), int(off[worst].argmax())
+    unit, k = behind(solution.unit(worst)), int(off[worst].argmax())
     return (
         f"{solution.route}: these inputs are of no use: {worst} is off by {100.0 * shares[worst]:.3g} % of its peak; at"
-        f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} instead of {exact[worst][k]:.4g} {unit};"
+        f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g}{unit} instead of {exact[worst][k]:.4g}{unit};"
         " --formulation reduced is exact"
     )

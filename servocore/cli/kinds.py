@@ -50,11 +50,12 @@ class Kind(ParamType):
         if not isinstance(value, str):
             return value
         option = flag_of(param)
+        where = f"{option}: " if option else ""  # an argument has no name
         right = f"write it as in {option} {self.example}".strip()
         try:
             return self.read(value)
         except InvalidSetting as error:
-            raise InvalidSetting(f"{option}: {error}: {right}") from None
+            raise InvalidSetting(f"{where}{error}: {right}") from None
         except ValueError:
             raise InvalidSetting(f"{option} {value or repr(value)} is no {self.what}: {right}") from None
 

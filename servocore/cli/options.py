@@ -264,7 +264,7 @@ class Rows:
     step: float | None = option(
         "--step", kind=STEP, metavar="H",
         help="Time between rows (s). It must divide the duration; a plan reduces it to the next that does. Default:"
-        " duration/200.",
+        " duration/200; of drive: 0.01 s or less.",
     )  # fmt: skip
 
     def require(self, duration: float) -> None:
@@ -355,11 +355,14 @@ class Certified:
     no_certify: bool = option("--no-certify", help="Skip the proof that the inputs hold at all times of the run.")
 
     def line(
-        self, subject: Scene | Solution, model: str | None = None, *, tolerance: float = 1e-8, strict: bool = False
-    ) -> list[str]:
+        self, subject: Scene | Solution, model: str | None = None, told: Callable[[str], None] | None = None, *,
+        tolerance: float = 1e-8, strict: bool = False,
+    ) -> list[str]:  # fmt: skip
         """Return the verdict in one line, none with --no-certify; `strict` raises an error where it is refuted."""
         if self.no_certify:
             return []
+        if told is not None:
+            told("proving the inputs")
         from servocore.certificate.certify import certify, require_certified  # noqa: PLC0415 - few commands certify
 
         prove = partial(require_certified, warn=False) if strict else certify

@@ -13,6 +13,7 @@ from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces
 from servocore.model.limits import run_quantities
 from servocore.model.scene import Scene
+from servocore.numerics.units import behind
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import Solution
@@ -58,11 +59,12 @@ def summary(solution: Solution) -> list[str]:
     problem: Problem = solution.origin
     system, path = problem.system, problem.reference
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
+    digits = 6 + max(0, round(math.log10(np.abs(solution.t).max() / path.duration)))  # of a path that starts late
     for name in [quantity.name for quantity in system.inputs] + (["swing"] if "swing" in solution else []):
         k = int(np.abs(solution[name]).argmax())
         value, unit = float(solution[name][k]), solution.unit(name)
-        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
-        lines.append(f"  {name}: peak {shown} at t = {solution.t[k]:.6g} s")
+        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g}{behind(unit)}"
+        lines.append(f"  {name}: peak {shown} at t = {solution.t[k]:.{digits}g} s")
     for name in solution.names:
         gaps = np.flatnonzero(np.isnan(solution[name]))
         if gaps.size:

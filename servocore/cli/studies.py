@@ -22,7 +22,7 @@ from servocore.errors import InvalidSetting
 from servocore.files import write_together
 from servocore.model.limits import RunQuantity
 from servocore.model.parameter_files import read_parameters
-from servocore.numerics.units import unit_of
+from servocore.numerics.units import behind, unit_of
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.solvers.solve import solve
 
@@ -167,5 +167,5 @@ def _effects_of_one_per_cent(result: Sensitivities) -> str:
     for name, size in zip(result.parameters, result.sizes, strict=True):
         changes = [result[each.name, name] * size / 100.0 for each in result.quantities]
         largest = [change[np.abs(change).argmax()] for change in changes]
-        rows.append((name, *(f"{x:.3g} {of.unit}" for x, of in zip(largest, result.quantities, strict=True))))
+        rows.append((name, *(f"{x:.3g}{behind(of.unit)}" for x, of in zip(largest, result.quantities, strict=True))))
     return aligned(rows)

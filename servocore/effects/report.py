@@ -142,11 +142,11 @@ class EffectsReport:
         undeclared = [name for name in self.needed if name not in declared]
         changes = [f"{', '.join(names)} {what}" for names, what in ((added, "added"), (without, "left out")) if names]
         how = " and ".join(changes) if changes else "the scene as it is"
+        apart = f", apart from {', '.join(refused)}, which cannot be judged" if refused else ""
         addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
-            f"{self.loops}, the load keeps {self._length(self.tolerance)} with {how}{addition}: all that is left"
+            f"{self.loops}{apart}, the load keeps {self._length(self.tolerance)} with {how}{addition}: all that is left"
             f" out moves it by {self._length(total)} at most, errors added up.{self._smoother_path}"
-            + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
 
     @cached_property  # the smallest model is analysed for it

@@ -13,6 +13,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.units import behind
 
 Causality = Literal["input", "output", "parameter", "local"]
 
@@ -89,7 +90,7 @@ class Variable:
     @property
     def unit_behind(self) -> str:
         """The unit as it follows a number in a sentence."""
-        return "" if self.unit == "1" else f" {self.unit}"
+        return behind(self.unit)
 
     @property
     def bounds(self) -> dict[str, float]:

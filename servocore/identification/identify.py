@@ -148,7 +148,8 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
     """Return the relative standard uncertainty of each parameter."""
     given = believed if isinstance(believed, Mapping) else {"*": believed}
     for pattern, value in given.items():
-        require_positive(value, f"the uncertainty of {pattern}", "a fraction, such as 0.2")
+        of = "" if pattern == "*" else f" of {pattern}"
+        require_positive(value, f"the uncertainty{of}", "a fraction, such as 0.2")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
     own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)

@@ -115,7 +115,7 @@ class Options:
 
     def require_known(self, tree: Tree) -> None:
         """Raise `InvalidSetting` for a wrong kind of a value, or a name that the file does not have."""
-        joints = [*tree.joints, *(name for joint in tree.joints.values() for name in joint.coordinates)]
+        joints = dict.fromkeys([*tree.joints, *(name for each in tree.joints.values() for name in each.coordinates)])
         listed = (
             ("joint", joints, ("elastic", "passive", "locked", "posture")),
             ("body", tree.body, ("points", "ropes")),
@@ -126,7 +126,7 @@ class Options:
             for option in options:
                 for name in getattr(self, option):
                     if name not in known:
-                        there_are = ", ".join(dict.fromkeys(known)) or "none"
+                        there_are = ", ".join(known) or "none"
                         raise InvalidSetting(f"{option}: {tree.source} has no {kind} {name}; there are {there_are}")
                     if option in ("locked", "posture") and name in tree.joints and (mimic := tree.joints[name].mimic):
                         raise InvalidSetting(f"{option}: {name} follows {mimic[0]}: name that one")

@@ -73,7 +73,8 @@ class Drive:
     torque_speed : sequence of (speed, torque)
         Corners of the curve of the largest torque (N.m) over the speed (rad/s), from speed 0 to the highest speed that
         it allows: five per cent above, no torque is left. The torque in reserve is then reported. Corners are rounded
-        off downwards, by the change of the slope times a thousandth of the highest speed: two per cent at the end.
+        off downwards, by the change of the slope times a thousandth of the highest speed, steep ones by two per cent of
+        the largest torque.
     rated_torque : float or str, optional
         Continuous torque (N.m), which the duty compares with the effective one.
     rated_power : float or str, optional
@@ -268,16 +269,18 @@ def largest_torque(drive: Drive, speed: ca.SX) -> ca.SX:
     """Return the torque (N.m) on the torque-speed curve of a drive at a speed (rad/s), for both directions.
 
     An even, piecewise linear function of the speed is a sum of |speed - corner|, one for every change of slope. With
-    sqrt(x^2 + e^2) or sqrt(x^2 + e^2) - e for |x|, whichever lowers the sum, it is smooth and nowhere above the curve.
+    sqrt(x^2 + e^2) or x^2/sqrt(x^2 + e^2) for |x|, whichever lowers the sum, it is smooth and nowhere above the curve,
+    and near to it far from a corner. A steep edge has a smaller e, and costs no more torque than the end of the curve.
     """
-    speed_most, torque_last = drive.torque_speed[-1]
+    (speed_most, torque_last), torque_most = drive.torque_speed[-1], max(torque for _, torque in drive.torque_speed)
     beyond = [((1.0 + _BEYOND) * speed_most, 0.0)] if torque_last else []
-    corners, e = [*drive.torque_speed, *beyond], _SMOOTH * speed_most
+    corners = [*drive.torque_speed, *beyond]
     slopes = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(corners)]
     torque = ca.SX(corners[0][1])
     for (corner, _), change in zip(corners, [slopes[0], *(b - a for a, b in pairwise(slopes))], strict=False):
-        sides = [_size(speed - place, e) - e * (change > 0.0) for place in (corner, -corner)]
-        torque += change / 2 * (sum(sides) - 2 * corner)
+        e = _SMOOTH * min(speed_most, torque_most / _BEYOND / max(abs(change), torque_most / speed_most))
+        for x in (speed - corner, speed + corner):
+            torque += change / 2 * ((x**2 / _size(x, e) if change > 0.0 else _size(x, e)) - corner)
     return torque
 
 

@@ -18,7 +18,7 @@ from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import as_expression
-from servocore.numerics.units import in_unit, unit_of
+from servocore.numerics.units import behind, in_unit, unit_of
 
 RATE = ".rate"
 """Suffix of the name of a rate of change."""
@@ -125,7 +125,7 @@ class Limit:
             Six digits and the unit.
         """
         size = in_unit(f"1 {self.given_in}", self.unit, self.quantity) if self.given_in else 1.0
-        return f"{value / size:.6g} {self.given_in or self.unit}"
+        return f"{value / size:.6g}{behind(self.given_in or self.unit)}"
 
     def on(self, system: MechanicalSystem) -> ca.SX:
         """Return the expression for a system.

@@ -144,6 +144,9 @@ def read_drives(path: str | Path, scene: Scene) -> dict[str, Drive]:
     path, known, drives = Path(path), [each.name for each in fields(Drive)], dict[str, Drive]()
     for key, value in _by_name(read_table(path)):
         name, _, datum = key.rpartition(".")
+        if key in known:
+            place = f"write {key} in the table of its input, as in [M_b] with lines such as ratio = 42.1"
+            raise InvalidModel(f"{path}: {key} is no drive: {place}")
         table = name if name and value != {} else key  # a number at the top level or a table without lines is no drive
         try:
             place_of_input(scene.model(), table)

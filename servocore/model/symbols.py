@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidModel, described, require_kind, require_real
 from servocore.model.quantity import Quantity
+from servocore.numerics.units import behind
 
 
 @dataclass(frozen=True)
@@ -80,11 +81,11 @@ class Parameter:
         except OverflowError:
             raise InvalidModel(f"parameter {self.name} is too large for a number in double precision") from None
         if not math.isfinite(number) and math.isinf(self.upper) and math.isinf(self.lower):
-            raise InvalidModel(f"parameter {self.name} must be a finite number, not {number:g} {self.unit}")
+            raise InvalidModel(f"parameter {self.name} must be a finite number, not {number:g}{behind(self.unit)}")
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
             raise InvalidModel(
-                f"parameter {self.name} = {number:g} {self.unit} is outside its range"
-                f" [{self.lower:g}, {self.upper:g}] {self.unit}"
+                f"parameter {self.name} = {number:g}{behind(self.unit)} is outside its range"
+                f" [{self.lower:g}, {self.upper:g}]{behind(self.unit)}"
             )
         return number
 

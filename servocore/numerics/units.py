@@ -60,12 +60,19 @@ def in_unit(text: str, unit: str, what: str) -> float:
     """
     match = _QUANTITY.fullmatch(text)
     if match is None:
-        raise InvalidSetting(f"{what} is given as {text!r}, which is no number with a unit, such as '2 {unit}'")
+        form = "number, such as 0.5" if unit == "1" else f"number with a unit, such as '2 {unit}'"
+        raise InvalidSetting(f"{what} is given as {text!r}, which is no {form}")
     number, own_unit = float(match[1]), (match[2] or unit).strip()
     (factor, kind), (own_factor, own_kind) = dimension(own_unit, what), dimension(unit, what)
     if kind != own_kind:
-        raise InvalidSetting(f"{what} is given in {own_unit}, but its unit is {unit}")
+        own = "it has no unit" if unit == "1" else f"its unit is {unit}"
+        raise InvalidSetting(f"{what} is given in {own_unit}, but {own}")
     return number * factor / own_factor
+
+
+def behind(unit: str) -> str:
+    """Return a unit as it follows a number in a sentence: nothing where it is 1."""
+    return "" if unit == "1" else f" {unit}"
 
 
 def unit_of(text: str) -> str:

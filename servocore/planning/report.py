@@ -19,6 +19,7 @@ from servocore.checks.motion_limits import limited_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.units import behind
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
 
@@ -210,7 +211,9 @@ def kept_limits(
         told = f"violation {max(violation, 0.0):.1e} of half a range at {_INSTANTS} instants"
         return KeptLimits(max(violation, 0.0), worst, active, f"{told}; {evidence}")
     units = {each.name: each.unit for each in corners[0].system.parameters.declared}
-    over = "".join(f", {name} from {low:.6g} to {high:.6g} {units[name]}" for name, (low, high) in ranges.items())
+    over = "".join(
+        f", {name} from {low:.6g} to {high:.6g}{behind(units[name])}" for name, (low, high) in ranges.items()
+    )
     return KeptLimits(0.0, worst, active, f"proved to be kept at all times{over}")
 
 

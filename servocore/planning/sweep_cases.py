@@ -113,6 +113,8 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     wanted = [(each, expression_of(each)(system)) for each in peaks.values()]
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
+    # A path on which the rope goes slack has inputs too: each case, of its own duration and gravity, is held to it.
+    wanted += [(Quantity(each.quantity, each.unit), each.on(system) - each.bound) for each in problem.path_limits]
     exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
     texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
     bounds = tuple((limit.quantity, limit.bound, limit.upper) for limit in limits)

@@ -269,6 +269,7 @@ _NATURAL = 4
 _SAMPLES = (9, 13, 17, 25, 33)  # pieces cost time: no more of them than the curve needs
 _CLOSE, _CLOSE_ENOUGH = 1e-5, 2e-4  # of the length
 _LOOKED_AT = 2001
+_STILL = 1e-12  # of the coordinates: round-off of a fit to samples that rest
 
 
 def through_points(waypoints: Array) -> PiecewisePolynomial:
@@ -308,7 +309,7 @@ def along(reference: Reference) -> PiecewisePolynomial:
     t = np.linspace(reference.start_time, reference.end_time, _LOOKED_AT)
     places = reference.jet(t, 0)[:, 0]
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
-    if not way[-1] > 0.0:
+    if not np.ptp(places, axis=0).max() > _STILL * np.abs(places).max():
         raise InvalidReference("the path stays where it is: there is nothing to be passed through")
     moving = np.append(True, np.diff(way) > 0.0)
     way, t = way[moving], t[moving]

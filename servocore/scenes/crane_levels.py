@@ -138,8 +138,8 @@ class Crane:
         if sum(label.startswith("rope mass") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the rope mass")
         declared = parameters_with(self.parameters, [effect for effect in self.effects if effect.name in chosen])
-        changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
-        name = f"{self.name} with {changes}" if changes else self.name
+        changes = (("with", added), ("without", left_out))
+        name = self.name + "".join(f" {how} {', '.join(sorted(which))}" for how, which in changes if which)
         return self._assembled(name, declared, names, overhang(self.outputs))
 
     def _assembled(
