@@ -170,18 +170,6 @@ _STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _stepped(step: Callable[[Array], Array]) -> Rule:
-    """Return the rule of a function that rises by jumps: any value between the least and the largest."""
-
-    def rule(ring: Arithmetic, a: Model) -> Model:
-        low, high = (step(each) for each in ring.span(a))
-        found = ring.constant((low + high) / 2.0)
-        found[-1] = (high - low) / 2.0
-        return found
-
-    return rule
-
-
 def _if(_: Arithmetic, condition: Model, a: Model) -> Model:
     """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
     whole = np.round(condition[0])
@@ -203,6 +191,6 @@ _RULES: dict[int, Rule] = {
     **dict.fromkeys(KINKS, _no_bound), ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
     ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0], ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
     ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
-    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: _stepped(np.sign), ca.OP_FLOOR: _stepped(np.floor),
+    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: lambda ring, a: ring.rising(np.sign, a), ca.OP_FLOOR: lambda ring, a: ring.rising(np.floor, a),
     ca.OP_IF_ELSE_ZERO: _if,
 }  # fmt: skip
