@@ -17,7 +17,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -171,7 +171,10 @@ class Arithmetic:
 
     def _along(self, k: int, matrix: Array) -> Array:
         """Return a matrix that acts on the coefficients in variable k alone."""
-        return reduce(np.kron, [matrix if j == k else np.eye(d + 1) for j, d in enumerate(self.degrees)])
+        found = np.eye(1)
+        for j, d in enumerate(self.degrees):
+            found = np.asarray(np.kron(found, matrix if j == k else np.eye(d + 1)), dtype=np.float64)
+        return found
 
     @cached_property
     def derivatives(self) -> list[Array]:
@@ -191,7 +194,7 @@ class Arithmetic:
     def halved(self, a: Model, k: int) -> list[Model]:
         """Return models on both halves of their boxes by variable k: rounding is some units of all coefficients."""
         noise = 8 * (len(a) + 7) * UNIT * norm(a[:-1])
-        return [model_of(_applied(matrix, a[:-1]), a[-1] + noise) for matrix in self.halves[k]]
+        return [model_of(np.tensordot(matrix, a[:-1], 1), a[-1] + noise) for matrix in self.halves[k]]
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
@@ -209,12 +212,12 @@ class Arithmetic:
 
         Any polynomial may be tried.
         """
-        c = _applied(self.interpolation, values)
+        c = np.tensordot(self.interpolation, values, 1)
         return model_of(np.where(np.isfinite(c).all(axis=0), c, 0.0))
 
     def values(self, a: Model) -> Array:
         """Return values of the polynomials at the nodes (nodes, count, boxes)."""
-        return _applied(self.at_nodes, a[:-1])
+        return np.tensordot(self.at_nodes, a[:-1], 1)
 
     def span(self, a: Model) -> tuple[Array, Array]:
         """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
@@ -330,15 +333,10 @@ arithmetic = made_once(Arithmetic)
 """Return the operations for degrees in time and parameters, with their matrices."""
 
 
-def _applied(matrix: Array, c: Array) -> Array:
-    """Return a matrix applied to the first axis."""
-    return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
-
-
 def derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
-    (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
-    return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)
+    size = np.tensordot(np.abs(matrix).sum(axis=0), np.abs(a[:-1]), 1)
+    return model_of(np.tensordot(matrix, a[:-1], 1), (len(a) + 1) * UNIT * size)
 
 
 def bounded(a: Model) -> Model:
