@@ -36,6 +36,8 @@ _NARROW = 0.05  # of the tolerance
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
+_TESTS = 2  # the second where D was too small
+_TINY = 1e-12
 _MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
@@ -96,33 +98,33 @@ class Proof:
         The largest radius of an input, of its peak; infinite if the motion is not proved.
     """
 
+    relative: Array
+
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
-        self.problem, self.boxed, self.tolerance = problem, boxed, tolerance
-        self.equations = equations_of(problem.resolved, raised)
-        of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
-        self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
-        machine_code(self.equations.array).best(1)
-        path = problem.reference
+        path, of_parameters = problem.reference, {1: 4, 2: 3}.get(len(boxed), 2)
         margin = OUTSIDE * path.duration
-        grid = np.array([path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin])
-        n, unknowns = len(grid) - 1, len(self.equations.array.determined)
-        self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
-        self.tested, self.switches = np.zeros((2, n), dtype=bool)
-        self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
-        self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
-        self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
+        grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin]
+        self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
+        self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
+        machine_code(self.equations.array).best(1)
         self._refine()
         for step in (1, -1):
             self._follow(step)
         wide = (self.relative > tolerance) & ~self.jumping
         if self.proved.all() and wide.any() and len(self.peaks) <= _FEW and not boxed:
-            before = {name: getattr(self, name).copy() for name in ("x", "D", "relative")}
             self._test(wide, in_one_block(self.equations))
-            worse = self.relative > before["relative"]
-            for name, old in before.items():
-                getattr(self, name)[..., worse] = old[..., worse]
             self.joints = self._joints()
+
+    def _begin(self, problem: Problem, equations: Equations, tolerance: float, grid: Array) -> None:
+        """Begin with intervals between instants, of which nothing is known."""
+        self.problem, self.equations, self.tolerance, self.joints = problem, equations, tolerance, list[str]()
+        n, unknowns = len(grid) - 1, len(equations.columns)
+        self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
+        self.tested, self.switches = np.zeros((2, n), dtype=bool)
+        self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
+        self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
+        self.given = np.zeros((len(self.x), equations.symbols.numel() - unknowns, n))
 
     @cached_property
     def peaks(self) -> Array:
@@ -132,7 +134,8 @@ class Proof:
         """
         array, inputs = self.equations.array, self.equations.inputs
         least = smallest_peaks(self.problem, array.determined)
-        largest = np.fmax.reduce(np.abs(self.ring.values(self.x[:, : len(least)])), axis=(0, 2))
+        largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
+        least = np.pad(least, (0, len(largest) - len(least)), constant_values=_TINY)  # of derivatives by states
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
 
@@ -160,15 +163,10 @@ class Proof:
 
     def _refine(self) -> None:
         """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
-        while not self.tested.all() and len(self.begin) <= _MOST:
-            fresh = ~self.tested & ~self.solved
-            if fresh.any():
-                self._answer(fresh)
-                self._halve(fresh & self._coarse())
-            else:
-                self._test(~self.tested, self.equations)
-                halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
-                self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
+        while (fresh := ~self.tested).any() and len(self.begin) <= _MOST:
+            self._prove(fresh)
+            halved = fresh & np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
+            self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
 
     def _follow(self, step: int) -> None:
         """Answer intervals that are not on the branch of the proved one beside them again, from that one.
@@ -189,8 +187,7 @@ class Proof:
                 self._halve(one)
                 tried = False
             else:
-                self._answer(one, k)
-                self._test(one & ~self.tested, self.equations)
+                self._prove(one, k)
                 tried = True
             k += (len(self.begin) - count) * (step < 0)
             self.joints, wide = self._joints(), self._too_wide()
@@ -206,19 +203,6 @@ class Proof:
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
         self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
-    def _coarse(self) -> Mask:
-        """Return whether answers from the guess have polynomials in time with large last coefficients."""
-        chosen = self.equations.curved.copy()
-        chosen[self.equations.inputs] = True
-        last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
-        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
-        return np.asarray(large & (self.depth < _GUESSED))
-
-    @property
-    def _narrow(self) -> float:
-        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
-        return self.tolerance if self.boxed else _NARROW * self.tolerance
-
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
@@ -227,7 +211,21 @@ class Proof:
         wide = (self._narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
         return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
 
+    @property
+    def _narrow(self) -> float:
+        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
+        return self.tolerance if self.boxed else _NARROW * self.tolerance
+
     # Answers and test -----------------------------------------------------------------------------------------------
+
+    def _prove(self, some: Mask, beside: int | None = None) -> None:
+        """Answer and test intervals but those to be halved: polynomials in time have large last coefficients."""
+        self._answer(some, beside)
+        chosen = self.equations.curved.copy()
+        chosen[self.equations.inputs] = True
+        last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
+        coarse = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
+        self._test(some & self.solved & ~(coarse & (self.depth < _GUESSED)), self.equations)
 
     def _answer(self, some: Mask, beside: int | None = None) -> None:
         """Answer at the nodes, by the guess of the model, or by Newton's method from the motion beside an interval."""
@@ -252,44 +250,47 @@ class Proof:
         x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
-        self.tested[some], self.relative[some] = ~self.solved[some], np.inf
+        self.tested[some], self.relative[some] = True, np.inf
 
     def _interpolated(self, x: Array) -> Model:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask, equations: Equations, enlarged: bool = False) -> None:
+    def _test(self, some: Mask, equations: Equations) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
-        jump, steps of Newton's method go between what inputs jump from and to.
+        jump, steps of Newton's method go between what inputs jump from and to. Nothing is kept that proves less than
+        was known.
         """
-        if not some.any():
-            return
-        model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-        D = _REACH * peaks * 0.5 ** self.depth[some]
-        D[equations.switching] = _TIGHT * peaks[equations.switching]
-        x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
-        for left in reversed(range(_CENTRED)):
-            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
-            if not left or not switches.any():
-                break
-            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
-        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
-        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
-        self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
-        self.relative[some] = relative
-        self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
-        if not enlarged:
-            self._test(some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), equations, enlarged=True)
+        for _ in range(_TESTS):
+            if not some.any():
+                return
+            model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
+            D = _REACH * peaks * 0.5 ** self.depth[some]
+            D[equations.switching] = _TIGHT * peaks[equations.switching]
+            x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+            for left in reversed(range(_CENTRED)):
+                rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
+                if not left or not switches.any():
+                    break
+                x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
+            within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+            within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
+            relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
+            better = relative <= self.relative[some]
+            kept = np.flatnonzero(some)[better]
+            self.D[:, kept], self.failed[kept], self.switches[kept] = D[:, better], failed[better], switches[better]
+            self.x[..., kept] = model_of(np.where(within, x, model[:-1]), rho)[..., better]
+            self.relative[kept] = relative[better]
+            some = some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0)
 
-    @cached_property
+    @property
     def enclosures(self) -> Model:
         """Enclosures of unknowns, path, parameters and time on all intervals: any number where they are not proved."""
-        nothing = self.ring.constant(np.zeros(self.D.shape))
-        nothing[-1] = np.inf
-        return np.concatenate([np.where(self.proved, self.x, nothing), self.given], axis=1)
+        x = np.where(self.proved, self.x, 0.0)
+        x[-1, :, ~self.proved] = np.inf
+        return np.concatenate([x, self.given], axis=1)
 
     def at(self, models: Model, t: Array) -> Model:
         """Return models on all intervals at times (N,), polynomials in the parameters; infinite radii elsewhere."""
