@@ -17,7 +17,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -169,32 +169,27 @@ class Arithmetic:
             found = (found[:, :, None] * chebyshev.chebvander(points[:, k], d)[:, None, :]).reshape(len(points), -1)
         return found
 
-    def _along(self, k: int, matrix: Array) -> Array:
-        """Return a matrix that acts on the coefficients in variable k alone."""
-        found = np.eye(1)
-        for j, d in enumerate(self.degrees):
-            found = np.asarray(np.kron(found, matrix if j == k else np.eye(d + 1)), dtype=np.float64)
-        return found
-
     @cached_property
     def derivatives(self) -> list[Array]:
         """Matrices of the derivative by each variable; entries are whole numbers."""
-        slopes = [chebyshev.chebder(np.eye(d + 1)) for d in self.degrees]
-        return [self._along(k, np.pad(each, ((0, each.shape[1] - len(each)), (0, 0)))) for k, each in enumerate(slopes)]
+        found, each = list[Array](), [np.eye(d + 1) for d in self.degrees]
+        for k, one in enumerate(each):
+            slopes = np.zeros_like(one)
+            slopes[:-1] = chebyshev.chebder(one)[: len(one) - 1]
+            found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # NumPy's stubs
+        return found
 
-    @cached_property
-    def halves(self) -> list[list[Array]]:
-        """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
-        alone = [arithmetic((d,)) for d in self.degrees]
-        return [
-            [self._along(k, each.interpolation @ each.rows((each.nodes + side) / 2.0)) for side in (-1.0, 1.0)]
-            for k, each in enumerate(alone)
+    def halved(self, a: Model, k: int) -> Model:
+        """Return models on the lower and then on the upper halves of boxes by variable k.
+
+        Rounding is some units of all coefficients.
+        """
+        noise, own = 8 * (len(a) + 7) * UNIT * norm(a[:-1]), np.arange(len(self.degrees)) == k
+        points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
+        halves = [
+            model_of(np.tensordot(self.interpolation @ self.rows(each), a[:-1], 1), a[-1] + noise) for each in points
         ]
-
-    def halved(self, a: Model, k: int) -> list[Model]:
-        """Return models on both halves of their boxes by variable k: rounding is some units of all coefficients."""
-        noise = 8 * (len(a) + 7) * UNIT * norm(a[:-1])
-        return [model_of(np.tensordot(matrix, a[:-1], 1), a[-1] + noise) for matrix in self.halves[k]]
+        return np.concatenate(halves, axis=2)
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""

@@ -17,12 +17,11 @@ from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
-from servocore.structure.derivative_array import in_variables
+from servocore.stepping.readings import with_rates
 
 Verdict = Literal["proved", "undecided", "refuted"]
 VERDICTS: tuple[Verdict, ...] = ("proved", "undecided", "refuted")
@@ -135,20 +134,18 @@ def _pivots(system: MechanicalSystem) -> ca.SX:
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    return Walk(ca.vertcat(*(_in_variables(equations, limit) for limit in limits)), equations.symbols)
+    return Walk(ca.vertcat(*_readings(equations, limits)), equations.symbols)
 
 
-def _in_variables(equations: Equations, limit: Limit) -> ca.SX:
-    system, y = equations.array.system, equations.array.y
-    value = in_variables(system, limit.on(system), y)
-    return time_derivative(value, y, system.gamma) if limit.rate else value
+def _readings(equations: Equations, limits: Sequence[Limit]) -> list[ca.SX]:
+    return with_rates(equations.array, [(each.on(equations.array.system), each.rate) for each in limits])[0]
 
 
 @made_once
 def known(equations: Equations, limit: Limit) -> bool:
     """Whether the equations enclose all derivatives that a limit compares, of the path and of unknowns."""
     enclosed = {each.element_hash() for each in ca.vertsplit(equations.symbols)}
-    return all(each.element_hash() in enclosed for each in ca.symvar(_in_variables(equations, limit)))
+    return all(each.element_hash() in enclosed for each in ca.symvar(*_readings(equations, [limit])))
 
 
 def boxes_of(proof: Proof) -> Model:
@@ -161,44 +158,34 @@ Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
 if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
-def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
-    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not.
+def decided(ring: Arithmetic, boxes: Model, walk: Walk, k: int, models: Model, limit: Limit) -> Decision:
+    """Decide whether the k-th quantity of a walk stays within bounds on all boxes, halving those on which it may not.
 
-    They are halved by the variable that the quantities vary most with.
+    They are halved by the variable that it varies most with; `models` are those of the quantity on the boxes.
     """
-    found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
-    least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
-    lower, upper = lower[:, None], upper[:, None]
+    least, most = np.inf, -np.inf
     for halvings in range(_HALVINGS):
-        models = walk(ring, boxes)
         low, high = ring.span(models)
-        kept = (low > lower) & (high < upper)
-        least = np.minimum(least, low.min(axis=1, initial=np.inf, where=kept))
-        most = np.maximum(most, high.max(axis=1, initial=-np.inf, where=kept))
-        some = np.asarray(~kept[open_].all(axis=0))
-        if not some.any():
+        kept = (low > limit.bound) & (high < limit.upper)
+        least, most = min(least, low.min(initial=np.inf, where=kept)), max(most, high.max(initial=-np.inf, where=kept))
+        if kept.all():
             break
-        boxes, models, kept = boxes[..., some], models[..., some], kept[:, some]
-        c, r, values = models[:-1], models[-1], ring.values(models)
-        noise = r + (len(c) + 8) * UNIT * norm(c)
-        beyond = np.maximum(lower - values, values - upper)
+        boxes, models = boxes[..., ~kept], models[..., ~kept]
+        values, noise = ring.values(models), models[-1] + (len(models) + 7) * UNIT * norm(models[:-1])
+        beyond = np.maximum(limit.bound - values, values - limit.upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
-        last = halvings == _HALVINGS - 1 or kept.shape[1] > _MOST
-        lost = certain | ~kept & (last | ~np.isfinite(boxes[-1]).all(axis=0))
-        for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
-            open_[k] = not certain[k].any()
-            worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
+        last = halvings == _HALVINGS - 1 or len(noise) > _MOST
+        lost = certain if certain.any() else last | ~np.isfinite(boxes[-1]).all(axis=0)
+        if lost.any():
+            worst = np.where(lost, beyond, -np.inf)
             node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
-            value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
-            found[k] = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box], value
-        again = (~kept & ~lost)[open_].any(axis=0)
-        if not again.any():
-            break
-        c = c[:, open_][..., again] / np.maximum(norm(c[:, open_][..., again]), 1e-300)
-        widest = int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders]))
-        boxes = np.concatenate(ring.halved(boxes[..., again], widest), axis=2)
-    extents = zip(least.tolist(), most.tolist(), strict=True)
-    return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
+            value = float(values[node, box]) if np.isfinite(noise[box]) else np.nan
+            at = ring.at_nodes[node] @ boxes[:-1, :, box]
+            return "refuted" if certain.any() else "undecided", at, value, (least, most)
+        c = models[:-1] / np.maximum(norm(models[:-1]), 1e-300)
+        boxes = ring.halved(boxes, int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders])))
+        models = walk(ring, boxes)[:, k]
+    return "proved", np.zeros(0), np.nan, (least, most)
 
 
 def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
@@ -209,9 +196,9 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
         for _, limit in claims
         if not limit.over_run and known(proof.equations, limit)
     }
-    walk = walk_of_limits(proof.equations, tuple(limits.values()))
-    bounds = (np.array([getattr(limit, name) for limit in limits]) for name in ("bound", "upper"))
-    decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))
+    walk, ring, boxes = walk_of_limits(proof.equations, tuple(limits.values())), proof.ring, boxes_of(proof)
+    models = walk(ring, boxes)
+    decisions = {limit: decided(ring, boxes, walk, k, models[:, k], limit) for k, limit in enumerate(limits)}
     found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
     if not proof.problem.flat:
         text = "rates of inputs are not enclosed where there are internal dynamics"
@@ -266,7 +253,7 @@ def _integral(proof: Proof, limit: Limit) -> Array:
     ring, boxes = proof.ring, boxes_of(proof)
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
-        boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
+        boxes = ring.halved(boxes, 0)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
     means = alone / np.where(k % 2, np.inf, 1.0 - k**2)
     found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
