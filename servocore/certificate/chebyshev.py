@@ -176,7 +176,7 @@ class Arithmetic:
         for k, one in enumerate(each):
             slopes = np.zeros_like(one)
             slopes[:-1] = chebyshev.chebder(one)[: len(one) - 1]
-            found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # NumPy's stubs
+            found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # of NumPy
         return found
 
     def halved(self, a: Model, k: int) -> Model:

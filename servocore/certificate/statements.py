@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, magnitude, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
@@ -69,6 +69,11 @@ class Statement:
         return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
 
 
+def worst(statements: Iterable[Statement]) -> Statement:
+    """Return the first of the statements with the worst verdict."""
+    return max(statements, key=lambda each: VERDICTS.index(each.verdict))
+
+
 @dataclass(frozen=True)
 class ErrorBound:
     """A bound of the error of an input.
@@ -91,7 +96,7 @@ class ErrorBound:
     @property
     def relative(self) -> float:
         """The bound at instants as a share of the peak."""
-        return self.at_instants / self.peak if self.peak else 0.0
+        return self.at_instants / self.peak
 
 
 Claim: TypeAlias = tuple[str, Limit]
@@ -188,8 +193,9 @@ def decided(ring: Arithmetic, boxes: Model, walk: Walk, k: int, models: Model, l
     return "proved", np.zeros(0), np.nan, (least, most)
 
 
-def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
-    """Decide claims between the instants too: each statement is proved if all its claims are."""
+def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
+    """Decide claims, and those about every motion, between the instants too: a statement is proved if all its are."""
+    claims = [*claims, *claims_of(proof.problem.resolved)]
     # Walks are kept, whatever the bounds are.
     limits = {
         limit: replace(limit, bound=-math.inf, upper=math.inf)
@@ -208,7 +214,7 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
             statement = _of_run(proof, what, limit, added)
         elif limit in decisions:
             statement = _of_all_times(proof, what, limit, decisions[limit], jumps)
-        found[what] = max(found.get(what, statement), statement, key=lambda each: VERDICTS.index(each.verdict))
+        found[what] = worst([found.get(what, statement), statement])
     return list(found.values())
 
 
@@ -234,34 +240,28 @@ def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jum
 
 
 def _of_run(proof: Proof, what: str, limit: Limit, added: RunQuantity) -> Statement:
-    """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
-    low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
-    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
-    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
-    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
-    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
-    return Statement(what, verdict, text)
-
-
-def _integral(proof: Proof, limit: Limit) -> Array:
-    """Return bounds of the integral of a quantity over the run, for all parameters of the box.
+    """Decide a limit of what the run adds up, from enclosures of the integral over all intervals.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     The bounds are infinite, or no numbers, where the motion is not proved.
     """
-    ring, boxes = proof.ring, boxes_of(proof)
+    ring, boxes, widths = proof.ring, boxes_of(proof), (proof.end - proof.begin)[proof.within]
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
-        boxes = ring.halved(boxes, 0)
+        boxes, widths = ring.halved(boxes, 0), np.tile(widths / 2.0, 2)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
-    means = alone / np.where(k % 2, np.inf, 1.0 - k**2)
-    found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
-    (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
-    middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
-    widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
-    off = radius @ widths + (np.abs(middle) + radius) @ (4.0 * len(widths) * UNIT * widths + late)
-    return np.asarray(middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off)
+    found = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0]
+    c, middle = found[:-1], (alone / np.where(k % 2, np.inf, 1.0 - k**2)) @ found[:-1]
+    radius = found[-1] + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
+    off = (radius + 4.0 * len(widths) * UNIT * (np.abs(middle) + radius)) @ widths
+    total = middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off
+    low, high = added.of_sum(total, proof.problem.reference.duration).tolist()
+    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
+    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
+    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+    return Statement(what, verdict, text)
 
 
 # At instants -------------------------------------------------------------------------------------------------------
@@ -281,23 +281,27 @@ def compared(
     t = t[calm]
     unknowns = proof.at(proof.enclosures[:, places], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
-    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
-    least, most = apart - radius, apart + radius
-    peaks = np.abs(middle).max(axis=1)
+    reported = middle if solution is None else np.stack([solution[each.name][calm] for each in inputs])
+    apart, peaks = np.abs(reported - middle), np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
     between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
-        bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
+        bounds[each.name] = ErrorBound(float((apart + radius)[k].max()), float(between[k]), peak, each.unit)
         spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
         claims += [] if proof.boxed else [(what, spike)]
     if solution is not None:
-        low, high = least / peaks[:, None], most / peaks[:, None]
-        verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"
-        verdict = "proved" if (high <= tolerance).all() else verdict
+        low, high = ((apart + side * radius) / peaks[:, None] for side in (-1.0, 1.0))
+        verdict: Verdict = "proved" if high.max() <= tolerance else "refuted" if low.max() > tolerance else "undecided"
         place, at = np.unravel_index(int(high.argmax()), high.shape)
         text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
-        what = f"inputs within {tolerance:g} of their peaks"
-        found.append(Statement(what, verdict, text, float(t[at])))
+        found.append(Statement(f"inputs within {tolerance:g} of their peaks", verdict, text, float(t[at])))
     return bounds, found, claims
+
+
+def enclosed(proof: Proof, limits: Sequence[Limit], t: Array) -> Array:
+    """Return bounds (limits, N, 2) of limited quantities at times, over all parameters of the box."""
+    ring, walk = arithmetic((0, *proof.ring.degrees[1:])), walk_of_limits(proof.equations, tuple(limits))
+    bounds = np.stack(ring.span(walk(ring, proof.at(proof.enclosures, t))), axis=-1)
+    return np.where(np.isfinite(bounds).all(axis=-1, keepdims=True), bounds, [-np.inf, np.inf])
