@@ -163,9 +163,12 @@ class Proof:
 
     def _refine(self) -> None:
         """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
-        while (fresh := ~self.tested).any() and len(self.begin) <= _MOST:
-            self._prove(fresh)
-            halved = fresh & np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
+        while not self.tested.all() and len(self.begin) <= _MOST:
+            while (fresh := ~self.tested & ~self.solved).any():
+                self._answer(fresh)
+                self._halve(fresh & self._coarse())
+            self._test(~self.tested, self.equations)
+            halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
             self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
 
     def _follow(self, step: int) -> None:
@@ -187,7 +190,8 @@ class Proof:
                 self._halve(one)
                 tried = False
             else:
-                self._prove(one, k)
+                self._answer(one, k)
+                self._test(one & ~self.tested, self.equations)
                 tried = True
             k += (len(self.begin) - count) * (step < 0)
             self.joints, wide = self._joints(), self._too_wide()
@@ -203,6 +207,14 @@ class Proof:
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
         self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
+    def _coarse(self) -> Mask:
+        """Return whether answers from the guess have polynomials in time with large last coefficients."""
+        chosen = self.equations.curved.copy()
+        chosen[self.equations.inputs] = True
+        last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
+        large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
+        return np.asarray(large & (self.depth < _GUESSED))
+
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
@@ -217,15 +229,6 @@ class Proof:
         return self.tolerance if self.boxed else _NARROW * self.tolerance
 
     # Answers and test -----------------------------------------------------------------------------------------------
-
-    def _prove(self, some: Mask, beside: int | None = None) -> None:
-        """Answer and test intervals but those to be halved: polynomials in time have large last coefficients."""
-        self._answer(some, beside)
-        chosen = self.equations.curved.copy()
-        chosen[self.equations.inputs] = True
-        last = norm(self.x[:-1][self.ring.orders[0] >= _DEGREE - 1][:, chosen])
-        coarse = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
-        self._test(some & self.solved & ~(coarse & (self.depth < _GUESSED)), self.equations)
 
     def _answer(self, some: Mask, beside: int | None = None) -> None:
         """Answer at the nodes, by the guess of the model, or by Newton's method from the motion beside an interval."""
@@ -250,7 +253,7 @@ class Proof:
         x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
-        self.tested[some], self.relative[some] = True, np.inf
+        self.tested[some], self.relative[some] = ~self.solved[some], np.inf
 
     def _interpolated(self, x: Array) -> Model:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
@@ -282,7 +285,7 @@ class Proof:
             kept = np.flatnonzero(some)[better]
             self.D[:, kept], self.failed[kept], self.switches[kept] = D[:, better], failed[better], switches[better]
             self.x[..., kept] = model_of(np.where(within, x, model[:-1]), rho)[..., better]
-            self.relative[kept] = relative[better]
+            self.relative[kept], self.tested[kept] = relative[better], True
             some = some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0)
 
     @property
