@@ -38,7 +38,7 @@ _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
 _TESTS = 2  # the second where D was too small
 _TINY = 1e-12
-_MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
+_MOST = 1200  # intervals
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
 _FEW = 64  # unknowns in one block
@@ -109,6 +109,7 @@ class Proof:
         self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
         machine_code(self.equations.array).best(1)
         self._refine()
+        self.joints = self._joints()
         for step in (1, -1):
             self._follow(step)
         wide = (self.relative > tolerance) & ~self.jumping
@@ -168,15 +169,14 @@ class Proof:
                 self._answer(fresh)
                 self._halve(fresh & self._coarse())
             self._test(~self.tested, self.equations)
-            halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
-            self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
+            self._halve(np.where(self.proved, self._too_wide(), self.depth < _GUESSED))
 
     def _follow(self, step: int) -> None:
         """Answer intervals that are not on the branch of the proved one beside them again, from that one.
 
         From the first proved interval to the end, or to the beginning. Those that are not proved then are halved.
         """
-        k, tried, self.joints, wide = int(self.proved.argmax()), False, self._joints(), self._too_wide()
+        k, tried, wide = int(self.proved.argmax()), False, self._too_wide()
         while 0 <= (n := k + step) < len(self.begin) <= _MOST:
             joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
             joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
