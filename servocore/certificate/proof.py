@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
-from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
+from servocore.certificate.equations import Box, Equations, equations_of, given_models, radii
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -114,7 +114,7 @@ class Proof:
             self._follow(step)
         wide = (self.relative > tolerance) & ~self.jumping
         if self.proved.all() and wide.any() and len(self.peaks) <= _FEW and not boxed:
-            self._test(wide, in_one_block(self.equations))
+            self._test(wide, equations_of(problem.resolved, raised, False, True))
             self.joints = self._joints()
 
     def _begin(self, problem: Problem, equations: Equations, tolerance: float, grid: Array) -> None:
