@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -19,10 +18,7 @@ from servocore.certificate.statements import LIMIT, ErrorBound, Statement, Verdi
 from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
 from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import JUMPS, holds_any
 from servocore.presentation import Curve, figure_of
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
@@ -205,7 +201,7 @@ def certify(
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, wanted = statements + of_instants, spikes + wanted
-        statements += stated(proof, wanted, jumps) + _step_statement(problem.system)
+        statements += stated(proof, wanted, jumps)
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
     intervals = np.stack([proof.begin, proof.end], axis=1)[proof.within] if proof else np.zeros((0, 2))
     return Certificate(problem.name, timed, bounds, intervals, jumps, proof)
@@ -249,15 +245,3 @@ def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box
             raise InvalidSetting(f"the interval of {name} must run from a lower to a higher value, not {interval}")
         boxed[names.index(name)] = (low, high)
     return boxed
-
-
-@made_once
-def _step_statement(system: MechanicalSystem) -> list[Statement]:
-    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
-
-    The equations hold the derivative, which is zero but at the step.
-    """
-    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
-        return []
-    text = "the potential or a mass has a step, of which the equations of motion know nothing"
-    return [Statement("no impulses", "undecided", text)]

@@ -32,7 +32,7 @@ _DEGREE = 10
 _FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
-_NARROW = 0.05  # of the tolerance
+_NARROW = 0.05  # of the tolerance: radius of the inputs at which no interval is halved any more
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
@@ -106,6 +106,7 @@ class Proof:
         margin = OUTSIDE * path.duration
         grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin]
         self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
+        self._narrow = tolerance if boxed else _NARROW * tolerance
         self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
         machine_code(self.equations.array).best(1)
         self._refine()
@@ -222,11 +223,6 @@ class Proof:
         """
         wide = (self._narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
         return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
-
-    @property
-    def _narrow(self) -> float:
-        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
-        return self.tolerance if self.boxed else _NARROW * self.tolerance
 
     # Answers and test -----------------------------------------------------------------------------------------------
 

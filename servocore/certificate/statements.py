@@ -18,6 +18,7 @@ from servocore.model.limits import Limit, Named, RunQuantity, reported_quantitie
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import JUMPS, holds_any
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
@@ -153,11 +154,6 @@ def known(equations: Equations, limit: Limit) -> bool:
     return all(each.element_hash() in enclosed for each in ca.symvar(*_readings(equations, [limit])))
 
 
-def boxes_of(proof: Proof) -> Model:
-    """Return enclosures on the intervals of a proof within the path: boxes of time and parameters."""
-    return proof.enclosures[..., proof.within]
-
-
 Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
 """Whether a quantity keeps its bounds; where it fails or is not decided the arguments of the walk and the quantity, NaN
 if that is not known; bounds of the quantity where it is proved to keep its own."""
@@ -202,7 +198,8 @@ def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ())
         for _, limit in claims
         if not limit.over_run and known(proof.equations, limit)
     }
-    walk, ring, boxes = walk_of_limits(proof.equations, tuple(limits.values())), proof.ring, boxes_of(proof)
+    walk, ring = walk_of_limits(proof.equations, tuple(limits.values())), proof.ring
+    boxes = proof.enclosures[..., proof.within]
     models = walk(ring, boxes)
     decisions = {limit: decided(ring, boxes, walk, k, models[:, k], limit) for k, limit in enumerate(limits)}
     found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
@@ -215,7 +212,19 @@ def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ())
         elif limit in decisions:
             statement = _of_all_times(proof, what, limit, decisions[limit], jumps)
         found[what] = worst([found.get(what, statement), statement])
-    return list(found.values())
+    return [*found.values(), *_step_statement(proof.problem.system)]
+
+
+@made_once
+def _step_statement(system: MechanicalSystem) -> list[Statement]:
+    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
+
+    The equations hold the derivative, which is zero but at the step.
+    """
+    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
+        return []
+    text = "the potential or a mass has a step, of which the equations of motion know nothing"
+    return [Statement("no impulses", "undecided", text)]
 
 
 def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jumps: Collection[float]) -> Statement:
@@ -246,7 +255,8 @@ def _of_run(proof: Proof, what: str, limit: Limit, added: RunQuantity) -> Statem
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     The bounds are infinite, or no numbers, where the motion is not proved.
     """
-    ring, boxes, widths = proof.ring, boxes_of(proof), (proof.end - proof.begin)[proof.within]
+    ring, inside = proof.ring, proof.within
+    boxes, widths = proof.enclosures[..., inside], (proof.end - proof.begin)[inside]
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
         boxes, widths = ring.halved(boxes, 0), np.tile(widths / 2.0, 2)
