@@ -193,12 +193,9 @@ def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ())
     """Decide claims, and those about every motion, between the instants too: a statement is proved if all its are."""
     claims = [*claims, *claims_of(proof.problem.resolved)]
     # Walks are kept, whatever the bounds are.
-    limits = {
-        limit: replace(limit, bound=-math.inf, upper=math.inf)
-        for _, limit in claims
-        if not limit.over_run and known(proof.equations, limit)
-    }
-    walk, ring = walk_of_limits(proof.equations, tuple(limits.values())), proof.ring
+    bare = {each: replace(each, bound=-math.inf, upper=math.inf) for _, each in claims if not each.over_run}
+    limits = [limit for limit, each in bare.items() if known(proof.equations, each)]
+    walk, ring = walk_of_limits(proof.equations, tuple(bare[limit] for limit in limits)), proof.ring
     boxes = proof.enclosures[..., proof.within]
     models = walk(ring, boxes)
     decisions = {limit: decided(ring, boxes, walk, k, models[:, k], limit) for k, limit in enumerate(limits)}
