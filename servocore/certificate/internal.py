@@ -137,7 +137,7 @@ class InternalProof(Proof):
 
     def _correct(self, s: Model) -> None:
         """Take steps of Newton's method for the unknowns at states, the blocks one after the other."""
-        self.given[:, -s.shape[1] :] = s
+        self.given[:, -s.shape[1] :], self.x[-1] = s, 0.0
         for _ in self.equations.ends:
             x, nothing = self.x[:-1], np.zeros(self.x.shape[1:])
             *_, shift = radii(self.equations, self.ring, x, self.given, nothing, nothing[:, :1])

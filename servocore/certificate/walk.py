@@ -122,17 +122,13 @@ def _tangent(a: ca.SX) -> ca.SX:
     return ca.sin(a) / ca.cos(a)
 
 
-def _less(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return a < b, and a <= b, as a number: not known where they meet."""
-    return (1.0 + ca.sign(b - a)) / 2.0
-
-
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent,
     ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
-    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: _less, ca.OP_LE: _less, ca.OP_NOT: lambda a: 1.0 - a,
+    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: lambda a, b: computed(ca.OP_LT, [ca.SX(0.0), b - a]),
+    ca.OP_LE: lambda a, b: computed(ca.OP_LE, [ca.SX(0.0), b - a]), ca.OP_NOT: lambda a: 1.0 - a,
     ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
     ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
     ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
@@ -172,5 +168,6 @@ _RULES: dict[int, Rule] = {
     ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
     ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: lambda ring, a: ring.rising(np.sign, a),
     ca.OP_FLOOR: lambda ring, a: ring.rising(np.floor, a),
-    ca.OP_IF_ELSE_ZERO: _if,
+    ca.OP_LT: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 0.0), a),
+    ca.OP_LE: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 1.0), a), ca.OP_IF_ELSE_ZERO: _if,
 }  # fmt: skip
