@@ -154,9 +154,8 @@ class Proof:
     @property
     def within(self) -> Mask:
         """Whether intervals are within the path, and not before or behind it."""
-        return np.asarray(
-            (self.begin >= self.problem.reference.start_time) & (self.end <= self.problem.reference.end_time)
-        )
+        path = self.problem.reference
+        return np.asarray((self.begin >= path.start_time) & (self.end <= path.end_time))
 
     @property
     def jumping(self) -> Mask:
@@ -231,22 +230,17 @@ class Proof:
         array, ring = self.equations.array, self.ring
         given = given_models(self.problem, array, ring, np.stack([self.begin, self.end])[:, some], self.boxed)
         values = np.moveaxis(ring.values(given), 2, 0).reshape(-1, given.shape[1])
-        # Filled up to a power of two: few maps are compiled.
-        count = len(values)
-        values = values[np.minimum(np.arange(1 << (count - 1).bit_length()), count - 1)]
-        outputs = array.system.gamma.size1()
+        count, outputs = len(values), array.system.gamma.size1()
         size = outputs * (array.reference_order + 1)
-        arguments = [side_by_side(values[:, :size].reshape(len(values), -1, outputs)), values[:, size:-1].T]
+        arguments = [side_by_side(values[:, :size].reshape(count, -1, outputs)), values[:, size:-1].T]
         function = (machine_code(array).best(count, called=False) or inversion(array)).function
         if beside is not None:
-            points, function = ring.nodes[np.arange(len(values)) % len(ring.nodes)], inversion(array).search
+            points, function = ring.nodes[np.arange(count) % len(ring.nodes)], inversion(array).search
             begin, end = self.begin[beside], self.end[beside]
             points[:, 0] = (2.0 * values[:, -1] - begin - end) / (end - begin)
             arguments.append((ring.rows(points) @ self.x[:-1, :, beside]).T)
-        x, _, residual = (
-            each.reshape(-1, len(values), order="F") for each in mapped(function, len(values))(*arguments)
-        )
-        x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
+        x, _, residual = (each.reshape(-1, count, order="F") for each in mapped(function, count)(*arguments))
+        x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
         self.tested[some], self.relative[some] = ~self.solved[some], np.inf
