@@ -113,9 +113,7 @@ class Arithmetic:
 
         terms, _, targets = self.places.shape
         shares, pairs = np.full(self.places.size, 1.0 / targets), np.repeat(np.arange(terms**2), targets)
-        return csr_array(
-            (shares, (self.places[::-1].ravel(), pairs)), (prod(2 * d + 1 for d in self.degrees), terms**2)
-        )
+        return csr_array((shares, (self.places[::-1].ravel(), pairs)), (self.tape[2], terms**2))
 
     @cached_property
     def tape(self) -> Places:
@@ -149,8 +147,7 @@ class Arithmetic:
     @cached_property
     def nodes(self) -> Array:
         """Chebyshev points of the first kind, shape (terms, variables)."""
-        points = np.meshgrid(*(chebyshev.chebpts1(d + 1) for d in self.degrees), indexing="ij")
-        return np.stack([each.ravel() for each in points], axis=1)
+        return np.array([*product(*(chebyshev.chebpts1(d + 1) for d in self.degrees))])
 
     @cached_property
     def at_nodes(self) -> Array:

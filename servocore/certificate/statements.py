@@ -125,15 +125,14 @@ def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
 def _pivots(system: MechanicalSystem) -> ca.SX:
     """Return the pivots of M + w G^T G by elimination, in units of the nominal magnitudes of the coordinates.
 
-    M is definite on all velocities that the holonomic constraints allow if that matrix is, for any w > 0: on the kernel
-    of G the second term vanishes. It is definite if all pivots are positive. The weight makes both equally large.
+    M is definite on all velocities that the holonomic constraints allow if that matrix is, for any w: on the kernel of
+    G the second term vanishes. It is definite if all pivots are positive. The weight makes both equally large.
     """
     scale = ca.diag(ca.DM(system.coordinates.nominal))
     M, G = ca.mtimes(ca.mtimes(scale, system.mass), scale), ca.mtimes(system.G, scale)
-    largest = [ca.mmax(ca.fabs(ca.vertcat(ca.SX(1, 1), ca.vec(ca.densify(each))))) for each in (M, G)]
-    sizes = ca.Function("sc_sizes", [system.q, system.p, system.time], largest)
+    sizes = ca.Function("sc_sizes", [system.q, system.p, system.time], [ca.trace(M), ca.sumsqr(G)])
     size_M, size_G = (float(each) for each in sizes(*system.home_configuration(), np.zeros(system.time.numel())))
-    pivots, *_ = ca.ldl(M + size_M / (size_G**2 or 1.0) * ca.mtimes(G.T, G))
+    pivots, *_ = ca.ldl(M + size_M / (size_G or 1.0) * ca.mtimes(G.T, G))
     return pivots
 
 
