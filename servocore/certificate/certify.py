@@ -7,33 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.certificate.causes import jumps_of, motion_statements
-from servocore.certificate.chebyshev import arithmetic
 from servocore.certificate.equations import Box
 from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
-from servocore.certificate.statements import (
-    LIMIT,
-    VERDICTS,
-    ErrorBound,
-    Statement,
-    Verdict,
-    claims_of,
-    compared,
-    statements_of,
-    walk_of_limits,
-)  # fmt: skip
+from servocore.certificate.statements import LIMIT, ErrorBound, Statement, Verdict, compared, enclosed, stated, worst
 from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
 from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.memoization import made_once
-from servocore.numerics.step_operations import JUMPS, holds_any
 from servocore.presentation import Curve, figure_of
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
@@ -73,7 +58,7 @@ class Certificate:
     @property
     def verdict(self) -> Verdict:
         """Of all statements together: "refuted" if one is, else "undecided" if one is, else "proved"."""
-        return max((each.verdict for each in self.statements), key=VERDICTS.index, default="proved")
+        return worst(self.statements).verdict
 
     @property
     def summary(self) -> str:
@@ -110,13 +95,11 @@ class Certificate:
             not proved.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
-        if (proof := self._proof) is None:
+        if self._proof is None:
             return {}
-        names, ring = list(reported_quantities(proof.problem.system)), arithmetic((0, *proof.ring.degrees[1:]))
-        walk = walk_of_limits(proof.equations, tuple(Limit(name, "", -np.inf, "", Named(name)) for name in names))
-        bounds = np.stack(ring.span(walk(ring, proof.at(proof.enclosures, times))), axis=-1)
-        unknown = ~np.isfinite(bounds).all(axis=-1, keepdims=True)
-        return dict(zip(names, np.where(unknown, [-np.inf, np.inf], bounds), strict=True))
+        names = list(reported_quantities(self._proof.problem.system))
+        limits = [Limit(name, "", -np.inf, "", Named(name)) for name in names]
+        return dict(zip(names, enclosed(self._proof, limits, times), strict=True))
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Plot the enclosures of quantities over time: both bounds.
@@ -213,12 +196,12 @@ def certify(
     if proof is None:
         statements += [Statement(what, "undecided", "the motion is not proved") for what, _ in wanted]
     else:
-        jumps, claims = jumps_of(proof), [*wanted, *claims_of(problem.resolved)]
+        jumps = jumps_of(proof)
         statements += motion_statements(proof)
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
-            statements, claims = statements + of_instants, spikes + claims
-        statements += statements_of(proof, claims, jumps) + _step_statement(problem.system)
+            statements, wanted = statements + of_instants, spikes + wanted
+        statements += stated(proof, wanted, jumps)
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
     intervals = np.stack([proof.begin, proof.end], axis=1)[proof.within] if proof else np.zeros((0, 2))
     return Certificate(problem.name, timed, bounds, intervals, jumps, proof)
@@ -262,15 +245,3 @@ def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box
             raise InvalidSetting(f"the interval of {name} must run from a lower to a higher value, not {interval}")
         boxed[names.index(name)] = (low, high)
     return boxed
-
-
-@made_once
-def _step_statement(system: MechanicalSystem) -> list[Statement]:
-    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
-
-    The equations hold the derivative, which is zero but at the step.
-    """
-    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
-        return []
-    text = "the potential or a mass has a step, of which the equations of motion know nothing"
-    return [Statement("no impulses", "undecided", text)]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -52,7 +52,6 @@ LANES = 16
 _TINY = 1e-290  # underflow
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
-_NARROW = 1e-8  # radius
 _PRODUCT = np.array([[TIMES, 2, 0, 1]], dtype=np.intp)
 
 Places: TypeAlias = npt.NDArray[np.intp]
@@ -114,9 +113,7 @@ class Arithmetic:
 
         terms, _, targets = self.places.shape
         shares, pairs = np.full(self.places.size, 1.0 / targets), np.repeat(np.arange(terms**2), targets)
-        return csr_array(
-            (shares, (self.places[::-1].ravel(), pairs)), (prod(2 * d + 1 for d in self.degrees), terms**2)
-        )
+        return csr_array((shares, (self.places[::-1].ravel(), pairs)), (self.tape[2], terms**2))
 
     @cached_property
     def tape(self) -> Places:
@@ -150,8 +147,7 @@ class Arithmetic:
     @cached_property
     def nodes(self) -> Array:
         """Chebyshev points of the first kind, shape (terms, variables)."""
-        points = np.meshgrid(*(chebyshev.chebpts1(d + 1) for d in self.degrees), indexing="ij")
-        return np.stack([each.ravel() for each in points], axis=1)
+        return np.array([*product(*(chebyshev.chebpts1(d + 1) for d in self.degrees))])
 
     @cached_property
     def at_nodes(self) -> Array:
@@ -172,27 +168,25 @@ class Arithmetic:
 
     @cached_property
     def derivatives(self) -> list[Array]:
-        """Matrices of the derivative by each variable that a polynomial depends on; entries are whole numbers."""
-        each, found = np.eye(self.orders.shape[1]).reshape(*(d + 1 for d in self.degrees), -1), list[Array]()
-        for k in np.flatnonzero(self.degrees).tolist():
-            slopes = chebyshev.chebder(each, axis=k)
-            slopes = np.concatenate([slopes, np.zeros_like(slopes.take([0], k))], axis=k)
-            found.append(np.asarray(slopes.reshape(each.shape[-1], -1), dtype=np.float64))
+        """Matrices of the derivative by each variable; entries are whole numbers."""
+        found, each = list[Array](), [np.eye(d + 1) for d in self.degrees]
+        for k, one in enumerate(each):
+            slopes = np.zeros_like(one)
+            slopes[:-1] = chebyshev.chebder(one)[: len(one) - 1]
+            found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # of NumPy
         return found
 
-    @cached_property
-    def halves(self) -> list[list[Array]]:
-        """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
-        found = list[list[Array]]()
-        for own in np.eye(len(self.degrees), dtype=bool):
-            points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
-            found.append([self.interpolation @ self.rows(half) for half in points])
-        return found
+    def halved(self, a: Model, k: int) -> Model:
+        """Return models on the lower and then on the upper halves of boxes by variable k.
 
-    def halved(self, a: Model, k: int) -> list[Model]:
-        """Return models on both halves of their boxes by variable k: rounding is some units of all coefficients."""
-        noise = 8 * (len(a) + 7) * UNIT * norm(a[:-1])
-        return [model_of(_applied(matrix, a[:-1]), a[-1] + noise) for matrix in self.halves[k]]
+        Rounding is some units of all coefficients.
+        """
+        noise, own = 8 * (len(a) + 7) * UNIT * norm(a[:-1]), np.arange(len(self.degrees)) == k
+        points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
+        halves = [
+            model_of(np.tensordot(self.interpolation @ self.rows(each), a[:-1], 1), a[-1] + noise) for each in points
+        ]
+        return np.concatenate(halves, axis=2)
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
@@ -210,12 +204,12 @@ class Arithmetic:
 
         Any polynomial may be tried.
         """
-        c = _applied(self.interpolation, values)
+        c = np.tensordot(self.interpolation, values, 1)
         return model_of(np.where(np.isfinite(c).all(axis=0), c, 0.0))
 
     def values(self, a: Model) -> Array:
         """Return values of the polynomials at the nodes (nodes, count, boxes)."""
-        return _applied(self.at_nodes, a[:-1])
+        return np.tensordot(self.at_nodes, a[:-1], 1)
 
     def span(self, a: Model) -> tuple[Array, Array]:
         """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
@@ -246,76 +240,69 @@ class Arithmetic:
         return q
 
     def root(self, a: Model) -> Model:
-        """Return the square root of a: with q^2 a = 1 + d, q positive, it is q a (1 + d)^(-1/2).
-
-        Where a may come to zero, from 0 to the root of its upper bound, for values with which the root is defined.
-        """
+        """Return the square root of a: with q^2 a = 1 + d, q positive, it is q a (1 + d)^(-1/2)."""
         q = self.tried(1.0 / np.sqrt(self.values(a)))
         s = self.product(q, a)
         s[-1] = (s[-1] + magnitude(s) * self._off(self.product(q, s))) * UP
-        return self._or_range(s, np.sqrt, a, 0.0)
+        return self._or_range(s, lambda x: np.sqrt(np.maximum(x, 0.0)), a)  # for values with which it is defined
 
     def logarithm(self, a: Model) -> Model:
         """Return log(a) for positive a: with a e^(-y) = 1 + d, it is y + log(1 + d)."""
         y = self.tried(np.log(self.values(a)))
         y[-1] = self._off(self.product(a, self.exponential(-y)))
-        return self._or_range(y, np.log, a, 0.0)
-
-    def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model, lowest: float) -> Model:
-        """Return a model, or where that has the smaller radius the range of a function that rises from `lowest` on.
-
-        Models that are narrow anyway are not compared.
-        """
-        if (found[-1] <= _NARROW).all():
-            return found
-        low, high = self.span(a)
-        least, most = function(np.maximum(low, lowest)), function(high)
-        around = self.constant((least + most) / 2.0)
-        around[-1] = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))
-        return np.where(np.isfinite(around[-1]) & ~(found[-1] <= around[-1]), around, bounded(found))
+        return self._or_range(y, np.log, a)
 
     def sine_and_cosine(self, a: Model) -> tuple[Model, Model]:
         """Return sin(a) and cos(a): both change by at most the radius of a."""
-        v, (at, e) = self.values(a), self._middle(a)
+        v, at = self.values(a), a[:-1].sum(axis=0)
         c, s = self.tried(np.cos(v)), self.tried(np.sin(v))
         off = self._flowed(a, [(c, s, -1.0, np.cos(at)), (s, c, 1.0, np.sin(at))])
-        c[-1] = s[-1] = (off + 2.0 * (e + _ULPS) + a[-1]) * UP
+        c[-1] = s[-1] = (off + 2.0 * (self._rounded(a) + _ULPS) + a[-1]) * UP
         return s, c
 
     def exponential(self, a: Model) -> Model:
         """Return e^a: within the box it grows by at most e^(2 R), with R the sum of all but the first coefficient."""
-        (at, e), rest = self._middle(a), norm(a[1:-1])
-        y = self.tried(np.exp(self.values(a)))
-        off = self._flowed(a, [(y, y, 1.0, np.exp(at))]) + np.exp(at) * (np.expm1(2.0 * e) + _ULPS)
+        at, rest, y = np.exp(a[:-1].sum(axis=0)), norm(a[1:-1]), self.tried(np.exp(self.values(a)))
+        off = self._flowed(a, [(y, y, 1.0, at)]) + at * (np.expm1(2.0 * self._rounded(a)) + _ULPS)
         y[-1] = (np.exp(2.0 * rest) * off + np.exp(a[0] + rest) * np.expm1(a[-1])) * _EXPONENT
         return bounded(y)
 
     def _flowed(self, p: Model, parts: list[tuple[Model, Model, float, Array]]) -> Array:
         """Bound what polynomials y are off a solution of y' = p' L y, divided by the growth of such solutions.
 
-        Each part is y, the other one in L y and its sign, and the value in the middle of the box. From there to a point
-        on a straight line, an error grows by its rate and the defects y' - p' L y, whose bounds are added up over the
-        variables.
+        Each part is y, the other one in L y and its sign, and the value in the last corner of the box, where all T_k
+        are 1. From there to a point on a straight line, of a length of 2 at most in each variable, an error grows by
+        its rate and the defects y' - p' L y.
         """
         off = np.zeros(p.shape[1:])
         for y, other, sign, begin in parts:
-            value, e = self._middle(y)
-            off = off + np.abs(value - begin) + e
+            off = off + np.abs(y[:-1].sum(axis=0) - begin) + self._rounded(y)
             for matrix in self.derivatives:
                 slope, change = derivative(matrix, p), derivative(matrix, y)
-                off = off + magnitude(summed(change, self.product(slope, other), -sign))
+                off = off + 2.0 * magnitude(summed(change, self.product(slope, other), -sign))
         return off
 
-    def _middle(self, a: Model) -> tuple[Array, Array]:
-        """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
-        row = self.rows(np.zeros((1, len(self.degrees))))
-        return _applied(row, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
+    def _rounded(self, a: Model) -> Array:
+        """Bound the rounding error of the sum of the coefficients: as many additions."""
+        return len(a) * UNIT * norm(a[:-1])
+
+    def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
+        """Return a function that nowhere falls: any value between those at the ends of the range of a."""
+        least, most = (function(each) for each in self.span(a))
+        found = self.constant((least + most) / 2.0)
+        found[-1] = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))
+        return found
+
+    def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model) -> Model:
+        """Return a model of a function that nowhere falls, or its range where that has the smaller radius."""
+        around = self.rising(function, a)
+        return np.where(around[-1] < bounded(found)[-1], around, found)
 
     def hyperbolic_tangent(self, a: Model) -> Model:
         """Return tanh(a) = 1 - 2/(e^(2 a) + 1)."""
         one = self.constant(np.ones_like(a[0]))
         found = summed(one, 2.0 * self.inverse(summed(self.exponential(2.0 * a), one)), -1.0)
-        return self._or_range(found, np.tanh, a, -np.inf)
+        return self._or_range(found, np.tanh, a)
 
     def angle(self, y: Model, x: Model) -> Model:
         """Return atan2(y, x) away from the negative x axis.
@@ -338,15 +325,10 @@ arithmetic = made_once(Arithmetic)
 """Return the operations for degrees in time and parameters, with their matrices."""
 
 
-def _applied(matrix: Array, c: Array) -> Array:
-    """Return a matrix applied to the first axis."""
-    return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
-
-
 def derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
-    (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
-    return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)
+    size = np.tensordot(np.abs(matrix).sum(axis=0), np.abs(a[:-1]), 1)
+    return model_of(np.tensordot(matrix, a[:-1], 1), (len(a) + 1) * UNIT * size)
 
 
 def bounded(a: Model) -> Model:

@@ -18,7 +18,6 @@ J does not depend on need no D: the solution is unique whatever they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from typing import TypeAlias
 
 import casadi as ca
@@ -58,6 +57,8 @@ class Equations:
         Whether the array is differentiated once more, for rates.
     varied : bool
         Whether the derivatives of the unknowns by the states are unknowns too, column by column behind the others.
+    whole : bool
+        Whether all unknowns are in one block: radii of many blocks add up from each to the next.
 
     Attributes
     ----------
@@ -90,17 +91,16 @@ class Equations:
         From the entries of Y and of J to those of I - Y J, and from those of Y and of r to Y r.
     """
 
-    def __init__(self, resolved: ResolvedSystem, raised: bool, varied: bool = False) -> None:
+    def __init__(self, resolved: ResolvedSystem, raised: bool, varied: bool = False, whole: bool = False) -> None:
         array = self.array = differentiated_once_more(resolved.array) if raised else resolved.array
         x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
-        residual, names, steps = _without_steps(array.residual)
+        s, (residual, names, steps) = array.column(array.states), _without_steps(array.residual)
         if varied:
-            s = array.column(array.states)
             V = ca.SX.sym("V", x.numel(), s.numel())
             rates = array.column(tuple((j, order + 1) for j, order in array.states))
             slopes, change = (ca.mtimes(ca.jacobian(f, x), V) + ca.jacobian(f, s) for f in (rates, residual))
             x, residual = ca.vertcat(x, ca.vec(V)), ca.vertcat(residual, ca.vec(change))
-        self.symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), array.column(array.states))
+        self.symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), s)
         # CasADi counts entries by columns: matrices are transposed.
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
@@ -118,27 +118,18 @@ class Equations:
         held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
         self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
         _, rows, columns, bounds, *_ = J.sparsity().T.btf()
-        self._find_blocks(J.sparsity(), rows, columns, bounds)
-
-    def _find_blocks(self, pattern: ca.Sparsity, rows: list[int], columns: list[int], bounds: list[int]) -> None:
-        self._pattern, size = pattern, len(rows)
-        self.rows, self.columns, self.ends = np.array(rows), np.array(columns), np.unique(bounds)
-        permuted, entry = pattern.sub(columns, rows)
-        whole = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
+        self.rows, self.columns, size = np.array(rows), np.array(columns), len(rows)
+        self.ends = np.unique([0, size] if whole else bounds)
+        permuted, entry = J.sparsity().sub(columns, rows)
+        blocks = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
         places = size * np.array(permuted.get_col()) + np.array(permuted.row())
-        inside = np.array(whole.get_nz(places.tolist()))
+        inside = np.array(blocks.get_nz(places.tolist()))
         self.inside, self.own = inside[inside >= 0], np.array(entry)[inside >= 0]
-        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", whole.nnz()), ("J", len(entry)), ("r", size)))
-        off = ca.SX.eye(size) - ca.mtimes(ca.SX(permuted, J[entry]), ca.SX(whole, Y))  # of the transposed matrices
+        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", blocks.nnz()), ("J", len(entry)), ("r", size)))
+        off = ca.SX.eye(size) - ca.mtimes(ca.SX(permuted, J[entry]), ca.SX(blocks, Y))  # of the transposed matrices
         self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
         self.test = Walk(off.nz[:], ca.vertcat(Y, J))
-        self.newton = Walk(ca.mtimes(ca.SX(whole, Y).T, r[rows]), ca.vertcat(Y, r))
-
-    def in_one_block(self) -> Equations:
-        """Return the equations with all unknowns in one block: radii of many blocks add up from each to the next."""
-        found = copy(self)
-        found._find_blocks(self._pattern, self.rows.tolist(), self.columns.tolist(), [0, len(self.rows)])
-        return found
+        self.newton = Walk(ca.mtimes(ca.SX(blocks, Y).T, r[rows]), ca.vertcat(Y, r))
 
     def around(self, unknown: int) -> list[int]:
         """Return the equations of the block that determines an unknown."""
@@ -146,8 +137,8 @@ class Equations:
         return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
 
 
-equations_of, in_one_block = made_once(Equations), made_once(Equations.in_one_block)
-"""Return the equations of a system, and the same in one block, prepared once."""
+equations_of = made_once(Equations)
+"""Return the equations of a system, prepared once."""
 
 
 def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -197,8 +188,7 @@ def given_models(problem: Problem, array: DerivativeArray, ring: Arithmetic, end
     corners = [(-1, ends), *((k, np.array(interval)[:, None]) for k, interval in boxed.items())]
     for axis, (k, (low, high)) in enumerate(corners):
         rest[0, k] = (low + high) / 2.0
-        if ring.degrees[axis]:
-            rest[np.flatnonzero(ring.orders.sum(axis=0) * (ring.orders[axis] == 1) == 1), k] = (high - low) / 2.0
+        rest[np.flatnonzero(ring.orders.sum(axis=0) * (ring.orders[axis] == 1) == 1), k] = (high - low) / 2.0
         rest[-1, k] = 4e-16 * np.maximum(np.abs(low), np.abs(high))
     return np.concatenate([path, rest], axis=1)
 

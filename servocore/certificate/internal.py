@@ -13,10 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, model_of, norm, summed
+from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, norm, summed
 from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
-from servocore.certificate.statements import Statement
+from servocore.certificate.statements import Statement, compared
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
@@ -24,7 +24,7 @@ from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 
 _SPLINE, _DEGREE = 5, 10  # degree of the spline through coordinates, and of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
-_TUBE, _BESIDE = 1e-7, 1e-4  # E and D, of peaks
+_TUBE = 1e-7  # E, of peaks
 _SETTLED, _CORRECT = 1e-10, 1e-8  # last steps of Newton's method, of the largest unknown, and of peaks of states
 _CORRECTIONS = 5  # of the states
 _REST = (1e-2, 0.5)  # of their peaks: how near coordinates and velocities by the spline are to those at rest
@@ -40,7 +40,7 @@ def near_states(
     if solution is None:
         return None, [Statement("one motion", "undecided", text)]
     proof = InternalProof(problem, solution, tolerance)
-    if proof.proved.all() and not boxed:
+    if proof.bounded and not boxed:
         return proof, [Statement("error of the internal dynamics bounded", "proved", proof.sentence)]
     if solution.error.largest is not None:
         text += f": inputs within {solution.error.largest:.1e} of their peaks by {solution.error.basis}"
@@ -52,7 +52,8 @@ def near_states(
 class InternalProof(Proof):
     """The motion of a problem with internal dynamics on intervals, near a solution and from its start.
 
-    Enclosures hold the states too. They are any number where no bound of the error of the states is proved.
+    Its proofs are those at given states: polynomials, then such with a radius. One more within a radius is of the same
+    solution: its D is more than the radii of unknowns that were proved before.
 
     Parameters
     ----------
@@ -65,6 +66,8 @@ class InternalProof(Proof):
 
     Attributes
     ----------
+    bounded : bool
+        Whether enclosures hold the motion: the error of the states has a bound.
     sentence : str
         The bound of the states, or why there is none.
     algebraic : Statement
@@ -73,33 +76,27 @@ class InternalProof(Proof):
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, solution: Solution, tolerance: float) -> None:
-        self.problem, self.boxed, self.tolerance, self.joints = problem, {}, tolerance, []
-        self.equations, self.ring = equations_of(problem.resolved, False, True), arithmetic((_DEGREE,))
+        self.boxed, self.ring, self.bounded, self.sentence, self._from = {}, arithmetic((_DEGREE,)), False, "", ""
         t, path = solution.t, problem.reference
-        outside = t[(t < path.start_time) | (t > path.end_time)]
-        grid = np.union1d(grid_of(path, max(len(t) // _INSTANTS, _FEWEST)), outside)
+        early, late = t[t < path.start_time], t[t > path.end_time]
         # Inputs may jump at the ends of the path: a motion from rest is at rest before it.
-        if grid[0] == path.start_time and not problem.start:
-            grid = np.append(path.start_time - OUTSIDE * path.duration, grid)
-        if grid[-1] == path.end_time:
-            grid = np.append(grid, path.end_time + OUTSIDE * path.duration)
-        self.begin, self.end = grid[:-1], grid[1:]
-        self.switches, self.relative = np.zeros(len(grid) - 1, dtype=bool), np.full(len(grid) - 1, np.inf)
-        x, s = self._near(solution)
-        # Derivatives by the states begin at zero: their equations are linear.
-        x, rho = self._tested(np.pad(x, ((0, 0), (0, x.shape[1] * s.shape[1]), (0, 0))), s)
-        self.x, self.given, inputs = model_of(x, rho), self._given(s), self.equations.inputs
-        self.sentence, self._from, lost = "", "", np.flatnonzero(np.isinf(rho).any(axis=0))
+        if not len(early) and not problem.start:
+            early = np.array([path.start_time - OUTSIDE * path.duration])
+        late = late if len(late) else np.array([path.end_time + OUTSIDE * path.duration])
+        inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
+        self._begin(problem, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
+        s, ends = self._near(solution), np.stack([self.begin, self.end])
+        self.given[:, : -s.shape[1]] = given_models(problem, problem.array, self.ring, ends, {})
+        self._correct(s)
+        self._prove_at(s)
         what = "one regular solution of the algebraic equations at the computed states"
-        if len(lost):
-            time = float(self.begin[lost[0]])
+        if not self.proved.all():
+            time = float(self.begin[self.proved.argmin()])
             self.algebraic = Statement(what, "undecided", f"not proved at t = {time:.6g} s", time)
             return
-        shown = self.at(self.x[:, inputs], t)
-        reported = [solution[each.name] for each in problem.system.inputs]
-        off = ((np.abs(reported - shown[0]) + magnitude(shown[1:])) / self.peaks[inputs]).max()
+        off = max(each.relative for each in compared(self, solution, tolerance)[0].values())
         self.algebraic = Statement(what, "proved", f"inputs within {off:.1e} of their peaks, given these states")
-        self._bound(x, rho, s, self._first(s, bool(t[0] < path.start_time)))
+        self._bound(s, self._first(s, bool(t[0] < path.start_time)))
 
     def _first(self, s: Model, before: bool) -> Array:
         """Return the first states of the motion: given ones, those at rest, or computed ones."""
@@ -117,8 +114,12 @@ class InternalProof(Proof):
         """Return the peaks of the states, at least what counts as small, shape (n,)."""
         return np.asarray(np.maximum(norm(s[:-1]).max(axis=1), smallest_peaks(self.problem, self.problem.array.states)))
 
-    def _near(self, solution: Solution) -> tuple[Array, Model]:
-        """Return polynomials of unknowns and states: coordinates by a spline, others by Newton's method at nodes."""
+    def _near(self, solution: Solution) -> Model:
+        """Return polynomials of states, and begin with those of unknowns.
+
+        Coordinates are those of a spline, others by Newton's method at the nodes. Derivatives by the states begin at
+        zero: their equations are linear.
+        """
         from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
 
         array, degree = self.problem.array, min(_SPLINE, len(solution.t) - 1)
@@ -130,39 +131,39 @@ class InternalProof(Proof):
                 guess[k] = curve.derivative(order)(t)
         found = unknowns_from(self.problem, t, guess)
         found = self.ring.tried(np.moveaxis(found.reshape(len(found), -1, len(self.begin)), 1, 0))
-        return found[:-1, array.places(array.determined)], found[:, array.places(array.states)]
+        self.x[:] = 0.0
+        self.x[:, : len(array.determined)] = found[:, array.places(array.determined)]
+        return found[:, array.places(array.states)]
 
-    def _given(self, s: Model) -> Model:
-        """Return models of path, parameters, time and states."""
-        ends = np.stack([self.begin, self.end])
-        return np.concatenate([given_models(self.problem, self.problem.array, self.ring, ends, {}), s], axis=1)
-
-    def _tested(self, x: Array, s: Model) -> tuple[Array, Array]:
-        """Return polynomials of unknowns and their derivatives after Newton's method, and their radii."""
-        given, nothing = self._given(s), np.zeros(x.shape[1:])
-        for _ in self.equations.ends:  # the blocks one after the other
-            *_, shift = radii(self.equations, self.ring, x, given, nothing, nothing[:, :1])
+    def _correct(self, s: Model) -> None:
+        """Take steps of Newton's method for the unknowns at states, the blocks one after the other."""
+        self.given[:, -s.shape[1] :], self.x[-1] = s, 0.0
+        for _ in self.equations.ends:
+            x, nothing = self.x[:-1], np.zeros(self.x.shape[1:])
+            *_, shift = radii(self.equations, self.ring, x, self.given, nothing, nothing[:, :1])
             if (norm(shift) <= _SETTLED * norm(x).max()).all():
                 break
-            x = x - np.where(np.isfinite(shift), shift, 0.0)
-        sizes = np.maximum(norm(x).max(axis=1, keepdims=True), 1e-12)
-        self.D = np.tile(_BESIDE * sizes, len(self.begin))
-        rho, switches, *_ = radii(self.equations, self.ring, x, given, self.D, sizes)
-        within = (rho <= self.D)[self.equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0) & ~switches
-        return x, np.where(within, rho, np.inf)
+            self.x[:-1] -= np.where(np.isfinite(shift), shift, 0.0)
 
-    def _flow(self, x: Model, s: Model) -> tuple[Model, Model]:
-        """Return models of f (terms + 1, n, N) and of df/ds (terms + 1, n, n, N)."""
-        found, n = self.equations.flow(self.ring, np.concatenate([x, self._given(s)], axis=1)), s.shape[1]
+    def _prove_at(self, s: Model) -> tuple[Model, Model]:
+        """Test all intervals with models of states; return models of f, (terms + 1, n, N), and of df/ds.
+
+        They are infinite where nothing is proved.
+        """
+        self.given[:, -s.shape[1] :] = s
+        self.relative[:] = np.inf
+        self._test(np.ones(len(self.begin), dtype=bool), self.equations)
+        self.relative[self.switches] = np.inf
+        found, n = self.equations.flow(self.ring, self.enclosures), s.shape[1]
         return found[:, :n], found[:, n:].reshape(len(found), n, n, -1).swapaxes(1, 2)
 
-    def _moved(self, x: Array, s: Model, state: Array) -> Model:
+    def _moved(self, s: Model, f: Model, J: Model, state: Array) -> Model:
         """Return polynomials of the states after a step of Newton's method for the motion from its first state.
 
         s' = f + J (s - s_hat) is integrated by collocation at the nodes, from any value on each interval, then from one
         interval to the next.
         """
-        f, J, old = (self.ring.values(each) for each in (*self._flow(model_of(x), s), s))
+        f, J, old = (self.ring.values(each) for each in (f, J, s))
         terms, n, count = old.shape
         over = chebyshev.chebvander(self.ring.nodes[:, 0], terms) @ chebyshev.chebint(np.eye(terms), lbnd=-1.0)
         over = (over @ self.ring.interpolation)[..., None] * (self.end - self.begin) / 2.0
@@ -176,34 +177,27 @@ class InternalProof(Proof):
             state = late @ found[..., k]
         return self.ring.tried(found)
 
-    def _bound(self, x: Array, rho: Array, s: Model, start: Array) -> None:
+    def _bound(self, s: Model, start: Array) -> None:
         """Enclose states and unknowns after steps of Newton's method, if their error has a bound."""
         sizes, width = self._sizes(s), self.end - self.begin
         for _ in range(_CORRECTIONS):
-            moved = self._moved(x, s, start)
+            moved = self._moved(s, *self._prove_at(s), start)
             change = (norm(moved - s) / sizes[:, None]).max()
-            if not change <= 1.0:
-                break  # an unstable motion, which no integration from its start finds
-            s = moved
-            x, rho = self._tested(x, s)
-            if change <= _CORRECT:
+            if change <= 1.0:  # not so of an unstable motion, which no integration from its start finds
+                s = moved
+                self._correct(s)
+            if not _CORRECT < change <= 1.0:
                 break
-        f, J = self._flow(model_of(x, rho), s)
+        f, J = self._prove_at(s)
         V = np.linalg.eig(J[0].mean(axis=2)).eigenvectors
         inverse, rows, worst = np.linalg.pinv(V), np.linalg.norm(V, axis=1) * _OFF, np.linalg.cond(V)
         most, tube = (_TUBE * sizes / rows).min(), s.copy()
         tube[-1] += (rows * most)[:, None]
-        beside, wide = self._tested(x, tube)
-        self.D -= norm(beside - x)
-        # Where x_hat + rho is within D around the other polynomial, both tests find the same solution.
-        other = (rho > self.D)[self.equations.curved].any(axis=0)
-        around = model_of(beside, wide)
-        J = self._flow(around, tube)[1].transpose(0, 3, 1, 2)
+        J = self._prove_at(tube)[1].transpose(0, 3, 1, 2)
         M, varied = inverse @ J[0] @ V, np.abs(inverse) @ norm(J[1:]) @ np.abs(V)
         mu = np.linalg.eigvalsh((M + M.conj().swapaxes(1, 2)) / 2.0)[:, -1]
-        mu += np.linalg.norm(varied, axis=(1, 2)) * _OFF + _ROUNDED * len(V) * worst**2 * np.linalg.norm(
-            J[0], axis=(1, 2)
-        )
+        off, size = (np.linalg.norm(each, axis=(1, 2)) for each in (varied, J[0]))
+        mu += off * _OFF + _ROUNDED * len(V) * worst**2 * size
         defect = magnitude(summed(derivative(self.ring.derivatives[0], s) * (2.0 / width), f, -1.0))
         (early,), (late,) = self.ring.ends(s)
         jumps = np.abs(early - np.column_stack([start, late[:, :-1]]))
@@ -214,17 +208,13 @@ class InternalProof(Proof):
             begin, added = e + jumps[k], defect[k] * width[k] * max(grown, 1.0) * _OFF
             e, largest[k] = begin * grown + added, begin * max(grown, 1.0) + added
         norms = f"a logarithmic norm from {mu.min():.3g} to {mu.max():.3g} 1/s"
-        lost = np.flatnonzero(~(largest < most) | other | (worst > _WORST))
+        lost = np.flatnonzero(~(largest < most) | (worst > _WORST))
         if len(lost):
             why = f"with {norms}" if np.isfinite(mu).all() else "as the equations are not proved beside them"
             self.sentence = f"{why} no bound of their error is known from t = {self.begin[lost[0]]:.6g} s on"
             return
         share = (rows * largest.max() / sizes).max()
         self.sentence = f"states of the internal dynamics within {share:.1e} of their peaks{self._from}, by {norms}"
-        inputs, count = self.equations.inputs, len(self.problem.array.determined)
-        slopes = magnitude(around[:, count:]).reshape(len(rows), count, -1)
         s[-1] += rows[:, None] * largest
-        rho[:count] = (rho[:count] + np.tensordot(rows, slopes, 1) * largest) * _OFF
-        self.x, self.given = model_of(x, rho), self._given(s)
-        self.relative = (rho[inputs] / self.peaks[inputs]).max(axis=0)
-        self.joints = self._joints()
+        self._prove_at(s)
+        self.bounded, self.joints = bool(self.proved.all()), self._joints()

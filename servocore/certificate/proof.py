@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
-from servocore.certificate.equations import Box, Equations, equations_of, given_models, in_one_block, radii
+from servocore.certificate.equations import Box, Equations, equations_of, given_models, radii
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
@@ -32,11 +32,13 @@ _DEGREE = 10
 _FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 _REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
-_NARROW = 0.05  # of the tolerance
+_NARROW = 0.05  # of the tolerance: radius of the inputs at which no interval is halved any more
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
-_MOST, _SWITCHING = 1200, 64  # intervals, and those with jumps of equations that are halved
+_TESTS = 2  # the second where D was too small
+_TINY = 1e-12
+_MOST = 1200  # intervals
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
 _FEW = 64  # unknowns in one block
@@ -96,33 +98,35 @@ class Proof:
         The largest radius of an input, of its peak; infinite if the motion is not proved.
     """
 
+    relative: Array
+
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
-        self.problem, self.boxed, self.tolerance = problem, boxed, tolerance
-        self.equations = equations_of(problem.resolved, raised)
-        of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
-        self.ring = arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
-        machine_code(self.equations.array).best(1)
-        path = problem.reference
+        path, of_parameters = problem.reference, {1: 4, 2: 3}.get(len(boxed), 2)
         margin = OUTSIDE * path.duration
-        grid = np.array([path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin])
-        n, unknowns = len(grid) - 1, len(self.equations.array.determined)
-        self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
-        self.tested, self.switches = np.zeros((2, n), dtype=bool)
-        self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
-        self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
-        self.given = np.zeros((len(self.x), self.equations.symbols.numel() - unknowns, n))
+        grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin]
+        self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
+        self._narrow = tolerance if boxed else _NARROW * tolerance
+        self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
+        machine_code(self.equations.array).best(1)
         self._refine()
+        self.joints = self._joints()
         for step in (1, -1):
             self._follow(step)
         wide = (self.relative > tolerance) & ~self.jumping
         if self.proved.all() and wide.any() and len(self.peaks) <= _FEW and not boxed:
-            before = {name: getattr(self, name).copy() for name in ("x", "D", "relative")}
-            self._test(wide, in_one_block(self.equations))
-            worse = self.relative > before["relative"]
-            for name, old in before.items():
-                getattr(self, name)[..., worse] = old[..., worse]
+            self._test(wide, equations_of(problem.resolved, raised, False, True))
             self.joints = self._joints()
+
+    def _begin(self, problem: Problem, equations: Equations, tolerance: float, grid: Array) -> None:
+        """Begin with intervals between instants, of which nothing is known."""
+        self.problem, self.equations, self.tolerance, self.joints = problem, equations, tolerance, list[str]()
+        n, unknowns = len(grid) - 1, len(equations.columns)
+        self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
+        self.tested, self.switches = np.zeros((2, n), dtype=bool)
+        self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
+        self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
+        self.given = np.zeros((len(self.x), equations.symbols.numel() - unknowns, n))
 
     @cached_property
     def peaks(self) -> Array:
@@ -132,7 +136,8 @@ class Proof:
         """
         array, inputs = self.equations.array, self.equations.inputs
         least = smallest_peaks(self.problem, array.determined)
-        largest = np.fmax.reduce(np.abs(self.ring.values(self.x[:, : len(least)])), axis=(0, 2))
+        largest = np.fmax.reduce(np.abs(self.ring.values(self.x)), axis=(0, 2))
+        least = np.pad(least, (0, len(largest) - len(least)), constant_values=_TINY)  # of derivatives by states
         least[inputs] = np.fmax(least[inputs], 1e-6 * np.fmax.reduce(largest[inputs], initial=1e-300))
         return np.asarray(np.fmax(least, largest)[:, None])
 
@@ -149,9 +154,8 @@ class Proof:
     @property
     def within(self) -> Mask:
         """Whether intervals are within the path, and not before or behind it."""
-        return np.asarray(
-            (self.begin >= self.problem.reference.start_time) & (self.end <= self.problem.reference.end_time)
-        )
+        path = self.problem.reference
+        return np.asarray((self.begin >= path.start_time) & (self.end <= path.end_time))
 
     @property
     def jumping(self) -> Mask:
@@ -161,21 +165,18 @@ class Proof:
     def _refine(self) -> None:
         """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
         while not self.tested.all() and len(self.begin) <= _MOST:
-            fresh = ~self.tested & ~self.solved
-            if fresh.any():
+            while (fresh := ~self.tested & ~self.solved).any():
                 self._answer(fresh)
                 self._halve(fresh & self._coarse())
-            else:
-                self._test(~self.tested, self.equations)
-                halved = np.where(self.proved, self._too_wide(), self.depth < _GUESSED)
-                self._halve(halved & (~self.switches | (self.switches.sum() <= _SWITCHING)))
+            self._test(~self.tested, self.equations)
+            self._halve(np.where(self.proved, self._too_wide(), self.depth < _GUESSED))
 
     def _follow(self, step: int) -> None:
         """Answer intervals that are not on the branch of the proved one beside them again, from that one.
 
         From the first proved interval to the end, or to the beginning. Those that are not proved then are halved.
         """
-        k, tried, self.joints, wide = int(self.proved.argmax()), False, self._joints(), self._too_wide()
+        k, tried, wide = int(self.proved.argmax()), False, self._too_wide()
         while 0 <= (n := k + step) < len(self.begin) <= _MOST:
             joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
             joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
@@ -214,11 +215,6 @@ class Proof:
         large = (last / self.peaks[chosen]).max(axis=0) > _COARSE * np.clip(self._narrow, 1e-12, 1e-8)
         return np.asarray(large & (self.depth < _GUESSED))
 
-    @property
-    def _narrow(self) -> float:
-        """Radius of the inputs, of their peaks, at which no interval is halved any more."""
-        return self.tolerance if self.boxed else _NARROW * self.tolerance
-
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
@@ -234,22 +230,17 @@ class Proof:
         array, ring = self.equations.array, self.ring
         given = given_models(self.problem, array, ring, np.stack([self.begin, self.end])[:, some], self.boxed)
         values = np.moveaxis(ring.values(given), 2, 0).reshape(-1, given.shape[1])
-        # Filled up to a power of two: few maps are compiled.
-        count = len(values)
-        values = values[np.minimum(np.arange(1 << (count - 1).bit_length()), count - 1)]
-        outputs = array.system.gamma.size1()
+        count, outputs = len(values), array.system.gamma.size1()
         size = outputs * (array.reference_order + 1)
-        arguments = [side_by_side(values[:, :size].reshape(len(values), -1, outputs)), values[:, size:-1].T]
+        arguments = [side_by_side(values[:, :size].reshape(count, -1, outputs)), values[:, size:-1].T]
         function = (machine_code(array).best(count, called=False) or inversion(array)).function
         if beside is not None:
-            points, function = ring.nodes[np.arange(len(values)) % len(ring.nodes)], inversion(array).search
+            points, function = ring.nodes[np.arange(count) % len(ring.nodes)], inversion(array).search
             begin, end = self.begin[beside], self.end[beside]
             points[:, 0] = (2.0 * values[:, -1] - begin - end) / (end - begin)
             arguments.append((ring.rows(points) @ self.x[:-1, :, beside]).T)
-        x, _, residual = (
-            each.reshape(-1, len(values), order="F") for each in mapped(function, len(values))(*arguments)
-        )
-        x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)[:, :count]
+        x, _, residual = (each.reshape(-1, count, order="F") for each in mapped(function, count)(*arguments))
+        x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
         self.tested[some], self.relative[some] = ~self.solved[some], np.inf
@@ -258,38 +249,41 @@ class Proof:
         """Return polynomials from values (nodes, unknowns, intervals), NaN where there is no answer."""
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
-    def _test(self, some: Mask, equations: Equations, enlarged: bool = False) -> None:
+    def _test(self, some: Mask, equations: Equations) -> None:
         """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
-        jump, steps of Newton's method go between what inputs jump from and to.
+        jump, steps of Newton's method go between what inputs jump from and to. Nothing is kept that proves less than
+        was known.
         """
-        if not some.any():
-            return
-        model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-        D = _REACH * peaks * 0.5 ** self.depth[some]
-        D[equations.switching] = _TIGHT * peaks[equations.switching]
-        x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
-        for left in reversed(range(_CENTRED)):
-            rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
-            if not left or not switches.any():
-                break
-            x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
-        within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
-        within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
-        relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
-        self.D[:, some], self.failed[some], self.switches[some], self.tested[some] = D, failed, switches, True
-        self.relative[some] = relative
-        self.x[..., some] = model_of(np.where(within, x, model[:-1]), rho)
-        if not enlarged:
-            self._test(some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0), equations, enlarged=True)
+        for _ in range(_TESTS):
+            if not some.any():
+                return
+            model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
+            D = _REACH * peaks * 0.5 ** self.depth[some]
+            D[equations.switching] = _TIGHT * peaks[equations.switching]
+            x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+            for left in reversed(range(_CENTRED)):
+                rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
+                if not left or not switches.any():
+                    break
+                x = x - np.where(np.isfinite(shift) & switches, shift, 0.0)
+            within = np.asarray((rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0))
+            within &= ~switches | (rho <= _STEADY * peaks)[equations.steady].all(axis=0)
+            relative = np.where(within, (rho / peaks)[equations.inputs].max(axis=0, initial=0.0), np.inf)
+            better = relative <= self.relative[some]
+            kept = np.flatnonzero(some)[better]
+            self.D[:, kept], self.failed[kept], self.switches[kept] = D[:, better], failed[better], switches[better]
+            self.x[..., kept] = model_of(np.where(within, x, model[:-1]), rho)[..., better]
+            self.relative[kept], self.tested[kept] = relative[better], True
+            some = some & ~self.proved & np.isfinite(self.x[-1]).all(axis=0)
 
-    @cached_property
+    @property
     def enclosures(self) -> Model:
         """Enclosures of unknowns, path, parameters and time on all intervals: any number where they are not proved."""
-        nothing = self.ring.constant(np.zeros(self.D.shape))
-        nothing[-1] = np.inf
-        return np.concatenate([np.where(self.proved, self.x, nothing), self.given], axis=1)
+        x = np.where(self.proved, self.x, 0.0)
+        x[-1, :, ~self.proved] = np.inf
+        return np.concatenate([x, self.given], axis=1)
 
     def at(self, models: Model, t: Array) -> Model:
         """Return models on all intervals at times (N,), polynomials in the parameters; infinite radii elsewhere."""

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, magnitude, norm
+from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, magnitude, norm
 from servocore.certificate.equations import Equations
 from servocore.certificate.proof import Proof
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.expressions import time_derivative
 from servocore.numerics.memoization import made_once
+from servocore.numerics.step_operations import JUMPS, holds_any
 from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
-from servocore.structure.derivative_array import in_variables
+from servocore.stepping.readings import with_rates
 
 Verdict = Literal["proved", "undecided", "refuted"]
 VERDICTS: tuple[Verdict, ...] = ("proved", "undecided", "refuted")
@@ -70,6 +70,11 @@ class Statement:
         return f"{self.verdict}: {self.what}" + (f" ({self.sentence})" if self.sentence else "")
 
 
+def worst(statements: Iterable[Statement]) -> Statement:
+    """Return the first of the statements with the worst verdict."""
+    return max(statements, key=lambda each: VERDICTS.index(each.verdict))
+
+
 @dataclass(frozen=True)
 class ErrorBound:
     """A bound of the error of an input.
@@ -92,7 +97,7 @@ class ErrorBound:
     @property
     def relative(self) -> float:
         """The bound at instants as a share of the peak."""
-        return self.at_instants / self.peak if self.peak else 0.0
+        return self.at_instants / self.peak
 
 
 Claim: TypeAlias = tuple[str, Limit]
@@ -120,40 +125,32 @@ def claims_of(resolved: ResolvedSystem) -> tuple[Claim, ...]:
 def _pivots(system: MechanicalSystem) -> ca.SX:
     """Return the pivots of M + w G^T G by elimination, in units of the nominal magnitudes of the coordinates.
 
-    M is definite on all velocities that the holonomic constraints allow if that matrix is, for any w > 0: on the kernel
-    of G the second term vanishes. It is definite if all pivots are positive. The weight makes both equally large.
+    M is definite on all velocities that the holonomic constraints allow if that matrix is, for any w: on the kernel of
+    G the second term vanishes. It is definite if all pivots are positive. The weight makes both equally large.
     """
     scale = ca.diag(ca.DM(system.coordinates.nominal))
     M, G = ca.mtimes(ca.mtimes(scale, system.mass), scale), ca.mtimes(system.G, scale)
-    largest = [ca.mmax(ca.fabs(ca.vertcat(ca.SX(1, 1), ca.vec(ca.densify(each))))) for each in (M, G)]
-    sizes = ca.Function("sc_sizes", [system.q, system.p, system.time], largest)
+    sizes = ca.Function("sc_sizes", [system.q, system.p, system.time], [ca.trace(M), ca.sumsqr(G)])
     size_M, size_G = (float(each) for each in sizes(*system.home_configuration(), np.zeros(system.time.numel())))
-    pivots, *_ = ca.ldl(M + size_M / (size_G**2 or 1.0) * ca.mtimes(G.T, G))
+    pivots, *_ = ca.ldl(M + size_M / (size_G or 1.0) * ca.mtimes(G.T, G))
     return pivots
 
 
 @made_once
 def walk_of_limits(equations: Equations, limits: tuple[Limit, ...]) -> Walk:
     """Return limited quantities, or their rates, as a walk."""
-    return Walk(ca.vertcat(*(_in_variables(equations, limit) for limit in limits)), equations.symbols)
+    return Walk(ca.vertcat(*_readings(equations, limits)), equations.symbols)
 
 
-def _in_variables(equations: Equations, limit: Limit) -> ca.SX:
-    system, y = equations.array.system, equations.array.y
-    value = in_variables(system, limit.on(system), y)
-    return time_derivative(value, y, system.gamma) if limit.rate else value
+def _readings(equations: Equations, limits: Sequence[Limit]) -> list[ca.SX]:
+    return with_rates(equations.array, [(each.on(equations.array.system), each.rate) for each in limits])[0]
 
 
 @made_once
 def known(equations: Equations, limit: Limit) -> bool:
     """Whether the equations enclose all derivatives that a limit compares, of the path and of unknowns."""
     enclosed = {each.element_hash() for each in ca.vertsplit(equations.symbols)}
-    return all(each.element_hash() in enclosed for each in ca.symvar(_in_variables(equations, limit)))
-
-
-def boxes_of(proof: Proof) -> Model:
-    """Return enclosures on the intervals of a proof within the path: boxes of time and parameters."""
-    return proof.enclosures[..., proof.within]
+    return all(each.element_hash() in enclosed for each in ca.symvar(*_readings(equations, [limit])))
 
 
 Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
@@ -161,57 +158,46 @@ Decision: TypeAlias = tuple[Verdict, Array, float, tuple[float, float]]
 if that is not known; bounds of the quantity where it is proved to keep its own."""
 
 
-def decided(ring: Arithmetic, boxes: Model, walk: Walk, lower: Array, upper: Array) -> list[Decision]:
-    """Decide whether quantities (N,) stay within bounds on all boxes, halving those on which one may not.
+def decided(ring: Arithmetic, boxes: Model, walk: Walk, k: int, models: Model, limit: Limit) -> Decision:
+    """Decide whether the k-th quantity of a walk stays within bounds on all boxes, halving those on which it may not.
 
-    They are halved by the variable that the quantities vary most with.
+    They are halved by the variable that it varies most with; `models` are those of the quantity on the boxes.
     """
-    found: list[tuple[Verdict, Array, float]] = [("proved", np.zeros(0), np.nan) for _ in lower]
-    least, most, open_ = np.full(len(lower), np.inf), np.full(len(lower), -np.inf), np.ones(len(lower), dtype=bool)
-    lower, upper = lower[:, None], upper[:, None]
+    least, most = np.inf, -np.inf
     for halvings in range(_HALVINGS):
-        models = walk(ring, boxes)
         low, high = ring.span(models)
-        kept = (low > lower) & (high < upper)
-        least = np.minimum(least, low.min(axis=1, initial=np.inf, where=kept))
-        most = np.maximum(most, high.max(axis=1, initial=-np.inf, where=kept))
-        some = np.asarray(~kept[open_].all(axis=0))
-        if not some.any():
+        kept = (low > limit.bound) & (high < limit.upper)
+        least, most = min(least, low.min(initial=np.inf, where=kept)), max(most, high.max(initial=-np.inf, where=kept))
+        if kept.all():
             break
-        boxes, models, kept = boxes[..., some], models[..., some], kept[:, some]
-        c, r, values = models[:-1], models[-1], ring.values(models)
-        noise = r + (len(c) + 8) * UNIT * norm(c)
-        beyond = np.maximum(lower - values, values - upper)
+        boxes, models = boxes[..., ~kept], models[..., ~kept]
+        values, noise = ring.values(models), models[-1] + (len(models) + 7) * UNIT * norm(models[:-1])
+        beyond = np.maximum(limit.bound - values, values - limit.upper)
         certain = (beyond.max(axis=0) > noise) & np.isfinite(noise)
-        last = halvings == _HALVINGS - 1 or kept.shape[1] > _MOST
-        lost = certain | ~kept & (last | ~np.isfinite(boxes[-1]).all(axis=0))
-        for k in np.flatnonzero(open_ & lost.any(axis=1)).tolist():
-            open_[k] = not certain[k].any()
-            worst = np.where(lost[k] if open_[k] else certain[k], beyond[:, k], -np.inf)
+        last = halvings == _HALVINGS - 1 or len(noise) > _MOST
+        lost = certain if certain.any() else last | ~np.isfinite(boxes[-1]).all(axis=0)
+        if lost.any():
+            worst = np.where(lost, beyond, -np.inf)
             node, box = (int(each) for each in np.unravel_index(int(worst.argmax()), worst.shape))
-            value = float(values[node, k, box]) if np.isfinite(noise[k, box]) else np.nan
-            found[k] = "undecided" if open_[k] else "refuted", ring.at_nodes[node] @ boxes[:-1, :, box], value
-        again = (~kept & ~lost)[open_].any(axis=0)
-        if not again.any():
-            break
-        c = c[:, open_][..., again] / np.maximum(norm(c[:, open_][..., again]), 1e-300)
-        widest = int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders]))
-        boxes = np.concatenate(ring.halved(boxes[..., again], widest), axis=2)
-    extents = zip(least.tolist(), most.tolist(), strict=True)
-    return [(*each, extent) for each, extent in zip(found, extents, strict=True)]
+            value = float(values[node, box]) if np.isfinite(noise[box]) else np.nan
+            at = ring.at_nodes[node] @ boxes[:-1, :, box]
+            return "refuted" if certain.any() else "undecided", at, value, (least, most)
+        c = models[:-1] / np.maximum(norm(models[:-1]), 1e-300)
+        boxes = ring.halved(boxes, int(np.argmax([norm(c[order > 0]).sum() for order in ring.orders])))
+        models = walk(ring, boxes)[:, k]
+    return "proved", np.zeros(0), np.nan, (least, most)
 
 
-def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
-    """Decide claims between the instants too: each statement is proved if all its claims are."""
+def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ()) -> list[Statement]:
+    """Decide claims, and those about every motion, between the instants too: a statement is proved if all its are."""
+    claims = [*claims, *claims_of(proof.problem.resolved)]
     # Walks are kept, whatever the bounds are.
-    limits = {
-        limit: replace(limit, bound=-math.inf, upper=math.inf)
-        for _, limit in claims
-        if not limit.over_run and known(proof.equations, limit)
-    }
-    walk = walk_of_limits(proof.equations, tuple(limits.values()))
-    bounds = (np.array([getattr(limit, name) for limit in limits]) for name in ("bound", "upper"))
-    decisions = dict(zip(limits, decided(proof.ring, boxes_of(proof), walk, *bounds), strict=True))
+    bare = {each: replace(each, bound=-math.inf, upper=math.inf) for _, each in claims if not each.over_run}
+    limits = [limit for limit, each in bare.items() if known(proof.equations, each)]
+    walk, ring = walk_of_limits(proof.equations, tuple(bare[limit] for limit in limits)), proof.ring
+    boxes = proof.enclosures[..., proof.within]
+    models = walk(ring, boxes)
+    decisions = {limit: decided(ring, boxes, walk, k, models[:, k], limit) for k, limit in enumerate(limits)}
     found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
     if not proof.problem.flat:
         text = "rates of inputs are not enclosed where there are internal dynamics"
@@ -221,8 +207,20 @@ def statements_of(proof: Proof, claims: Sequence[Claim], jumps: Collection[float
             statement = _of_run(proof, what, limit, added)
         elif limit in decisions:
             statement = _of_all_times(proof, what, limit, decisions[limit], jumps)
-        found[what] = max(found.get(what, statement), statement, key=lambda each: VERDICTS.index(each.verdict))
-    return list(found.values())
+        found[what] = worst([found.get(what, statement), statement])
+    return [*found.values(), *_step_statement(proof.problem.system)]
+
+
+@made_once
+def _step_statement(system: MechanicalSystem) -> list[Statement]:
+    """State that a potential or masses with steps are not understood: a step of energy is an impulse.
+
+    The equations hold the derivative, which is zero but at the step.
+    """
+    if not holds_any(ca.vertcat(system.potential, ca.vec(ca.densify(system.mass))), JUMPS):
+        return []
+    text = "the potential or a mass has a step, of which the equations of motion know nothing"
+    return [Statement("no impulses", "undecided", text)]
 
 
 def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jumps: Collection[float]) -> Statement:
@@ -247,34 +245,29 @@ def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jum
 
 
 def _of_run(proof: Proof, what: str, limit: Limit, added: RunQuantity) -> Statement:
-    """Decide a limit of what the run adds up, from enclosures of the integrals over all intervals."""
-    low, high = added.of_sum(_integral(proof, limit), proof.problem.reference.duration).tolist()
-    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
-    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
-    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
-    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
-    return Statement(what, verdict, text)
-
-
-def _integral(proof: Proof, limit: Limit) -> Array:
-    """Return bounds of the integral of a quantity over the run, for all parameters of the box.
+    """Decide a limit of what the run adds up, from enclosures of the integral over all intervals.
 
     The mean of the Chebyshev polynomial of order k over time is 1/(1 - k^2) for even k, else 0; terms that parameters
     change count by their magnitudes. Rounding is bounded as that of values, and of sums by the sum of all magnitudes.
     The bounds are infinite, or no numbers, where the motion is not proved.
     """
-    ring, boxes = proof.ring, boxes_of(proof)
+    ring, inside = proof.ring, proof.within
+    boxes, widths = proof.enclosures[..., inside], (proof.end - proof.begin)[inside]
     # Halves of parameters have no common time: boxes with parameters stay whole.
     for _ in range(0 if proof.boxed else _HALVED_RUNS):
-        boxes = np.concatenate(ring.halved(boxes, 0), axis=2)
+        boxes, widths = ring.halved(boxes, 0), np.tile(widths / 2.0, 2)
     k, alone = ring.orders[0], (ring.orders[1:] == 0).all(axis=0)
-    means = alone / np.where(k % 2, np.inf, 1.0 - k**2)
-    found, time = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0], boxes[:, -1]
-    (c, r), (half,) = (found[:-1], found[-1]), time[:-1][alone & (k == 1)]
-    middle, radius = means @ c, r + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
-    widths, late = 2.0 * half, 2.0 * time[-1]  # how much widths are off
-    off = radius @ widths + (np.abs(middle) + radius) @ (4.0 * len(widths) * UNIT * widths + late)
-    return np.asarray(middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off)
+    found = walk_of_limits(proof.equations, (limit,))(ring, boxes)[:, 0]
+    c, middle = found[:-1], (alone / np.where(k % 2, np.inf, 1.0 - k**2)) @ found[:-1]
+    radius = found[-1] + norm(c[~alone]) + (len(c) + 8) * UNIT * norm(c)
+    off = (radius + 4.0 * len(widths) * UNIT * (np.abs(middle) + radius)) @ widths
+    total = middle @ widths + np.array([-1.0, 1.0]) * (1.0 + 1e-9) * off
+    low, high = added.of_sum(total, proof.problem.reference.duration).tolist()
+    kept = limit.bound <= low and high <= limit.upper and known(proof.equations, limit)
+    verdict: Verdict = "proved" if kept else "refuted" if low > limit.upper or high < limit.bound else "undecided"
+    between = f"from {limit.with_unit(low)} to {limit.with_unit(high)} over the run"
+    text = f"it is {between}" if np.isfinite([low, high]).all() else "the motion is not proved at all times"
+    return Statement(what, verdict, text)
 
 
 # At instants -------------------------------------------------------------------------------------------------------
@@ -294,23 +287,27 @@ def compared(
     t = t[calm]
     unknowns = proof.at(proof.enclosures[:, places], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
-    apart = 0.0 if solution is None else np.abs(np.stack([solution[each.name][calm] for each in inputs]) - middle)
-    least, most = apart - radius, apart + radius
-    peaks = np.abs(middle).max(axis=1)
+    reported = middle if solution is None else np.stack([solution[each.name][calm] for each in inputs])
+    apart, peaks = np.abs(reported - middle), np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
     between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
         peak, what = float(peaks[k]), f"{each.name} between instants at most twice its peak at instants"
-        bounds[each.name] = ErrorBound(float(most[k].max()), float(between[k]), peak, each.unit)
+        bounds[each.name] = ErrorBound(float((apart + radius)[k].max()), float(between[k]), peak, each.unit)
         spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
         claims += [] if proof.boxed else [(what, spike)]
     if solution is not None:
-        low, high = least / peaks[:, None], most / peaks[:, None]
-        verdict: Verdict = "refuted" if (low > tolerance).any() else "undecided"
-        verdict = "proved" if (high <= tolerance).all() else verdict
+        low, high = ((apart + side * radius) / peaks[:, None] for side in (-1.0, 1.0))
+        verdict: Verdict = "proved" if high.max() <= tolerance else "refuted" if low.max() > tolerance else "undecided"
         place, at = np.unravel_index(int(high.argmax()), high.shape)
         text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
-        what = f"inputs within {tolerance:g} of their peaks"
-        found.append(Statement(what, verdict, text, float(t[at])))
+        found.append(Statement(f"inputs within {tolerance:g} of their peaks", verdict, text, float(t[at])))
     return bounds, found, claims
+
+
+def enclosed(proof: Proof, limits: Sequence[Limit], t: Array) -> Array:
+    """Return bounds (limits, N, 2) of limited quantities at times, over all parameters of the box."""
+    ring, walk = arithmetic((0, *proof.ring.degrees[1:])), walk_of_limits(proof.equations, tuple(limits))
+    bounds = np.stack(ring.span(walk(ring, proof.at(proof.enclosures, t))), axis=-1)
+    return np.where(np.isfinite(bounds).all(axis=-1, keepdims=True), bounds, [-np.inf, np.inf])

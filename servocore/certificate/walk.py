@@ -7,9 +7,7 @@ where that may come to zero.
 
 from __future__ import annotations
 
-import math
 import operator
-import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -18,13 +16,13 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, UP, Arithmetic, Model, bounded, carry_out, norm
-from servocore.numerics.compiled_calls import Array
+from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, Arithmetic, Model, bounded, carry_out, magnitude
 from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
+_Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
+"""Of each rule the places of results by those of their arguments."""
 
-_KEPT = threading.local()
 _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
@@ -48,9 +46,9 @@ class Walk:
         self._arguments = defaultdict[int, int](self._place)
         self._constants = defaultdict[float, int](self._place)
         self._steps = defaultdict[int, list[tuple[int, ...]]](list)
-        self._functions = defaultdict[tuple[int, Rule], dict[tuple[int, ...], int]](dict)
+        self._functions = defaultdict[int, _Functions](lambda: defaultdict(dict))
         function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
-        outputs, place_of = np.full(expression.numel(), self._constants[0.0]), dict[int, int]()
+        outputs, place_of = dict[int, int](), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
             if number == ca.OP_OUTPUT:
                 outputs[out[1]] = place_of[used[0]]
@@ -60,15 +58,11 @@ class Walk:
                 place_of[out[0]] = self._arguments[used[1]]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
-        self._outputs, self._values = outputs, np.array([*self._constants])[:, None]
-        self._parts = [
-            (
-                np.array(self._steps[depth], dtype=np.intp).reshape(-1, 4),
-                [(rule, np.array([*some]).T, [*some.values()])
-                 for (level, rule), some in self._functions.items() if level == depth + 1],
-            )
-            for depth in range(max(self._depth) + 1)
-        ]  # fmt: skip
+        self._outputs = [outputs[k] for k in sorted(outputs)]
+        self._values = np.array([*self._constants])[:, None]
+        self._programs = [
+            np.array(self._steps[k], dtype=np.intp).reshape(-1, 4) for k in range(max(self._depth, default=0) + 1)
+        ]
 
     @np.errstate(all="ignore")  # what is not finite has no bound
     def __call__(self, ring: Arithmetic, arguments: Model) -> Model:
@@ -76,51 +70,33 @@ class Walk:
         boxes = arguments.shape[2]
         if boxes < LANES:  # the last box is repeated
             arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
-        places = _workspace(len(self._depth), *arguments.shape[::2])
+        places = np.empty((len(self._depth), *arguments.shape[::2]))
         models = places.swapaxes(0, 1)
         models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
         models[:, [*self._constants.values()]] = ring.constant(self._values)
-        for steps, functions in self._parts:
+        for depth, steps in enumerate(self._programs):
+            for rule, results in self._functions[depth].items():
+                models[:, [*results.values()]] = rule(ring, *(models[:, each] for each in zip(*results, strict=True)))
             carry_out(steps, ring, places)
-            for rule, taken, results in functions:
-                models[:, results] = rule(ring, *(models[:, each] for each in taken))
         return bounded(models[:, self._outputs, :boxes])
 
     def _place(self, depth: int = 0) -> int:
         self._depth.append(depth)
         return len(self._depth) - 1
 
-    def _step(self, operation: int, a: int, b: int) -> int:
-        depth = max(self._depth[a], self._depth[b])
-        place = self._place(depth)
-        self._steps[depth].append((operation, place, a, b))
-        return place
-
-    def _function(self, number: int, *arguments: int) -> int:
-        depth = 1 + max(self._depth[each] for each in arguments)
-        some = self._functions[depth, _RULES[number]]
-        if arguments not in some:
-            some[arguments] = self._place(depth)
-        return some[arguments]
-
     def _operation(self, number: int, arguments: list[int]) -> int:
+        """Return the place of an operation's result; that of a function is the same for the same arguments."""
         a, b = arguments[0], arguments[-1]
         if number == ca.OP_DIV:
-            return self._step(TIMES, a, self._function(ca.OP_INV, b))
-        if number == ca.OP_NEG:
-            return self._step(MINUS, self._constants[0.0], a)
+            b = self._operation(ca.OP_INV, [b])
+        elif number == ca.OP_NEG:
+            a = self._constants[0.0]
+        depth = max(self._depth[a], self._depth[b])
         if number in _STEPS:
-            return self._step(_STEPS[number], a, b)
-        return self._function(number, *arguments)
-
-
-def _workspace(*shape: int) -> Array:
-    """Return memory for models that a thread uses again: new pages take the system longer than many programs."""
-    size = math.prod(shape)
-    if size > getattr(_KEPT, "memory", np.empty(0)).size:
-        _KEPT.memory = np.empty(size)
-    found: Array = _KEPT.memory[:size].reshape(shape)
-    return found
+            self._steps[depth].append((_STEPS[number], place := self._place(depth), a, b))
+            return place
+        results = self._functions[depth + 1][_RULES[number]]
+        return results.get((*arguments,)) or results.setdefault((*arguments,), self._place(depth + 1))
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
@@ -146,17 +122,13 @@ def _tangent(a: ca.SX) -> ca.SX:
     return ca.sin(a) / ca.cos(a)
 
 
-def _less(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return a < b, and a <= b, as a number: not known where they meet."""
-    return (1.0 + ca.sign(b - a)) / 2.0
-
-
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent,
     ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
-    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: _less, ca.OP_LE: _less, ca.OP_NOT: lambda a: 1.0 - a,
+    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: lambda a, b: computed(ca.OP_LT, [ca.SX(0.0), b - a]),
+    ca.OP_LE: lambda a, b: computed(ca.OP_LE, [ca.SX(0.0), b - a]), ca.OP_NOT: lambda a: 1.0 - a,
     ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
     ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
     ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
@@ -165,31 +137,22 @@ _LOWERED: dict[int, Callable[..., ca.SX]] = {
 CONSTANT = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
 """Operations that are constant between jumps."""
 
-_STEPS = {ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_MUL: TIMES, ca.OP_SQ: TIMES}
+_STEPS = {
+    ca.OP_ADD: PLUS, ca.OP_TWICE: PLUS, ca.OP_SUB: MINUS, ca.OP_NEG: MINUS,
+    ca.OP_MUL: TIMES, ca.OP_SQ: TIMES, ca.OP_DIV: TIMES,
+}  # fmt: skip
 
 # Rules ----------------------------------------------------------------------------------------------------------------
-
-
-def _stepped(step: Callable[[Array], Array]) -> Rule:
-    """Return the rule of a function that rises by jumps: any value between the least and the largest."""
-
-    def rule(ring: Arithmetic, a: Model) -> Model:
-        low, high = (step(each) for each in ring.span(a))
-        found = ring.constant((low + high) / 2.0)
-        found[-1] = (high - low) / 2.0
-        return found
-
-    return rule
 
 
 def _if(_: Arithmetic, condition: Model, a: Model) -> Model:
     """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
     whole = np.round(condition[0])
-    known = np.abs(condition[0] - whole) + norm(condition[1:]) < _ROUNDED
+    known = np.abs(condition[0] - whole) + magnitude(condition[1:]) < _ROUNDED
     share = np.where(known, whole != 0.0, 0.5)
     found = np.where(share, a, 0.0)
     found[:-1] *= share
-    found[-1] += np.where(known, 0.0, norm(a[:-1]) / 2.0 * UP)
+    found[-1] += np.where(known, 0.0, magnitude(a[:-1]) / 2.0)
     return found
 
 
@@ -203,6 +166,8 @@ _RULES: dict[int, Rule] = {
     **dict.fromkeys(KINKS, _no_bound), ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
     ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0], ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
     ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
-    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: _stepped(np.sign), ca.OP_FLOOR: _stepped(np.floor),
-    ca.OP_IF_ELSE_ZERO: _if,
+    ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: lambda ring, a: ring.rising(np.sign, a),
+    ca.OP_FLOOR: lambda ring, a: ring.rising(np.floor, a),
+    ca.OP_LT: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 0.0), a),
+    ca.OP_LE: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 1.0), a), ca.OP_IF_ELSE_ZERO: _if,
 }  # fmt: skip

@@ -168,7 +168,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[
     array, system = resolved.array, resolved.system
     order = compile_watched(resolved, tuple((limit.expression, limit.rate) for limit in limits)).order
     marked = [(expression, limit.rate) for limit, expression in zip(limits, smooth, strict=True)]
-    values, y = with_rates(resolved, marked)
+    values, y = with_rates(array, marked)
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())

@@ -68,7 +68,7 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     """
     array, system = resolved.array, resolved.system
     limits = [(Limit("", "", -np.inf, "", expression), rate) for expression, rate in wanted]
-    values, y = with_rates(resolved, [(each.on(system), rate) for each, rate in limits])
+    values, y = with_rates(array, [(each.on(system), rate) for each, rate in limits])
     rows = array.y.size1()
     needs, used = [], set[tuple[int, int]]()
     top = dict(array.unknowns)  # the highest of each comes last
@@ -84,15 +84,14 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     return Watched(_compiled(array, y, ca.vertcat(*values), beyond, order), order, tuple(needs))
 
 
-def with_rates(resolved: ResolvedSystem, expressions: Sequence[tuple[ca.SX, bool]]) -> tuple[list[ca.SX], ca.SX]:
-    """Return expressions of a system, and rates of those marked, by the symbols y of its derivative array, and these.
+def with_rates(array: DerivativeArray, expressions: Sequence[tuple[ca.SX, bool]]) -> tuple[list[ca.SX], ca.SX]:
+    """Return expressions of a system, and rates of those marked, by the symbols y of a derivative array, and these.
 
     y has one column more than the array: the derivatives of one order more are there.
     """
-    array, system = resolved.array, resolved.system
     y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
-    known = [(in_variables(system, each, y), rate) for each, rate in expressions]
-    return [time_derivative(each, y, system.gamma) if rate else each for each, rate in known], y
+    known = [(in_variables(array.system, each, y), rate) for each, rate in expressions]
+    return [time_derivative(each, y, array.system.gamma) if rate else each for each, rate in known], y
 
 
 def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
