@@ -50,6 +50,16 @@ def test_both_readers_agree_on_a_urdf(tmp_path: Path) -> None:
     assert apart(list(pairs)) < 1e-12
 
 
+def test_the_default_path_takes_a_fifth_of_a_range_at_most_and_goes_back_from_its_end() -> None:
+    """0.2 rad or 0.1 m where nothing limits the output."""
+    for options, ways in (
+        ({"posture": {"turn": 2.8}}, [-0.2, 0.2, 0.08, 0.008]),
+        ({"limits": False}, [0.2, 0.2, 0.1, 0.1]),
+    ):
+        start, end = sc.scenes.from_file(ARM, **options).reference.jet(np.array([0.0, 2.0]), 0)[:, 0]
+        np.testing.assert_allclose(end - start, ways, rtol=1e-12)
+
+
 def test_elastic_inputs_are_the_closed_form_and_tend_to_the_rigid_ones() -> None:
     # u = tau + B (q'' + tau''/K), with tau, which is D q' too, of the rigid arm.
     scenes = {K: sc.scenes.from_file(ARM, posture=TURNS, elastic=dict.fromkeys(TURNS, sc.Elastic(K, 0.2)) if K else {})
