@@ -29,7 +29,7 @@ A_SHORT_CASE = 0.03
 """Processor seconds of a case that is not listed as slow, about."""
 BESIDES = 16.0
 """Processor seconds of the cases that `--quick` adds for the modules that have changed."""
-LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
+LONG_FIXTURES = {"client", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
 ADDED = ("added", "for changed modules")
