@@ -20,7 +20,8 @@ import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
-"""Cases that take more than a moment, with their seconds: `concerned.py` writes them."""
+"""Cases that take more than a moment when their file or a quick run asks them, with their seconds in a quick run, where
+others may have prepared what they need: `concerned.py` adds new ones."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
 A_MOMENT = 0.2
@@ -87,7 +88,7 @@ def representatives(cases: Collection[str]) -> list[str]:
     """Return of every test function the first case that takes a moment, of a file without one the shortest."""
     first: dict[str, str] = {}
     for case in cases:
-        if case not in slow():
+        if seconds_of(case) <= A_MOMENT:
             first.setdefault(function_of(case), case)
     shortest = {file_of(case): case for case in sorted(cases, key=seconds_of, reverse=True)}
     without = shortest.keys() - set(map(file_of, first.values()))
@@ -109,7 +110,7 @@ def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -
 
 @cache
 def slow() -> dict[str, float]:
-    """Return the processor seconds of the cases that take more than a moment."""
+    """Return the processor seconds of the cases that `SLOW` lists."""
     rows = (line.partition(" ") for line in SLOW.read_text(encoding="utf-8").splitlines())
     return {case: float(seconds) for seconds, _, case in rows}
 
