@@ -51,6 +51,12 @@ def budgets() -> dict[str, float]:
     return {name: float(seconds) for name, seconds in tomllib.loads(TABLE.read_text())["seconds"].items()}
 
 
+@cache
+def dear_but_asked() -> set[str]:
+    """Return the test functions that a quick run asks though none of their cases takes a moment only."""
+    return {f"tests/{name}" for name in tomllib.loads(TABLE.read_text())["quick"]["dear"]}
+
+
 def over_budget(taken: Mapping[str, float], allowed: Mapping[str, float], times: float = 1.0) -> list[str]:
     """Return a line for every file that took more than so many times its budget, the worst first."""
     beyond = {name: seconds - times * allowed.get(name, UNLISTED) for name, seconds in taken.items()}
@@ -85,14 +91,15 @@ def seconds_of(case: str) -> float:
 
 
 def representatives(cases: Collection[str]) -> list[str]:
-    """Return of every test function the first case that takes a moment, of a file without one the shortest."""
-    first: dict[str, str] = {}
+    """Return the shortest case of every test function, if it takes a moment or the table names it, and of every file."""
+    shortest, of_file = dict[str, str](), dict[str, str]()
     for case in cases:
-        if seconds_of(case) <= A_MOMENT:
-            first.setdefault(function_of(case), case)
-    shortest = {file_of(case): case for case in sorted(cases, key=seconds_of, reverse=True)}
-    without = shortest.keys() - set(map(file_of, first.values()))
-    return [*first.values(), *(shortest[file] for file in sorted(without))]
+        for known, key in ((shortest, function_of(case)), (of_file, file_of(case))):
+            if seconds_of(case) < seconds_of(known.setdefault(key, case)):
+                known[key] = case
+    chosen = [case for name, case in shortest.items() if seconds_of(case) <= A_MOMENT or name in dear_but_asked()]
+    without = of_file.keys() - set(map(file_of, chosen))
+    return [*chosen, *(of_file[file] for file in sorted(without))]
 
 
 def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -> list[str]:
