@@ -91,7 +91,7 @@ def seconds_of(case: str) -> float:
 
 
 def representatives(cases: Collection[str]) -> list[str]:
-    """Return the shortest case of every test function, if it takes a moment or the table names it, and of every file."""
+    """Return the shortest case of every test function, where it is short or named in the table, and of every file."""
     shortest, of_file = dict[str, str](), dict[str, str]()
     for case in cases:
         for known, key in ((shortest, function_of(case)), (of_file, file_of(case))):
