@@ -154,7 +154,7 @@ if __name__ == "__main__":
             lines |= ran
             seconds.update(took)
     # What is listed is what a quick run measured. Here the first of a file may have prepared what there another does.
-    slow = {case: seconds[case] for case in sorted(lines) if seconds[case] > budgets.A_MOMENT}
+    slow = {case: float(seconds[case]) for case in lines if seconds[case] > budgets.A_MOMENT}
     slow |= {case: known for case, known in budgets.slow().items() if case in lines}
     budgets.SLOW.write_text("".join(f"{slow[case]:.2f} {case}\n" for case in sorted(slow)), encoding="utf-8")
     budgets.slow.cache_clear()
