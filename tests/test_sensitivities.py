@@ -55,7 +55,8 @@ def test_what_has_no_derivatives_is_refused() -> None:
         sc.sensitivities(CRANE, ("mass",))
     with pytest.raises(sc.InvalidModel, match="internal dynamics"):
         sc.sensitivities(sc.scenes.mass_on_car())
+    found = sc.sensitivities(OVERHEAD, ("gravity",), step=1.5)
     with pytest.raises(KeyError, match=r"'F' is no pair of a quantity and a parameter, such as found\['F', 'load"):
-        _ = sc.sensitivities(OVERHEAD, ("gravity",))["F"]  # type: ignore[index]  # wrong on purpose
+        _ = found["F"]  # type: ignore[index]  # wrong on purpose
     with pytest.raises(KeyError, match="there are"):
-        _ = sc.sensitivities(OVERHEAD, ("gravity",))["F", "load_mass"]
+        _ = found["F", "load_mass"]
