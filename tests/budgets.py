@@ -20,16 +20,17 @@ import pytest
 
 TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
-"""Cases that take more than a moment, with their seconds: `concerned.py` writes them."""
+"""Cases that take more than a moment when their file or a quick run asks them, with their seconds in a quick run, where
+others may have prepared what they need: `concerned.py` adds new ones."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
 A_MOMENT = 0.2
 """Processor seconds of a case that `--quick` runs whatever has changed."""
 A_SHORT_CASE = 0.03
 """Processor seconds of a case that is not listed as slow, about."""
-BESIDES = 16.0
+BESIDES = 12.0
 """Processor seconds of the cases that `--quick` adds for the modules that have changed."""
-LONG_FIXTURES = {"client", "default_plan", "done", "drawings", "smoke"}
+LONG_FIXTURES = {"client", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
 ADDED = ("added", "for changed modules")
@@ -48,6 +49,12 @@ def processor_seconds() -> float:
 def budgets() -> dict[str, float]:
     """Return the processor seconds that each listed file may take, by its path below the folder of the tests."""
     return {name: float(seconds) for name, seconds in tomllib.loads(TABLE.read_text())["seconds"].items()}
+
+
+@cache
+def dear_but_asked() -> set[str]:
+    """Return the test functions that a quick run asks though none of their cases takes a moment only."""
+    return {f"tests/{name}" for name in tomllib.loads(TABLE.read_text())["quick"]["dear"]}
 
 
 def over_budget(taken: Mapping[str, float], allowed: Mapping[str, float], times: float = 1.0) -> list[str]:
@@ -84,14 +91,15 @@ def seconds_of(case: str) -> float:
 
 
 def representatives(cases: Collection[str]) -> list[str]:
-    """Return of every test function the first case that takes a moment, of a file without one the shortest."""
-    first: dict[str, str] = {}
+    """Return the shortest case of every test function, where it is short or named in the table, and of every file."""
+    shortest, of_file = dict[str, str](), dict[str, str]()
     for case in cases:
-        if case not in slow():
-            first.setdefault(function_of(case), case)
-    shortest = {file_of(case): case for case in sorted(cases, key=seconds_of, reverse=True)}
-    without = shortest.keys() - set(map(file_of, first.values()))
-    return [*first.values(), *(shortest[file] for file in sorted(without))]
+        for known, key in ((shortest, function_of(case)), (of_file, file_of(case))):
+            if seconds_of(case) < seconds_of(known.setdefault(key, case)):
+                known[key] = case
+    chosen = [case for name, case in shortest.items() if seconds_of(case) <= A_MOMENT or name in dear_but_asked()]
+    without = of_file.keys() - set(map(file_of, chosen))
+    return [*chosen, *(of_file[file] for file in sorted(without))]
 
 
 def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -> list[str]:
@@ -109,7 +117,7 @@ def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -
 
 @cache
 def slow() -> dict[str, float]:
-    """Return the processor seconds of the cases that take more than a moment."""
+    """Return the processor seconds of the cases that `SLOW` lists."""
     rows = (line.partition(" ") for line in SLOW.read_text(encoding="utf-8").splitlines())
     return {case: float(seconds) for seconds, _, case in rows}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import sys
@@ -90,6 +91,8 @@ settings.load_profile("repeatable")
 
 # Other examples every night, and more of them: `make nightly` gives the seed, and says it.
 FRESH, TIMES_AS_MANY = "fresh", 5
+A_FEW = 0.25
+"""The share of examples in a quick run, but of tests that concern what has changed."""
 settings.register_profile(FRESH, settings.get_profile("repeatable"), derandomize=False, print_blob=True)
 
 
@@ -101,14 +104,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.nodeid: item for item in items if budgets.LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
         }
         chosen = budgets.representatives(asked)
-        besides = budgets.besides(asked, chosen, concerned.in_turn(map(concerned.tests_of, concerned.changed())))
+        names = concerned.in_turn(map(concerned.tests_of, concerned.changed()))
+        besides = budgets.besides(asked, chosen, names)
         for case in besides:
             asked[case].user_properties.append(budgets.ADDED)
         select(config, items, [asked[case] for case in (*chosen, *besides)])
+        ask_examples([item for item in items if budgets.file_of(item.nodeid) not in names], A_FEW)
     # the longest files begin, so that both processes end together
     items.sort(key=lambda item: budgets.budgets().get(budgets.file_of(item.nodeid), budgets.UNLISTED), reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
-        ask_more_examples(items)
+        ask_examples(items, TIMES_AS_MANY)
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
@@ -127,9 +132,10 @@ def select(config: pytest.Config, items: list[pytest.Item], chosen: list[pytest.
     items[:] = chosen
 
 
-def ask_more_examples(items: list[pytest.Item]) -> None:
+def ask_examples(items: list[pytest.Item], times: float) -> None:
+    """Let Hypothesis try so many times the examples that it tries otherwise."""
     tests = {getattr(item.obj, "__func__", item.obj) for item in items if hasattr(item, "obj")}
     for test in tests:
         own = getattr(test, "_hypothesis_internal_use_settings", None)
         if own is not None:
-            test._hypothesis_internal_use_settings = settings(own, max_examples=TIMES_AS_MANY * own.max_examples)
+            test._hypothesis_internal_use_settings = settings(own, max_examples=math.ceil(times * own.max_examples))

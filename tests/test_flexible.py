@@ -66,7 +66,7 @@ def rolled_up(elements: int, turn: float) -> sc.Solution:
 def test_a_cantilever_bends_into_an_arc_with_errors_of_order_two() -> None:
     """E I / L times the angle is the moment; the tip is at R (sin, cos - 1)."""
     errors = []
-    for elements in (2, 4, 8):
+    for elements in (2, 4):
         found = rolled_up(elements, 1.0)
         turn, radius = found["turn"], LENGTH / found["turn"]
         x, z = found[f"beam.{elements}.x"], found[f"beam.{elements}.z"]
@@ -79,7 +79,7 @@ def test_a_cantilever_bends_into_an_arc_with_errors_of_order_two() -> None:
 
 def test_a_cantilever_rolls_up_to_a_full_circle() -> None:
     """An element that turns by t resists with the sine and cosine of t: the moment is E I N / L sin t cos t."""
-    elements = 12
+    elements = 6
     found = rolled_up(elements, 2 * np.pi)
     each = found["turn"] / elements
     exact = BENDING * elements / LENGTH * np.sin(each) * np.cos(each)
@@ -106,7 +106,7 @@ def flying_beam(elements: int = 3) -> conserved.Motion:
     return conserved.Motion(system, conserved.started(system.coordinates.names, q, turn.ravel()), "xyz")
 
 
-@pytest.mark.parametrize("steps", thinned([1_000, 10_000], lambda steps: steps < 10_000))
+@pytest.mark.parametrize("steps", thinned([300, 10_000], lambda steps: steps < 10_000))
 def test_a_flying_beam_keeps_energy_and_momentum(steps: int) -> None:
     motion = flying_beam()
     found = motion.run(0.01, steps, every=25)
@@ -116,9 +116,6 @@ def test_a_flying_beam_keeps_energy_and_momentum(steps: int) -> None:
     assert found.statistics.constraint_violation < 1e-12
     bend = sum(found[f"beam.0.d{k}_x"] * found[f"beam.3.d{k}_x"] for k in (1, 2, 3))
     assert np.ptp(bend) > 0.01  # it does bend
-
-
-# A hanging rope -------------------------------------------------------------------------------------------------------
 
 
 # Displacement control -------------------------------------------------------------------------------------------------

@@ -37,6 +37,20 @@ class TestEveryFormulation(FormulationSuite):
     pass
 
 
+def test_rows_of_newton_s_system_neither_grow_nor_vanish_as_the_step_falls() -> None:
+    """The levels of equations are those of their largest terms; rows of accelerations may lack inputs."""
+    h = ca.SX.sym("h")
+    for formulation in (sc.Original(), sc.Projected()):
+        dae = formulation.dae(scene("rotary_crane").model("points"))
+        unknowns, rows = dae.scales(h)
+        w = ca.vertcat(dae.x, dae.z)
+        residual = ca.vertcat(ca.mtimes(dae.H, dae.x / h) - dae.f, dae.h) / rows
+        sizes = ca.Function("rows", [w, dae.gamma, dae.p, h], [ca.mtimes(ca.jacobian(residual, w), ca.diag(unknowns))])
+        coarse, fine = (np.abs(np.asarray(sizes(1.5, 1.0, 1.0, step))).max(axis=1) for step in (1e-4, 1e-6))
+        assert (fine < 2 * coarse).all()
+        assert (fine > coarse / 2)[: dae.f.numel()].all()
+
+
 # The matrices C and D, equations (23) to (28) ------------------------------------------------------------------------
 
 

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import casadi as ca
 import numpy as np
 import pytest
 from command_lines import CommandLine
 from outside.test_random_mechanisms import DIFFERENCE
+from present import present
 from robots import OWN, apart, apart_from_mujoco, apart_from_pinocchio, peer, simulated_stray, terms
 from thinned import thinned
 
@@ -48,6 +50,16 @@ def test_both_readers_agree_on_a_urdf(tmp_path: Path) -> None:
     assert one[0].coordinates.names == other[0].coordinates.names
     pairs = zip(*(map(np.asarray, each[1](x, v)) for each in (one, other)), strict=True)
     assert apart(list(pairs)) < 1e-12
+
+
+def test_the_default_path_takes_a_fifth_of_a_range_at_most_and_goes_back_from_its_end() -> None:
+    """0.2 rad or 0.1 m where nothing limits the output."""
+    for options, ways in (
+        ({"posture": {"turn": 2.8}}, [-0.2, 0.2, 0.08, 0.008]),
+        ({"limits": False}, [0.2, 0.2, 0.1, 0.1]),
+    ):
+        start, end = sc.scenes.from_file(ARM, **options).reference.jet(np.array([0.0, 2.0]), 0)[:, 0]
+        np.testing.assert_allclose(end - start, ways, rtol=1e-12)
 
 
 def test_elastic_inputs_are_the_closed_form_and_tend_to_the_rigid_ones() -> None:
@@ -198,6 +210,46 @@ def test_rotors_share_the_wrench_on_a_drone_with_a_load() -> None:
     assert solution["rope.tension"].min() > 0.0
 
 
+def test_joints_that_an_equality_couples_and_a_tendon_moves_take_the_force_of_both(tmp_path: Path) -> None:
+    """y = 2 x + x^2: the tendon, at the rate of x, moves 2 kg by x'' and 3 kg by y'' = (2 + 2 x) x'' + 2 x'^2."""
+    peer("mujoco")
+    bodies = "".join(
+        f"<body name='{name}_'><joint name='{name}' type='slide' axis='1 0 0'/>"
+        f"<inertial pos='0 0 0' mass='{mass}' diaginertia='1 1 1'/></body>"
+        for name, mass in (("x", 2), ("y", 3))
+    )
+    (tmp_path / "two.xml").write_text(
+        f"<mujoco><worldbody>{bodies}</worldbody>"
+        "<equality><joint joint1='y' joint2='x' polycoef='0 2 1 0 0'/></equality>"
+        "<tendon><fixed name='t'><joint joint='x' coef='1'/></fixed></tendon>"
+        "<actuator><motor name='pull' tendon='t' gear='7'/></actuator></mujoco>"
+    )
+    scene = sc.scenes.from_file(tmp_path / "two.xml", ["x"])
+    solution = sc.solve(scene, step=0.25)
+    x, rate, a = scene.reference.jet(solution.t, 2)[:, :, 0].T
+    pulled = 2 * a + 3 * (2 + 2 * x) * ((2 + 2 * x) * a + 2 * rate**2)
+    assert apart([(solution["y"], 2 * x + x**2), (solution["pull.force"], pulled)]) < 1e-12
+
+
+def test_the_drawing_of_a_file_shows_joints_ropes_and_what_follows_the_path() -> None:
+    peer("mujoco")
+    scene = sc.scenes.from_file(OWN / "gantry.xml", ["load"], ropes=["load"], posture={"hoist": 4.0})
+    system = scene.model()
+    parts = present(scene.drawing)(dict(zip(system.coordinates.names, ca.vertsplit(system.q), strict=True)))
+    assert {part.kind for part in parts} == {"pin", "bar", "rope", "body"}
+    assert [part.name for part in parts if part.kind == "body"] == ["load"]
+    (points,) = ([ca.vertcat(*point) for point in part.points] for part in parts if part.kind == "rope")
+    found = ca.Function("points", [system.q], points)(system.home_configuration()[0])
+    trolley, load = (np.asarray(each).ravel() for each in found)
+    np.testing.assert_allclose(load - trolley, [0.0, 0.0, -4.0], atol=1e-12)
+
+
+def mjcf(rest: str) -> str:
+    """Return a body on a hinge with further elements."""
+    body = "<body name='b'><joint name='j' axis='0 1 0'/><geom name='g' size='0.1'/></body>"
+    return f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>"
+
+
 BROKEN = {
     "truncated": (r"(?s)</joint>.*", "", "is no well-formed XML: line 23, column 102: no element found"),
     "cycle": ('<parent link="base"/>', '<parent link="tool"/>', "form a cycle"),
@@ -219,14 +271,26 @@ BROKEN = {
     "no gravity": (".*", "<sdf><model name='m'><link name='a'><gravity>0</gravity></link></model></sdf>", "> false, "),
     "mesh": (".*", "<mujoco><asset><mesh name='m' file='../m'/></asset></mujoco>", "names ../m, which is outside"),
     "include": (".*", "<mujoco><include file='/etc/passwd'/></mujoco>", "names /etc/passwd, which is outside"),
+    "plugin": (".*", mjcf("<extension><plugin plugin='p'/></extension>"), "is a plugin, which cannot be represented"),
+    "flags": (".*", mjcf("<option><flag spring='disable'/></option>"), "its flags disable springs: delete these"),
+    "gear": (".*", mjcf("<actuator><motor joint='j' gear='0'/></actuator>"), "actuator j.drive has a gear of zero"),
+    "adhesion": (".*", mjcf("<actuator><adhesion body='b' ctrlrange='0 1'/></actuator>"), "acts on something else"),
+    "user": (".*", mjcf("<actuator><general name='a' joint='j' dyntype='user'/></actuator>"), "a is no motor and no"),
+    "type": ('name="turn" type="revolute"', 'name="turn" type="spherical"', "has the type spherical; there are"),
+    "limits": ('lower="-3"', 'lower="9"', "has the lower limit 9 above the upper 3"),
+    "two models": ("</sdf>", "<model name='m'/></sdf>", "has 2 models, one is read", "loop.sdf"),
+    "frame": ("<pose>0.7", "<pose relative_to='rod'>0.7", "refers to another frame or file", "loop.sdf"),
+    "sliding loop": ('type="ball"', 'type="prismatic"', "closes a loop by the type prismatic", "loop.sdf"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_file_is_refused_in_one_sentence_with_file_and_element(name: str, tmp_path: Path) -> None:
-    pattern, replacement, sentence = BROKEN[name]
+    pattern, replacement, sentence, *of = BROKEN[name]
+    if "actuator" in replacement or "option" in replacement:
+        peer("mujoco")
     times = 0 if name == "other root" else 1
-    text, count = re.subn(pattern, replacement, ARM.read_text(), count=times, flags=re.DOTALL)
+    text, count = re.subn(pattern, replacement, (OWN / of[0] if of else ARM).read_text(), count=times, flags=re.DOTALL)
     assert count
     (tmp_path / "arm.urdf").write_text(text)
     with pytest.raises(sc.InvalidModel, match=f"^arm.urdf.*{sentence}") as refusal:

@@ -6,8 +6,6 @@ times that rows without derivatives have to be differentiated until E is regular
 
 from __future__ import annotations
 
-import warnings
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -71,16 +69,6 @@ def test_the_index_of_a_form_is_the_number_of_differentiations_it_needs(
     dae = problem.dae(formulation)
     needed = differentiations(*at_rest(problem, dae))
     assert dae.index == (needed if dae.x.numel() else needed - 1)  # a form without differential unknowns counts as zero
-
-
-def test_a_form_of_low_index_is_not_warned_of() -> None:
-    """Radau's inputs converge on the original form of index three, and nothing is said against it."""
-    car, steps = sc.scenes.mass_on_car(), (100, 200, 400)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        runs = [sc.solve(car, sc.Original(), sc.RadauIIA(3), step=car.reference.duration / n) for n in steps]
-    errors = [np.abs(run["u"] - car.exact(run.t)["u"]).max() for run in runs]
-    assert errors[0] > 3.0 * errors[1] > 9.0 * errors[2]
 
 
 def test_an_index_above_three_is_warned_of_with_its_number() -> None:

@@ -1,4 +1,4 @@
-"""The laboratory crane: friction that differs by direction, ranges, its synthetic log, and the comparison."""
+"""The laboratory crane: friction that differs by direction, ranges, and the comparison."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import servocore as sc
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.inteco import DRIVES, LOG_PATH, LOG_TIMES, driven, laws, real
+from benchmarks.inteco import driven, laws, real
 
 CRANE = sc.scenes.inteco()
 
@@ -47,17 +47,6 @@ def test_paths_beyond_the_ranges_of_rails_and_line_are_refused(end: tuple[float,
 def test_a_path_that_needs_more_than_full_duty_is_refused() -> None:
     with pytest.raises(sc.ServocoreError, match=r"\bu_[xyl]\b"):
         sc.solve(CRANE.with_reference(sc.rest_to_rest((0.1, 0.1, -0.6), (0.4, 0.5, -0.35), 1.0)))
-
-
-def test_friction_is_identified_from_its_own_synthetic_log() -> None:
-    crane = CRANE.with_reference(sc.through(LOG_PATH, LOG_TIMES, rest_order=4))
-    log = sc.measured(crane, plant=real(crane), drives=DRIVES, resolution=5e-5, bias=0.0, seed=1)
-    names = [name for name in crane.parameter_values() if name.startswith(("dry", "viscous"))]
-    found, exact = sc.identify(crane, log, names), real(crane).parameter_values()
-    for name in names:
-        assert abs(found.values[name] - exact[name]) < 4 * found.standard_errors[name]
-    for name in ("viscous_x", "viscous_y", "viscous_l"):
-        assert found.values[name] == pytest.approx(exact[name], rel=0.01)
 
 
 def test_feedforward_with_loops_leaves_a_hundredth_of_the_sway_of_a_ramp() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import make_interp_spline
 
 import servocore as sc
 from servocore.scenes.loop_manipulator import TIP, angles, loop_manipulator
@@ -76,15 +76,6 @@ def test_the_independent_solution_keeps_the_equations_of_motion_of_the_model(tip
         _, residual, *_ = np.linalg.lstsq(rows, -left[:, 0])
         assert np.sqrt(residual[0]) < 1e-4
         assert np.abs(loop).max() < 1e-12
-
-
-def test_the_tip_follows_its_path_when_the_plant_is_simulated_under_the_bounded_forces() -> None:
-    scene = loop_manipulator(tip=True)
-    solution = sc.solve(scene)
-    assert solution.t[0] < scene.reference.start_time
-    inputs = CubicSpline(solution.t, np.column_stack([solution["F_1"], solution["F_2"]]))
-    t = solution.t[::20]
-    assert sc.simulate(scene, inputs, t=t)["tracking_error"].max() < 1e-6
 
 
 def test_paths_out_of_reach_and_the_centre_of_percussion_are_refused() -> None:

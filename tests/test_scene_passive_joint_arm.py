@@ -7,7 +7,6 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
 
 import servocore as sc
 from servocore.scenes.passive_joint_arm import generalized, passive_joint_arm
@@ -53,43 +52,12 @@ def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook() -> Non
     np.testing.assert_allclose(M, [[first, J_2 + bent], [J_2 + bent, J_2]], rtol=1e-14)
 
 
-def test_under_the_exact_torque_the_tracked_point_returns_to_its_path() -> None:
-    t = np.linspace(0.0, DURATION, 801)
-    spline = make_interp_spline(t, scene().exact(t)["u"], k=5)
-    for model in scene().models:
-        plant = sc.simulate(scene(), lambda time: spline([time])[0:1], t=t[::10], model=model)
-        assert plant["tracking_error"].max() < 1e-7
-
-
 def test_the_linear_output_stays_close_to_the_angle_of_the_tracked_point() -> None:
     solution = sc.solve(scene(), sc.Reduced(), step=0.01)
     assert np.abs(solution["b"]).max() > 0.1
     assert np.abs(solution["point_angle"] - solution["y"]).max() < 1e-3
     radius = np.hypot(solution["point_x"], solution["point_y"])
     np.testing.assert_allclose(radius**2, 1.0 + 0.16 + 0.8 * np.cos(solution["b"]), rtol=1e-12)
-
-
-def test_the_bounded_solution_at_the_tip_moves_before_the_path_and_fades_on_both_sides() -> None:
-    exact = scene(tip=True).exact(np.array([-3.0, -0.1, 0.0, 2.0, 2.1, 7.0]))
-    assert (np.abs(exact["b"][[0, -1]]) < 1e-12).all()
-    assert (np.abs(exact["b"][1:-1]) > 1e-4).all()
-    assert np.abs(exact["u"][1]) > 1e-2
-
-
-def test_forward_integration_at_the_tip_is_warned_of_and_leaves_the_bounded_solution() -> None:
-    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"), pytest.raises(sc.IntegrationFailed):
-        sc.solve(scene(tip=True), sc.Reduced(), sc.BackwardEuler(), step=DURATION / 3200)
-
-
-def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pre_actuation() -> None:
-    arm = scene(tip=True)
-    solution = sc.solve(arm)
-    assert "StableInversion" in solution.advice
-    assert solution.t[0] < arm.reference.start_time
-    assert solution.t[-1] > arm.reference.end_time
-    exact = arm.exact(solution.t)
-    for name in ("u", "a", "b"):
-        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
 
 
 def test_the_tip_follows_its_path_when_the_arm_is_simulated_under_the_bounded_inputs() -> None:

@@ -35,12 +35,6 @@ def test_derivatives_of_inputs_equal_central_differences(scene: sc.Scene) -> Non
         assert np.abs(own - expected).max() <= 1e-7 * max(np.abs(expected).max(), 1.0)
 
 
-def test_models_of_one_scene_agree() -> None:
-    small, large = (sc.sensitivities(CRANE, ("load_mass",), model=each, step=0.5) for each in ("points", "generalized"))
-    for name in ("M_b", "F", "M_w", "x drift", "y drift", "z drift"):
-        np.testing.assert_allclose(small[name, "load_mass"], large[name, "load_mass"], rtol=1e-6, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", ["load_mass", "trolley_mass", "winch_radius"])
 def test_the_drift_is_that_of_simulations_with_other_parameters(name: str) -> None:
     scene = OVERHEAD.with_reference(sc.rest_to_rest((0, -4), (2, -3.5), 4.0))
@@ -61,7 +55,8 @@ def test_what_has_no_derivatives_is_refused() -> None:
         sc.sensitivities(CRANE, ("mass",))
     with pytest.raises(sc.InvalidModel, match="internal dynamics"):
         sc.sensitivities(sc.scenes.mass_on_car())
+    found = sc.sensitivities(OVERHEAD, ("gravity",), step=1.5)
     with pytest.raises(KeyError, match=r"'F' is no pair of a quantity and a parameter, such as found\['F', 'load"):
-        _ = sc.sensitivities(OVERHEAD, ("gravity",))["F"]  # type: ignore[index]  # wrong on purpose
+        _ = found["F"]  # type: ignore[index]  # wrong on purpose
     with pytest.raises(KeyError, match="there are"):
-        _ = sc.sensitivities(OVERHEAD, ("gravity",))["F", "load_mass"]
+        _ = found["F", "load_mass"]

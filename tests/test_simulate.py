@@ -22,7 +22,6 @@ from scipy.interpolate import make_interp_spline
 from thinned import thinned
 
 import servocore as sc
-from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("rotary_crane")
 NO_TORQUE = lambda time: np.zeros(1)  # noqa: ARG005, E731
@@ -86,24 +85,6 @@ def test_constraints_do_not_drift_off_however_long_it_runs() -> None:
         rods.append(np.abs(np.hypot(found["x"], found["z"]) - 1.5).max())
     assert max(rods) < 1e-6
     assert rods[1] < 3 * rods[0]
-
-
-@pytest.mark.parametrize("name", ["overhead_crane", "cars"])
-def test_exact_inputs_lead_the_load_along_the_path(name: str) -> None:
-    """The closed form as a function of time: every instant of it, not samples."""
-    crane = scene(name)
-    inputs = [each.name for each in crane.model().inputs]
-
-    def force(time: float) -> Array:
-        found = crane.exact(np.array([time]))
-        return np.array([found[each][0] for each in inputs])
-
-    t = np.linspace(crane.reference.start_time, crane.reference.end_time, 61)
-    found = sc.simulate(crane, force, t=t, rtol=1e-11, atol=1e-11)
-    assert found["tracking_error"].max() < 1e-8
-    assert found.statistics.constraint_violation < 1e-8
-    for each in crane.model().coordinates.names:
-        np.testing.assert_allclose(found[each], crane.exact(t)[each], atol=1e-7)
 
 
 QUICK = {"boom_crane": sc.rest_to_rest((6.0, 0.0, -1.0), (4.0, 3.0, 1.0), 4.0)}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from present import present
 from problems import as_scene, car_chain, polynomial_path, problem, scene, solved
 
 import servocore as sc
@@ -196,21 +194,14 @@ def test_a_path_without_enough_derivatives_is_refused() -> None:
 
 def test_the_original_equations_of_the_generalized_crane_blow_up_and_say_where() -> None:
     """The control: at 0.1 s round-off grows until some step has no solution, and says which."""
-    with pytest.raises(sc.IntegrationFailed) as caught:
+    sentence = (
+        r"generalized, original, backward-euler: the step from t = \S+ s to \S+ s was not solved; the worst equation is"
+        r" the momentum of .* Likely causes: errors that this form of index 5 amplifies from step to step, more so the"
+    )
+    with pytest.raises(sc.IntegrationFailed, match=sentence) as caught:
         solve(formulation=sc.Original(), model="generalized", step=0.1)
-    sentence = str(caught.value)
-    told = re.match(
-        r"rotary crane, generalized, original, backward-euler: the step from t = (\S+) s to (\S+) s", sentence
-    )
-    begin, end = map(float, present(told).groups())
-    assert 0.0 < begin < end < 20.0
-    assert end - begin == pytest.approx(0.1)
-    assert "was not solved; the worst equation is the momentum of" in sentence
-    assert (
-        "Likely causes: errors that this form of index 5 amplifies from step to step, more so the smaller" in sentence
-    )
-    assert "a smaller step" not in sentence
-    assert "a step too large" not in sentence
+    assert "a smaller step" not in str(caught.value)
+    assert "a step too large" not in str(caught.value)
 
 
 @pytest.mark.filterwarnings("ignore:.*the form has index 5")

@@ -132,14 +132,6 @@ def test_a_wrong_number_in_few_rows_is_no_better_than_in_many(column: int, tmp_p
         sc.from_csv(file)
 
 
-def test_what_was_planned_comes_back(tmp_path: Path) -> None:
-    through = [(0.0, -4.0), (3.0, -4.0), (5.0, -3.0)]
-    path, _ = sc.fastest(sc.scenes.overhead_crane(), through, {"F": 200, "swing": "8 deg"}, intervals=20)
-    file = tmp_path / "way.csv"
-    file.write_text(sc.path_to_csv(path, "xz"), encoding="utf-8")
-    assert deviations(sc.from_csv(file, columns="xz"), path).max() < 1e-5
-
-
 def test_motion_that_does_not_rest_comes_back_between_its_ends(tmp_path: Path) -> None:
     path = sc.figure_of_eight((5.0, 0.0, -5.0), (1.0, 0.0, 0.5), (0.0, 0.5, 0.0), 20.0, cycles=3)
     assert deviations(read_back(tmp_path, path), path).max() < RETURNS

@@ -235,7 +235,7 @@ class _Reader:
         gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
         affine, none = (m.actuator_biastype[k] == each for each in (biases.mjBIAS_AFFINE, biases.mjBIAS_NONE))
         known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (affine or none)
-        if not known or m.actuator_dyntype[k] in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
+        if not known or int(m.actuator_dyntype[k]) in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
             raise self.fault(f"actuator {name} is no motor and no position or velocity servo: it cannot be represented")
         for attribute in ("actuator_armature", "actuator_damping"):
             if getattr(m, attribute, np.zeros(m.nu))[k]:
