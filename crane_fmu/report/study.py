@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 import servocore as sc
-from servocore.errors import ServocoreWarning
 
 Array = npt.NDArray[np.float64]
 
@@ -183,7 +182,7 @@ def study(scene: sc.Scene, announce: Announce, steps: Sequence[float] = STEPS) -
 
 def by_the_paper(scene: sc.Scene, step: float, model: str | None = None) -> sc.Solution:
     """Solve by the scheme of the paper: the projected form, stepped by backward Euler."""
-    with warnings.catch_warnings(action="ignore", category=ServocoreWarning):  # the tables show its errors
+    with warnings.catch_warnings(action="ignore", category=sc.ServocoreWarning):  # the tables show its errors
         return sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, model=model)
 
 
