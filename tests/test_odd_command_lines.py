@@ -82,7 +82,7 @@ crane-fmu drive afile --map G=x -> there is no signal 'G' to map
 crane-fmu drive afile --map none.toml -> none.toml cannot be read: No such file or directory
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
 crane-fmu drive afile {CRANE} --duration 20 -o afile -> cannot write afile: it is read as well
-crane-fmu demo out -> see crane-fmu demo --help
+crane-fmu build --page x.md -o x -> --page writes no FMU: not with --output or --targets
 crane-fmu Feedforward -> did you mean feedforward
 crane-fmu --versions -> see crane-fmu --help
 servocore sensitivities cars --wrt none -> cars has no parameter none
