@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -30,6 +31,7 @@ MORE_SPACE = "free some space"
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the first date of the ZIP format
 _ROWS = 4096  # of a piece
 _TRIAL = 4096  # bytes: a full disk still takes an empty file
+_NOT_IN_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> str:
@@ -325,6 +327,12 @@ def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") ->
 
 
 def xml_document(root: ET.Element) -> bytes:
-    """Return a whole XML document, indented."""
+    """Return a whole XML document, indented; raises `InvalidSetting` if a text has a character that XML cannot hold."""
     ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
+    text = ET.tostring(root, "unicode")
+    if wrong := _NOT_IN_XML.search(text):
+        near = text[max(0, wrong.start() - 20) : wrong.end() + 20]
+        raise InvalidSetting(
+            f"XML files cannot hold the character {wrong[0]!r}, which stands in {near!r}: leave it out"
+        )
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

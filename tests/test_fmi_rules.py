@@ -364,6 +364,7 @@ LAST = {"input_time": "end", "hold": "zero_order", "profile": "degree13"}
     [
         ("licence = 'MIT'", "there is no key 'licence'; there are version, author, company, license"),
         ("version = 3", "version must be a text, not 3"),
+        ('description = "crane\\u000b7"', "XML files cannot hold the character '\\x0b', which stands in"),
         ("icon = 'none.png'", "icon none.png cannot be read: No such file or directory"),
         ("icon = 'terms.txt'", "icon = 'terms.txt' must end with .png or .svg"),
         ("icon = 'page.png'", "page.png is no PNG picture"),

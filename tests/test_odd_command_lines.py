@@ -69,7 +69,6 @@ crane-fmu plan --reference still.csv --limit F=60 -> the path stays where it is:
 crane-fmu plan {CRANE} --limit F=60 --write-path x.csv -o x.csv -> --write-path and --output both name x.csv
 crane-fmu plan {CRANE} --reference way.csv --limit F=60 -> a path is given either by --reference or by --from, not by
 crane-fmu view --step 1e-9 -> a step of 1e-09 s makes more than 1e+07 rows: take a larger
-crane-fmu view cars -> see crane-fmu view --help
 crane-fmu build --targets linux64 -> FMI 2 has no platform 'linux64'; there are x86_64-linux
 crane-fmu build --targets none -> have host among its platforms
 crane-fmu build --parameters neg.toml -> neg.toml: parameter load_mass = -3 kg is outside its range
@@ -82,7 +81,7 @@ crane-fmu drive afile --map G=x -> there is no signal 'G' to map
 crane-fmu drive afile --map none.toml -> none.toml cannot be read: No such file or directory
 crane-fmu drive afile --set a= -> write it as in --set start.swing=0.1
 crane-fmu drive afile {CRANE} --duration 20 -o afile -> cannot write afile: it is read as well
-crane-fmu demo out -> see crane-fmu demo --help
+crane-fmu build --page x.md -o x -> --page writes no FMU: not with --output or --targets
 crane-fmu Feedforward -> did you mean feedforward
 crane-fmu --versions -> see crane-fmu --help
 servocore sensitivities cars --wrt none -> cars has no parameter none

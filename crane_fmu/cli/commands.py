@@ -71,6 +71,8 @@ def build(subject: Subject, which: Which, place: Place, platforms: Platforms) ->
     crane = subject.driven()
     changed = subject.changes(crane)
     if which.page is not None:
+        if place.output or platforms.targets:
+            raise sc.InvalidSetting("--page writes no FMU: not with --output or --targets")
         write_together({which.page: user_page(which.fmu).encode()})
         return
     with PatientProgress("building the FMU") as progress:

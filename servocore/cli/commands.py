@@ -37,7 +37,7 @@ from servocore.scenes import REGISTRY
 NAME = "servocore"
 IMPORT_EXAMPLES = (
     "ur5.urdf",
-    "ur5.urdf --servo-output tool0 --elastic 1e4 --motor-inertia 0.3",
+    "ur5.urdf --elastic 1e4 --motor-inertia 0.3",
     "crane.xml --import settings.toml",
 )
 _INDENT = 22  # where the second column of a printed analysis begins

@@ -219,7 +219,7 @@ def export_system(
     scene = path.along(subject.chosen(), subject.model)
     file = results.output or Path(f"{scene.name}.ssp")
     with PatientProgress("exporting") as shown:
-        told = certified.line(scene, subject.model, shown.describe)  # first: what stops it leaves no file
+        told = certified.line(scene, subject.model, shown.describe)  # first: an interruption then leaves no file
         export_ssp(
             scene, file, fmi=component.fmi or 2, model=subject.model, targets=platforms.targets,
             host=component.host(), about=component.told(), progress=shown.describe,

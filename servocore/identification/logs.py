@@ -115,7 +115,7 @@ def _record(log: Log, name: str, scene: Scene, positions: Mapping[str, Quantity]
     for label in inputs:
         if label not in columns:
             raise InvalidReference(
-                f"{name} has no column of the input {label}; it has {', '.join(columns)}, and needs"
+                f"{name} has no column of the input {label}; it has {', '.join(columns) or 'none'}, and needs"
                 f" {', '.join(inputs)} and measured positions, such as {', '.join(renamed) or ', '.join(positions)}"
             )
     measured = [label for label in columns if label not in inputs]
