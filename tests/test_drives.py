@@ -260,14 +260,13 @@ def test_both_kinds_of_fmus_have_them_as_outputs(tmp_path: Path, export: Callabl
 
 
 M_B = 'M_b = {ratio = 120, motor_inertia = "0.012 kg m^2", coulomb = "0.15 N m", viscous = 1e-3, efficiency = "90 %"}'
-SHEET_OF_CRANE = M_B + SHEET
+SHEET_OF_CRANE, CRANE = M_B + SHEET, sc.scenes.rotary_crane()
 
 
 @pytest.mark.usefixtures("empty_folder")
 def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load_is_on_its_path() -> None:
     write("drives.toml", SHEET_OF_CRANE)
-    crane = sc.scenes.rotary_crane()
-    crane = crane.with_drives(**read_drives("drives.toml", crane))
+    crane = CRANE.with_drives(**read_drives("drives.toml", CRANE))
     laws, h, times = feedback_of(crane).laws, 0.01, np.array([8.0, 8.01])
     motion, p = sc.solve(crane, step=h), Problem.of(crane).p
     jets = crane.reference.jet(times, 4).reshape(2, -1)
@@ -294,8 +293,7 @@ def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
     wanted, found = (np.array([rows[f"{of}.load.position[{k}]"] for k in (1, 2, 3)]) for of in ("trajectory", "plant"))
     assert np.linalg.norm(wanted - found, axis=0).max() < 1e-6
-    crane = sc.scenes.rotary_crane()
-    solution = sc.solve(crane.with_drives(**read_drives("drives.toml", crane)), step=0.01)
+    solution = sc.solve(CRANE.with_drives(**read_drives("drives.toml", CRANE)), step=0.01)
     for name in ("M_b.energy", "F.energy", *OF_RUN):
         for part in ("crane", "plant"):
             assert rows[f"{part}.{name}"][-1] == pytest.approx(solution[name][-1], rel=2e-4), name

@@ -30,6 +30,7 @@ _OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-D
             "-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # fmt: skip
 _FULL, _LIGHT = "-O3", "-O1"
 _LINKED = {"so": ("-Wl,--as-needed", "-lm", "-ldl"), "dylib": ("-lm",), "dll": ()}
+_LINKED_BY_ZIG = {"dll": ("-Wl,/Brepro",)}  # a hash of the content in place of the date: equal sources give equal bytes
 # Compilers write the frames of all functions beside an object; zig does so by an option of clang alone.
 _FRAMES = ("-fstack-usage",)
 _FRAMES_OF_ZIG = ("-Xclang", "-stack-usage-file", "-Xclang")
@@ -212,10 +213,14 @@ class _Compiler:
     command: Sequence[str]
     own: tuple[str, ...]
 
+    @property
+    def _is_zig(self) -> bool:
+        return "ziglang" in self.command
+
     def object_of(self, file: str, sources: Mapping[str, str], large: Collection[str]) -> str:
         """Compile a file, and return the name of the object file, beside which lie the frames of its functions."""
         made, level = f"{file}.{self.target.name}.o", _LIGHT if file in large else _FULL
-        frames = [*_FRAMES_OF_ZIG, self._frames(made).name] if "ziglang" in self.command else _FRAMES
+        frames = [*_FRAMES_OF_ZIG, self._frames(made).name] if self._is_zig else _FRAMES
         options = [*_OPTIONS, level, *self.own, "-c", *frames, file, "-o", made]
         self._make([made, self._frames(made).name], options, _texts(file, sources))
         return made
@@ -227,7 +232,8 @@ class _Compiler:
         """Join object files to a library."""
         result = f"library.{self.target.ending}"
         digests = [hashlib.sha256((self.folder / each).read_bytes()).hexdigest() for each in objects]
-        self._make([result], ["-shared", *self.own, *objects, "-o", result, *_LINKED[self.target.ending]], digests)
+        options = (*_LINKED[self.target.ending], *(_LINKED_BY_ZIG.get(self.target.ending, ()) if self._is_zig else ()))
+        self._make([result], ["-shared", *self.own, *objects, "-o", result, *options], digests)
         frames = [self._frames(each).read_text(encoding="utf-8").splitlines() for each in objects]
         rows = [line.split("\t") for lines in frames for line in lines]  # function, bytes, kind
         bounded = all(frames) and all(kind != "dynamic" for *_, kind in rows)
@@ -236,7 +242,7 @@ class _Compiler:
 
     def _make(self, results: Sequence[str], options: Sequence[str], inputs: Sequence[str]) -> None:
         """Let the compiler make files, or take what it made of the same inputs before from the cache."""
-        version = metadata.version("ziglang") if "ziglang" in self.command else ""
+        version = metadata.version("ziglang") if self._is_zig else ""
         content = (version, *compiler_state(self.command), *self.command, *options, *inputs)
         key, kept = hashlib.sha256(repr(content).encode()).hexdigest()[:40], CodeCache.of_user()
         parts = {f"{k}-{key}": self.folder / name for k, name in enumerate(results)}
