@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import casadi as ca
@@ -277,6 +278,12 @@ def test_internal_dynamics_of_coarse_solutions_and_of_paths_with_jumps_start_at_
     bound = certificate.error_bounds["u"]
     assert certificate.jumps == ((0.0, 4.0) if profile is DEGREE3 else ())
     assert bound.at_instants == pytest.approx(np.abs(solution["u"] - exact).max(), rel=1e-6)
+
+
+def test_a_motion_from_a_start_that_is_no_equilibrium_is_proved_from_there() -> None:
+    arm = Path(__file__).parent / "mechanisms" / "arm.urdf"
+    solution = sc.solve(sc.scenes.from_file(arm, passive=["elbow"], limits=False))  # which begins to fall
+    assert sc.certify(solution).verdict == "proved"
 
 
 def test_without_a_bound_of_internal_states_equations_are_proved_at_the_computed_ones() -> None:

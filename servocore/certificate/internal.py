@@ -27,6 +27,7 @@ _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
 _TUBE = 1e-7  # E, of peaks
 _SETTLED, _CORRECT = 1e-10, 1e-8  # last steps of Newton's method, of the largest unknown, and of peaks of states
 _CORRECTIONS = 5  # of the states
+_STILL = 1e-3  # of what counts as a small state: it changes by less within the duration
 _REST = (1e-2, 0.5)  # of their peaks: how near coordinates and velocities by the spline are to those at rest
 _WORST = 1e5  # condition of V: products with its inverse are off by less than `_OFF` of them, and mu by its square
 _OFF, _ROUNDED = 1.0 + 1e-8, 1e-14
@@ -47,6 +48,14 @@ def near_states(
     why = "a bound for a box of parameters is not known" if boxed else proof.sentence
     text += f"; {why}" * bool(why)
     return None, [Statement("one motion", "undecided", text), proof.algebraic]
+
+
+def _rests(problem: Problem, t: Array) -> bool:
+    """Whether the states of the internal dynamics are in equilibrium at a time before the path begins."""
+    array = problem.array
+    found = unknowns_from(problem, t, guessed_unknowns(problem, t))[:, 0]
+    rates = np.abs(found[array.places(tuple((j, order + 1) for j, order in array.states))])
+    return bool((rates * problem.reference.duration <= _STILL * smallest_peaks(problem, array.states)).all())
 
 
 class InternalProof(Proof):
@@ -79,9 +88,10 @@ class InternalProof(Proof):
         self.boxed, self.ring, self.bounded, self.sentence, self._from = {}, arithmetic((_DEGREE,)), False, "", ""
         t, path = solution.t, problem.reference
         early, late = t[t < path.start_time], t[t > path.end_time]
-        # Inputs may jump at the ends of the path: a motion from rest is at rest before it.
-        if not len(early) and not problem.start:
-            early = np.array([path.start_time - OUTSIDE * path.duration])
+        # Inputs may jump at the ends of the path: a motion from an equilibrium is at rest before it.
+        before = np.array([path.start_time - OUTSIDE * path.duration])
+        if not len(early) and not problem.start and _rests(problem, before):
+            early = before
         late = late if len(late) else np.array([path.end_time + OUTSIDE * path.duration])
         inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
         self._begin(problem, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
