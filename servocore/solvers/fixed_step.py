@@ -81,12 +81,11 @@ class Stepped(JudgedRoute):
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
         better, motion = None, solution.motion
-        if problem.flat:
-            if motion is not None and motion.values is not None:
-                exact = replace(solution, t=motion.t, values=motion.values.T)
-                better = BetterSolver(lambda *_: exact, True, "the exact inversion")
+        if motion is not None and motion.values is not None:
+            exact = replace(solution, t=motion.t, values=motion.values.T)
+            better = BetterSolver(lambda *_: exact, True, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
-        elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
+        elif not (problem.flat or internal_dynamics(problem).grows) and self._is_doubtful(problem, solution):
             better = self.better(problem)
         return stated_branch(problem, solution, better, self._advice(problem))
 
