@@ -61,8 +61,7 @@ class Comparison:
     def off(self) -> Array:
         """Distance of the inputs, shape (N, inputs)."""
         inputs = slice(len(self.known))
-        differences: Array = np.abs(self.solution.values[:, inputs] - self.better[:, inputs])
-        return differences
+        return np.asarray(np.abs(self.solution.values[:, inputs] - self.better[:, inputs]))
 
     @property
     def estimate(self) -> ErrorEstimate:

@@ -141,8 +141,7 @@ def out_of_reach(problem: Problem) -> str:
 
 def _guess(problem: Problem, time: float) -> Array:
     """Return the guess of the model at an instant in nominal magnitudes."""
-    guess: Array = guessed_configuration(problem, time) / np.array(problem.system.coordinates.nominal)
-    return guess
+    return np.asarray(guessed_configuration(problem, time) / problem.system.coordinates.nominal)
 
 
 def guessed_configuration(problem: Problem, time: float) -> Array:
