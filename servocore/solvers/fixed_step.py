@@ -75,8 +75,7 @@ class Stepped(JudgedRoute):
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
-        run = FixedStep(form, _BETTER_METHOD).run
-        return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
+        return BetterSolver(FixedStep(form, _BETTER_METHOD).run, False, f"{_BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
