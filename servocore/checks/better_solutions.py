@@ -61,8 +61,7 @@ class Comparison:
     def off(self) -> Array:
         """Distance of the inputs, shape (N, inputs)."""
         inputs = slice(len(self.known))
-        differences: Array = np.abs(self.solution.values[:, inputs] - self.better[:, inputs])
-        return differences
+        return np.asarray(np.abs(self.solution.values[:, inputs] - self.better[:, inputs]))
 
     @property
     def estimate(self) -> ErrorEstimate:
@@ -159,7 +158,9 @@ class BetterSolver:
         t, inputs = solution.t, len(problem.system.inputs)
         if self.exact:
             exact = self.run(problem, t)
-            better = np.column_stack([np.interp(t, exact.t, column) for column in exact.values.T])
+            better = exact.values
+            if not np.array_equal(exact.t, t):
+                better = np.column_stack([np.interp(t, exact.t, column) for column in better.T])
             return Comparison(solution, better, self.basis, np.ones(inputs, dtype=bool))
         found, failed = list[Array](), ServocoreError("no step was small enough")
         for parts in 2 ** np.arange(_MOST_HALVINGS + 1):

@@ -36,8 +36,7 @@ _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 
 def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
-    missed = out_of_reach(problem)
-    if missed:
+    if missed := out_of_reach(problem):
         return InvalidReference(missed)
     reason = ""
     if problem.flat and problem.reference.max_order >= problem.array.reference_order:
@@ -141,8 +140,7 @@ def out_of_reach(problem: Problem) -> str:
 
 def _guess(problem: Problem, time: float) -> Array:
     """Return the guess of the model at an instant in nominal magnitudes."""
-    guess: Array = guessed_configuration(problem, time) / np.array(problem.system.coordinates.nominal)
-    return guess
+    return np.asarray(guessed_configuration(problem, time) / problem.system.coordinates.nominal)
 
 
 def guessed_configuration(problem: Problem, time: float) -> Array:

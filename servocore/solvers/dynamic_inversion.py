@@ -34,7 +34,6 @@ from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_st
 from servocore.stepping.program import program_of
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
-_INSTANTS = 201  # at which they are compared
 _ASTRAY = 1e-3  # of the peak of an input: so much beside the checked solution is another motion
 _COMPARED = 51  # instants at which a case is compared with twice as many steps
 _MOST_DOUBLINGS = 6  # of the steps that the scene itself takes
@@ -247,9 +246,7 @@ class DynamicInversion:
     def _enough(self, checked: Solution) -> int:
         """Return how many steps keep the tolerance, from comparisons with twice as many."""
         reference, inputs = self._problem.reference, len(self.inputs)
-        t, count = np.linspace(reference.start_time, reference.end_time, _INSTANTS), float(_FEWEST)
-        instants = self._instants(t)
-        exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
+        instants, exact, count = self._instants(checked.t), checked.values[:, :inputs].T, float(_FEWEST)
         while count < _MOST:
             fine, error = self._judged(self._steps, [reference], round(count), self._problem.p, self._start, instants)
             if error <= self._tolerance:

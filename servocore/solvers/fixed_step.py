@@ -75,18 +75,16 @@ class Stepped(JudgedRoute):
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
-        run = FixedStep(form, _BETTER_METHOD).run
-        return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
+        return BetterSolver(FixedStep(form, _BETTER_METHOD).run, False, f"{_BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""
         better, motion = None, solution.motion
-        if problem.flat:
-            if motion is not None and motion.values is not None:
-                exact = replace(solution, t=motion.t, values=motion.values.T)
-                better = BetterSolver(lambda *_: exact, True, "the exact inversion")
+        if motion is not None and motion.values is not None:
+            exact = replace(solution, t=motion.t, values=motion.values.T)
+            better = BetterSolver(lambda *_: exact, True, "the exact inversion")
         # Of unstable dynamics its user was warned before the run.
-        elif not internal_dynamics(problem).grows and self._is_doubtful(problem, solution):
+        elif not (problem.flat or internal_dynamics(problem).grows) and self._is_doubtful(problem, solution):
             better = self.better(problem)
         return stated_branch(problem, solution, better, self._advice(problem))
 
@@ -191,8 +189,7 @@ def _best_states(problem: Problem, array: DerivativeArray, time: float, values: 
 def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
     """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite."""
     (rows,) = along_path(problem, system_jacobian(problem.array), t, states)
-    matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
-    return matrices
+    return np.asarray(np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2))
 
 
 def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:

@@ -121,8 +121,7 @@ def of_states(problem: Problem, t: Array, states: Array) -> Array:
     """Return [x; z] of the reduced form (size, N) at instants, solved for internal states (len x, N)."""
     array, guess = problem.array, guessed_unknowns(problem, t)
     guess[array.places(array.states)] = states
-    values: Array = unknowns_from(problem, t, guess)[array.places((*array.states, *array.determined))]
-    return values
+    return np.asarray(unknowns_from(problem, t, guess)[array.places((*array.states, *array.determined))])
 
 
 def solution_of_states(problem: Problem, t: Array, values: Array, route: str, iterations: int = 0) -> Solution:
@@ -130,8 +129,7 @@ def solution_of_states(problem: Problem, t: Array, values: Array, route: str, it
     from servocore.methods.backward_euler import BackwardEuler  # noqa: PLC0415 - a flat scene takes no steps
 
     program = program_of(problem, Reduced(), BackwardEuler())
-    states = np.zeros((program.state_size, len(t)))
-    states[: len(values)] = values
+    states = np.pad(values, ((0, program.state_size - len(values)), (0, 0)))
     return solution_of(problem, [Run(program, t, states, iterations, iterations)], route)
 
 

@@ -265,13 +265,12 @@ def chosen_route(
 
 def error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     """Return how far the inputs of a solution by a route are from more accurate ones."""
+    exact = BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
     try:
         if isinstance(route, JudgedRoute):
             return route.better(problem).compared(problem, solution).estimate
         if problem.flat:
-            return (
-                BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion").compared(problem, solution).estimate
-            )
+            return exact.compared(problem, solution).estimate
         raise ServocoreError(f"no more accurate solver of {problem.system.name} is known for this route")
     except ServocoreError as error:
         return unknown_errors(problem, solution, str(error))
