@@ -137,6 +137,12 @@ def test_smooth_friction_is_no_kink() -> None:
     assert sc.certify(two_cars(linear, lambda speed: 2.0 * ca.tanh(speed / 0.05), False)).verdict == "proved"
 
 
+def test_a_stop_that_hardens_smoothly_moves_no_motion_by_a_jump() -> None:
+    made = two_cars(lambda s: linear(s) + 2000 * ca.fmax(0, s - 0.01) ** 4, lambda speed: 2.0 * speed, False)
+    certificate = sc.certify(made)
+    assert (certificate.verdict, len(certificate.jumps)) == ("proved", 2)
+
+
 def test_a_proof_finds_the_branch_that_a_run_of_many_instants_misses() -> None:
     """Finding: 100 to 400 steps jump to the other assembly without a word."""
     certificate = sc.certify(meeting.scene(longer=1e-6), tolerance=1e-4)

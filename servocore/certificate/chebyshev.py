@@ -66,9 +66,7 @@ def norm(c: Array) -> Array:
 
 def model_of(c: Array, r: Array | float = 0.0) -> Model:
     """Return models with coefficients (terms, count, boxes) and radii (count, boxes)."""
-    a = np.empty((len(c) + 1, *c.shape[1:]))
-    a[:-1], a[-1] = c, r
-    return a
+    return np.concatenate([c, np.broadcast_to(r, (1, *c.shape[1:]))])
 
 
 def magnitude(a: Model) -> Array:
