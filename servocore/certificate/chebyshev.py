@@ -174,17 +174,20 @@ class Arithmetic:
             found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # of NumPy
         return found
 
+    @cached_property
+    def halves(self) -> list[list[Array]]:
+        """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
+        points = [[np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
+                  for own in np.eye(len(self.degrees), dtype=bool)]  # fmt: skip
+        return [[self.interpolation @ self.rows(half) for half in each] for each in points]
+
     def halved(self, a: Model, k: int) -> Model:
         """Return models on the lower and then on the upper halves of boxes by variable k.
 
         Rounding is some units of all coefficients.
         """
-        noise, own = 8 * (len(a) + 7) * UNIT * norm(a[:-1]), np.arange(len(self.degrees)) == k
-        points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
-        halves = [
-            model_of(np.tensordot(self.interpolation @ self.rows(each), a[:-1], 1), a[-1] + noise) for each in points
-        ]
-        return np.concatenate(halves, axis=2)
+        r = a[-1] + 8 * (len(a) + 7) * UNIT * norm(a[:-1])
+        return np.concatenate([model_of(np.tensordot(each, a[:-1], 1), r) for each in self.halves[k]], axis=2)
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
@@ -252,37 +255,39 @@ class Arithmetic:
 
     def sine_and_cosine(self, a: Model) -> tuple[Model, Model]:
         """Return sin(a) and cos(a): both change by at most the radius of a."""
-        v, at = self.values(a), a[:-1].sum(axis=0)
+        v, (at, e) = self.values(a), self._middle(a)
         c, s = self.tried(np.cos(v)), self.tried(np.sin(v))
         off = self._flowed(a, [(c, s, -1.0, np.cos(at)), (s, c, 1.0, np.sin(at))])
-        c[-1] = s[-1] = (off + 2.0 * (self._rounded(a) + _ULPS) + a[-1]) * UP
+        c[-1] = s[-1] = (off + 2.0 * (e + _ULPS) + a[-1]) * UP
         return s, c
 
     def exponential(self, a: Model) -> Model:
         """Return e^a: within the box it grows by at most e^(2 R), with R the sum of all but the first coefficient."""
-        at, rest, y = np.exp(a[:-1].sum(axis=0)), norm(a[1:-1]), self.tried(np.exp(self.values(a)))
-        off = self._flowed(a, [(y, y, 1.0, at)]) + at * (np.expm1(2.0 * self._rounded(a)) + _ULPS)
+        (at, e), rest, y = self._middle(a), norm(a[1:-1]), self.tried(np.exp(self.values(a)))
+        off = self._flowed(a, [(y, y, 1.0, np.exp(at))]) + np.exp(at) * (np.expm1(2.0 * e) + _ULPS)
         y[-1] = (np.exp(2.0 * rest) * off + np.exp(a[0] + rest) * np.expm1(a[-1])) * _EXPONENT
         return bounded(y)
 
     def _flowed(self, p: Model, parts: list[tuple[Model, Model, float, Array]]) -> Array:
         """Bound what polynomials y are off a solution of y' = p' L y, divided by the growth of such solutions.
 
-        Each part is y, the other one in L y and its sign, and the value in the last corner of the box, where all T_k
-        are 1. From there to a point on a straight line, of a length of 2 at most in each variable, an error grows by
-        its rate and the defects y' - p' L y.
+        Each part is y, the other one in L y and its sign, and the value in the middle of the box. From there to a point
+        on a straight line, of a length of 1 at most in each variable, an error grows by its rate and the defects
+        y' - p' L y.
         """
         off = np.zeros(p.shape[1:])
         for y, other, sign, begin in parts:
-            off = off + np.abs(y[:-1].sum(axis=0) - begin) + self._rounded(y)
+            value, e = self._middle(y)
+            off = off + np.abs(value - begin) + e
             for matrix in self.derivatives:
                 slope, change = derivative(matrix, p), derivative(matrix, y)
-                off = off + 2.0 * magnitude(summed(change, self.product(slope, other), -sign))
+                off = off + magnitude(summed(change, self.product(slope, other), -sign))
         return off
 
-    def _rounded(self, a: Model) -> Array:
-        """Bound the rounding error of the sum of the coefficients: as many additions."""
-        return len(a) * UNIT * norm(a[:-1])
+    def _middle(self, a: Model) -> tuple[Array, Array]:
+        """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
+        (row,) = self.rows(np.zeros((1, len(self.degrees))))
+        return np.tensordot(row, a[:-1], 1), (len(a) + 7) * UNIT * norm(a[:-1])
 
     def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
         """Return a function that nowhere falls: any value between those at the ends of the range of a."""
