@@ -51,6 +51,7 @@ LANES = 16
 
 _TINY = 1e-290  # underflow
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
+_NARROW = 1e-8  # radius
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
 _PRODUCT = np.array([[TIMES, 2, 0, 1]], dtype=np.intp)
 
@@ -66,7 +67,9 @@ def norm(c: Array) -> Array:
 
 def model_of(c: Array, r: Array | float = 0.0) -> Model:
     """Return models with coefficients (terms, count, boxes) and radii (count, boxes)."""
-    return np.concatenate([c, np.broadcast_to(r, (1, *c.shape[1:]))])
+    a = np.empty((len(c) + 1, *c.shape[1:]))
+    a[:-1], a[-1] = c, r
+    return a
 
 
 def magnitude(a: Model) -> Array:
@@ -153,6 +156,11 @@ class Arithmetic:
         return self.rows(self.nodes)
 
     @cached_property
+    def at_middle(self) -> Array:
+        """Matrix from coefficients to the value in the middle of the box."""
+        return self.rows(np.zeros((1, len(self.degrees))))
+
+    @cached_property
     def interpolation(self) -> Array:
         """Matrix from values at the nodes to coefficients."""
         return np.asarray(np.linalg.inv(self.at_nodes), dtype=np.float64)
@@ -187,7 +195,7 @@ class Arithmetic:
         Rounding is some units of all coefficients.
         """
         r = a[-1] + 8 * (len(a) + 7) * UNIT * norm(a[:-1])
-        return np.concatenate([model_of(np.tensordot(each, a[:-1], 1), r) for each in self.halves[k]], axis=2)
+        return np.concatenate([model_of(_applied(each, a[:-1]), r) for each in self.halves[k]], axis=2)
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
@@ -205,12 +213,12 @@ class Arithmetic:
 
         Any polynomial may be tried.
         """
-        c = np.tensordot(self.interpolation, values, 1)
+        c = _applied(self.interpolation, values)
         return model_of(np.where(np.isfinite(c).all(axis=0), c, 0.0))
 
     def values(self, a: Model) -> Array:
         """Return values of the polynomials at the nodes (nodes, count, boxes)."""
-        return np.tensordot(self.at_nodes, a[:-1], 1)
+        return _applied(self.at_nodes, a[:-1])
 
     def span(self, a: Model) -> tuple[Array, Array]:
         """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
@@ -286,8 +294,7 @@ class Arithmetic:
 
     def _middle(self, a: Model) -> tuple[Array, Array]:
         """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
-        (row,) = self.rows(np.zeros((1, len(self.degrees))))
-        return np.tensordot(row, a[:-1], 1), (len(a) + 7) * UNIT * norm(a[:-1])
+        return _applied(self.at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
 
     def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
         """Return a function that nowhere falls: any value between those at the ends of the range of a."""
@@ -297,7 +304,12 @@ class Arithmetic:
         return found
 
     def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model) -> Model:
-        """Return a model of a function that nowhere falls, or its range where that has the smaller radius."""
+        """Return a model of a function that nowhere falls, or its range where that has the smaller radius.
+
+        Models that are narrow anyway are not compared.
+        """
+        if (found[-1] <= _NARROW).all():
+            return found
         around = self.rising(function, a)
         return np.where(around[-1] < bounded(found)[-1], around, found)
 
@@ -328,10 +340,15 @@ arithmetic = made_once(Arithmetic)
 """Return the operations for degrees in time and parameters, with their matrices."""
 
 
+def _applied(matrix: Array, c: Array) -> Array:
+    """Return a matrix applied to the first axis."""
+    return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
+
+
 def derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
-    size = np.tensordot(np.abs(matrix).sum(axis=0), np.abs(a[:-1]), 1)
-    return model_of(np.tensordot(matrix, a[:-1], 1), (len(a) + 1) * UNIT * size)
+    (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
+    return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)
 
 
 def bounded(a: Model) -> Model:
