@@ -134,8 +134,10 @@ def test_a_motion_that_the_equations_let_jump_is_refuted_with_the_time(kind: str
     assert float(time) == pytest.approx(float(re.sub(r"d\*", "", expected)), abs=2e-5)
 
 
-def test_smooth_friction_is_no_kink() -> None:
+def test_smooth_friction_is_no_kink_and_a_stop_that_hardens_smoothly_lets_nothing_jump() -> None:
     assert sc.certify(two_cars(linear, lambda speed: 2.0 * ca.tanh(speed / 0.05), False)).verdict == "proved"
+    made = two_cars(lambda s: linear(s) + 2000 * ca.fmax(0, s - 0.01) ** 4, lambda speed: 2.0 * speed, False)
+    assert sc.certify(made).verdict == "proved"
 
 
 def test_a_proof_finds_the_branch_that_a_run_of_many_instants_misses() -> None:
@@ -303,6 +305,13 @@ def test_without_a_bound_of_internal_states_equations_are_proved_at_the_computed
     assert stated(replace(solution, values=values)) == pytest.approx(0.01, rel=0.01)
 
 
+def test_a_limit_that_internal_dynamics_break_is_refuted_with_the_time() -> None:
+    solution = sc.solve(sc.scenes.mass_on_car())
+    peak, at = np.abs(solution["u"]).max(), solution.t[np.abs(solution["u"]).argmax()]
+    broken = sc.certify(solution, {"u": 0.9 * peak}).summary
+    assert float(re.findall(r"t = (\S+) s", broken)[0]) == pytest.approx(at, abs=0.05)
+
+
 def test_what_cannot_be_certified_is_told() -> None:
     scene = sc.scenes.mass_on_car()
     assert "undecided: one motion (the states of the internal dynamics" in str(sc.certify(scene))
@@ -324,13 +333,8 @@ def test_a_mass_that_is_negative_beside_constraints_is_not_refuted() -> None:
     assert (failing, found.verdict) == (["mass"], "undecided")
 
 
-def test_nothing_is_known_of_times_far_from_the_path() -> None:
-    tube = sc.certify(OVERHEAD).tube([-9.0, 1.0, 9.0])["F"]
-    assert np.isfinite(tube).all(axis=1).tolist() == [False, True, False]
-
-
-def test_a_certificate_is_short_in_print_and_has_a_plot() -> None:
+def test_a_certificate_is_short_in_print_has_a_plot_and_knows_nothing_of_times_far_from_the_path() -> None:
     certificate = sc.certify(OVERHEAD)
     assert repr(certificate).startswith("<Certificate of overhead_crane: proved, ")
-    figure = certificate.plot(["F"])
-    assert len(figure.axes[0].lines) == 2
+    assert len(certificate.plot(["F"]).axes[0].lines) == 2
+    assert np.isfinite(certificate.tube([-9.0, 1.0, 9.0])["F"]).all(axis=1).tolist() == [False, True, False]

@@ -51,6 +51,7 @@ LANES = 16
 
 _TINY = 1e-290  # underflow
 _ULPS = 8.0 * UNIT  # relative error of an elementary function of NumPy, with its argument's own rounding
+_NARROW = 1e-8  # radius
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
 _PRODUCT = np.array([[TIMES, 2, 0, 1]], dtype=np.intp)
 
@@ -155,6 +156,11 @@ class Arithmetic:
         return self.rows(self.nodes)
 
     @cached_property
+    def at_middle(self) -> Array:
+        """Matrix from coefficients to the value in the middle of the box."""
+        return self.rows(np.zeros((1, len(self.degrees))))
+
+    @cached_property
     def interpolation(self) -> Array:
         """Matrix from values at the nodes to coefficients."""
         return np.asarray(np.linalg.inv(self.at_nodes), dtype=np.float64)
@@ -176,17 +182,20 @@ class Arithmetic:
             found.append(reduce(np.kron, [*each[:k], slopes, *each[k + 1 :]]))  # type: ignore[arg-type]  # of NumPy
         return found
 
+    @cached_property
+    def halves(self) -> list[list[Array]]:
+        """Matrices to the coefficients on the lower and the upper half of the box, by each variable."""
+        points = [[np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
+                  for own in np.eye(len(self.degrees), dtype=bool)]  # fmt: skip
+        return [[self.interpolation @ self.rows(half) for half in each] for each in points]
+
     def halved(self, a: Model, k: int) -> Model:
         """Return models on the lower and then on the upper halves of boxes by variable k.
 
         Rounding is some units of all coefficients.
         """
-        noise, own = 8 * (len(a) + 7) * UNIT * norm(a[:-1]), np.arange(len(self.degrees)) == k
-        points = [np.where(own, (self.nodes + side) / 2.0, self.nodes) for side in (-1.0, 1.0)]
-        halves = [
-            model_of(np.tensordot(self.interpolation @ self.rows(each), a[:-1], 1), a[-1] + noise) for each in points
-        ]
-        return np.concatenate(halves, axis=2)
+        r = a[-1] + 8 * (len(a) + 7) * UNIT * norm(a[:-1])
+        return np.concatenate([model_of(_applied(each, a[:-1]), r) for each in self.halves[k]], axis=2)
 
     def ends(self, a: Model) -> tuple[Array, Array]:
         """Return polynomials in the parameters at the ends in time: (terms, count, boxes) each."""
@@ -204,12 +213,12 @@ class Arithmetic:
 
         Any polynomial may be tried.
         """
-        c = np.tensordot(self.interpolation, values, 1)
+        c = _applied(self.interpolation, values)
         return model_of(np.where(np.isfinite(c).all(axis=0), c, 0.0))
 
     def values(self, a: Model) -> Array:
         """Return values of the polynomials at the nodes (nodes, count, boxes)."""
-        return np.tensordot(self.at_nodes, a[:-1], 1)
+        return _applied(self.at_nodes, a[:-1])
 
     def span(self, a: Model) -> tuple[Array, Array]:
         """Return lower and upper bounds of models, shape (count, boxes) each: about the constant coefficient."""
@@ -254,37 +263,38 @@ class Arithmetic:
 
     def sine_and_cosine(self, a: Model) -> tuple[Model, Model]:
         """Return sin(a) and cos(a): both change by at most the radius of a."""
-        v, at = self.values(a), a[:-1].sum(axis=0)
+        v, (at, e) = self.values(a), self._middle(a)
         c, s = self.tried(np.cos(v)), self.tried(np.sin(v))
         off = self._flowed(a, [(c, s, -1.0, np.cos(at)), (s, c, 1.0, np.sin(at))])
-        c[-1] = s[-1] = (off + 2.0 * (self._rounded(a) + _ULPS) + a[-1]) * UP
+        c[-1] = s[-1] = (off + 2.0 * (e + _ULPS) + a[-1]) * UP
         return s, c
 
     def exponential(self, a: Model) -> Model:
         """Return e^a: within the box it grows by at most e^(2 R), with R the sum of all but the first coefficient."""
-        at, rest, y = np.exp(a[:-1].sum(axis=0)), norm(a[1:-1]), self.tried(np.exp(self.values(a)))
-        off = self._flowed(a, [(y, y, 1.0, at)]) + at * (np.expm1(2.0 * self._rounded(a)) + _ULPS)
+        (at, e), rest, y = self._middle(a), norm(a[1:-1]), self.tried(np.exp(self.values(a)))
+        off = self._flowed(a, [(y, y, 1.0, np.exp(at))]) + np.exp(at) * (np.expm1(2.0 * e) + _ULPS)
         y[-1] = (np.exp(2.0 * rest) * off + np.exp(a[0] + rest) * np.expm1(a[-1])) * _EXPONENT
         return bounded(y)
 
     def _flowed(self, p: Model, parts: list[tuple[Model, Model, float, Array]]) -> Array:
         """Bound what polynomials y are off a solution of y' = p' L y, divided by the growth of such solutions.
 
-        Each part is y, the other one in L y and its sign, and the value in the last corner of the box, where all T_k
-        are 1. From there to a point on a straight line, of a length of 2 at most in each variable, an error grows by
-        its rate and the defects y' - p' L y.
+        Each part is y, the other one in L y and its sign, and the value in the middle of the box. From there to a point
+        on a straight line, of a length of 1 at most in each variable, an error grows by its rate and the defects
+        y' - p' L y.
         """
         off = np.zeros(p.shape[1:])
         for y, other, sign, begin in parts:
-            off = off + np.abs(y[:-1].sum(axis=0) - begin) + self._rounded(y)
+            value, e = self._middle(y)
+            off = off + np.abs(value - begin) + e
             for matrix in self.derivatives:
                 slope, change = derivative(matrix, p), derivative(matrix, y)
-                off = off + 2.0 * magnitude(summed(change, self.product(slope, other), -sign))
+                off = off + magnitude(summed(change, self.product(slope, other), -sign))
         return off
 
-    def _rounded(self, a: Model) -> Array:
-        """Bound the rounding error of the sum of the coefficients: as many additions."""
-        return len(a) * UNIT * norm(a[:-1])
+    def _middle(self, a: Model) -> tuple[Array, Array]:
+        """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
+        return _applied(self.at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
 
     def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
         """Return a function that nowhere falls: any value between those at the ends of the range of a."""
@@ -294,7 +304,12 @@ class Arithmetic:
         return found
 
     def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model) -> Model:
-        """Return a model of a function that nowhere falls, or its range where that has the smaller radius."""
+        """Return a model of a function that nowhere falls, or its range where that has the smaller radius.
+
+        Models that are narrow anyway are not compared.
+        """
+        if (found[-1] <= _NARROW).all():
+            return found
         around = self.rising(function, a)
         return np.where(around[-1] < bounded(found)[-1], around, found)
 
@@ -325,10 +340,15 @@ arithmetic = made_once(Arithmetic)
 """Return the operations for degrees in time and parameters, with their matrices."""
 
 
+def _applied(matrix: Array, c: Array) -> Array:
+    """Return a matrix applied to the first axis."""
+    return np.asarray((matrix @ c.reshape(len(c), prod(c.shape[1:]))).reshape(len(matrix), *c.shape[1:]))
+
+
 def derivative(matrix: Array, a: Model) -> Model:
     """Return derivatives of polynomials: sums of `terms` products with whole numbers, rounded once each."""
-    size = np.tensordot(np.abs(matrix).sum(axis=0), np.abs(a[:-1]), 1)
-    return model_of(np.tensordot(matrix, a[:-1], 1), (len(a) + 1) * UNIT * size)
+    (size,) = _applied(np.abs(matrix).sum(axis=0)[None], np.abs(a[:-1]))
+    return model_of(_applied(matrix, a[:-1]), (len(a) + 1) * UNIT * size)
 
 
 def bounded(a: Model) -> Model:

@@ -65,7 +65,7 @@ class Equations:
     array : DerivativeArray
         The array.
     symbols : casadi.SX
-        Unknowns, path with its derivatives, parameters, time, states of the internal dynamics: arguments of the walks.
+        Unknowns, states of the internal dynamics, path with its derivatives, parameters, time: arguments of the walks.
     steps : Walk
         Of operations that are constant between jumps.
     residual, jacobian : Walk
@@ -100,7 +100,7 @@ class Equations:
             rates = array.column(tuple((j, order + 1) for j, order in array.states))
             slopes, change = (ca.mtimes(ca.jacobian(f, x), V) + ca.jacobian(f, s) for f in (rates, residual))
             x, residual = ca.vertcat(x, ca.vec(V)), ca.vertcat(residual, ca.vec(change))
-        self.symbols = ca.vertcat(x, gamma, array.system.p, ca.SX.sym("t"), s)
+        self.symbols = ca.vertcat(x, s, gamma, array.system.p, ca.SX.sym("t"))
         # CasADi counts entries by columns: matrices are transposed.
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)

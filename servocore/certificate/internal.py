@@ -96,7 +96,7 @@ class InternalProof(Proof):
         inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
         self._begin(problem, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
         s, ends = self._near(solution), np.stack([self.begin, self.end])
-        self.given[:, : -s.shape[1]] = given_models(problem, problem.array, self.ring, ends, {})
+        self.given[:, s.shape[1] :] = given_models(problem, problem.array, self.ring, ends, {})
         self._correct(s)
         self._prove_at(s)
         what = "one regular solution of the algebraic equations at the computed states"
@@ -147,7 +147,7 @@ class InternalProof(Proof):
 
     def _correct(self, s: Model) -> None:
         """Take steps of Newton's method for the unknowns at states, the blocks one after the other."""
-        self.given[:, -s.shape[1] :], self.x[-1] = s, 0.0
+        self.given[:, : s.shape[1]], self.x[-1] = s, 0.0
         for _ in self.equations.ends:
             x, nothing = self.x[:-1], np.zeros(self.x.shape[1:])
             *_, shift = radii(self.equations, self.ring, x, self.given, nothing, nothing[:, :1])
@@ -160,7 +160,7 @@ class InternalProof(Proof):
 
         They are infinite where nothing is proved.
         """
-        self.given[:, -s.shape[1] :] = s
+        self.given[:, : s.shape[1]] = s
         self.relative[:] = np.inf
         self._test(np.ones(len(self.begin), dtype=bool), self.equations)
         self.relative[self.switches] = np.inf

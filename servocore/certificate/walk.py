@@ -7,7 +7,9 @@ where that may come to zero.
 
 from __future__ import annotations
 
+import math
 import operator
+import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -23,6 +25,7 @@ Rule: TypeAlias = Callable[..., Model]
 _Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
 """Of each rule the places of results by those of their arguments."""
 
+_KEPT = threading.local()
 _ROUNDED = 1e-9  # of a condition
 _MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
@@ -70,7 +73,7 @@ class Walk:
         boxes = arguments.shape[2]
         if boxes < LANES:  # the last box is repeated
             arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
-        places = np.empty((len(self._depth), *arguments.shape[::2]))
+        places = _workspace(len(self._depth), *arguments.shape[::2])
         models = places.swapaxes(0, 1)
         models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
         models[:, [*self._constants.values()]] = ring.constant(self._values)
@@ -97,6 +100,14 @@ class Walk:
             return place
         results = self._functions[depth + 1][_RULES[number]]
         return results.get((*arguments,)) or results.setdefault((*arguments,), self._place(depth + 1))
+
+
+def _workspace(*shape: int) -> Model:
+    """Return memory for models that a thread uses again: new pages take the system longer than many programs."""
+    size, memory = math.prod(shape), getattr(_KEPT, "memory", np.empty(0))
+    if size > memory.size:
+        memory = _KEPT.memory = np.empty(size)
+    return np.asarray(memory[:size].reshape(shape))
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
