@@ -24,7 +24,7 @@ SLOW = Path(__file__).with_name("slow_cases.txt")
 others may have prepared what they need: `concerned.py` adds new ones."""
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
-A_MOMENT = 0.2
+A_MOMENT = 0.25
 """Processor seconds of a case that `--quick` runs whatever has changed."""
 A_SHORT_CASE = 0.03
 """Processor seconds of a case that is not listed as slow, about."""
