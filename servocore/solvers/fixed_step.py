@@ -189,7 +189,7 @@ def _best_states(problem: Problem, array: DerivativeArray, time: float, values: 
 def _system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
     """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite."""
     (rows,) = along_path(problem, system_jacobian(problem.array), t, states)
-    return np.asarray(np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2))
+    return np.asarray(np.where(np.isfinite(rows), rows, 0.0).reshape(len(rows), len(t), -1).transpose(1, 0, 2))
 
 
 def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
