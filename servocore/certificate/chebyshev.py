@@ -190,10 +190,7 @@ class Arithmetic:
         return [[self.interpolation @ self.rows(half) for half in each] for each in points]
 
     def halved(self, a: Model, k: int) -> Model:
-        """Return models on the lower and then on the upper halves of boxes by variable k.
-
-        Rounding is some units of all coefficients.
-        """
+        """Return models on lower, then on upper halves of boxes by variable k: rounding is units of coefficients."""
         r = a[-1] + 8 * (len(a) + 7) * UNIT * norm(a[:-1])
         return np.concatenate([model_of(_applied(each, a[:-1]), r) for each in self.halves[k]], axis=2)
 
