@@ -80,6 +80,8 @@ def _undecided(proof: Proof) -> Statement:
     array, slack = proof.equations.array, _slack(proof, first)
     if not np.isfinite(proof.given[-1, :, first]).all():
         text += ": nothing bounds the derivatives of the path"
+    elif not proof.tested[first]:
+        text += f": {len(proof.begin)} intervals are not enough for the accuracy wanted of all inputs"
     elif not solved[first]:
         text += f": no solution of the equations was found, the path may be out of reach{slack}"
     else:

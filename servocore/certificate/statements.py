@@ -237,7 +237,8 @@ def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jum
     place = ", ".join([f"t = {time:.6g} s", *(f"{names[k]} = {at[k - len(names) - 1]:.6g}" for k in proof.boxed)])
     bound = limit.bound if value - limit.bound < limit.upper - value else limit.upper
     text = f"{'it is' if verdict == 'refuted' else 'not decided: it is about'} {limit.with_unit(value)} at {place},"
-    text += f" {limit.with_unit(abs(value - bound))} from the bound of {limit.with_unit(bound)}"
+    side = "beyond" if verdict == "refuted" else "from"
+    text += f" {limit.with_unit(abs(value - bound))} {side} the bound of {limit.with_unit(bound)}"
     text += f", {limit.reason}" if limit.reason else ""
     if not np.isfinite(value):
         text = f"the motion is not proved at {place}"
