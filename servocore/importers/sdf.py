@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from servocore.importers.recursion import Place
 from servocore.importers.tree import GROUND, IDENTITY, ZERO, Body, Closure, Joint, Tree
 from servocore.importers.xml_files import LinkReader, XmlFile
 from servocore.numerics.compiled_calls import Array
@@ -19,7 +20,6 @@ from servocore.numerics.compiled_calls import Array
 _AXES = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "ball": 0, "fixed": 0}
 _LOOPS = {"revolute": "hinge", "continuous": "hinge", "ball": "connect", "fixed": "weld"}
 _GRAVITY = (0.0, 0.0, -9.8)
-_WORLD = "world"
 _IN_MODEL = ("1.0", "1.2", "1.3", "1.4")  # versions whose axes are in the axes of the model
 _UNREAD = ("visual", "collision", "sensor", "plugin", "gui", "light")
 _ATTRIBUTES = ("placement_frame", "expressed_in", "degrees", "rotation_format", "auto")
@@ -61,51 +61,46 @@ class _Reader(LinkReader):
         for element in _read(file.root):
             if element.get("relative_to") or element.get("frame") or element.tag == "include":
                 raise file.fault(element, "refers to another frame or file, which is not supported")
-            for name in _ATTRIBUTES:
-                if (value := element.get(name, "")) not in _USUAL:
-                    raise file.fault(
-                        element, f"has {name}={value!r}, which is not supported: write numbers in m and rad"
-                    )
+            for name, value in element.items():
+                if name in _ATTRIBUTES and value not in _USUAL:
+                    why = f"has {name}={value!r}, which is not supported: write numbers in m and rad"
+                    raise file.fault(element, why)
         if len(models) != 1:
             raise file.fault(file.root, f"has {len(models)} models, one is read")
-        model = models[0]
+        (model,) = models
         links = {file.required(link, "name"): link for link in model.findall("link")}
-        (place, self.axes), poses = (
-            self.pose(model, model),
-            {name: self.pose(link, link) for name, link in links.items()},
-        )
-        placed = {
-            name: (place + self.axes @ position, self.axes @ turned) for name, (position, turned) in poses.items()
-        }
-        self.poses = {_WORLD: (ZERO, IDENTITY)} | placed
+        self.model = Place(-1, *self.pose(model, model))
+        self.places = {name: self.model.moved(*self.pose(link, link)) for name, link in links.items()}
+        self.places[GROUND] = Place(-1, ZERO, IDENTITY)
+        ends = {name: name for name in links} | {"world": GROUND}
         self.static = self._flag(model, "static")
         self.left_out += [f"frame {frame.get('name')}: links are frames" for frame in model.findall("frame")]
-        self.frames, self.closures, hung = list[Body](), list[Closure](), dict[str, Element]()
+        self.frames, self.closures, hung = list[Body](), list[Closure](), dict[str, tuple[Element, str]]()
         for joint in model.findall("joint"):
-            child, parent = (self.end(joint, which, self.poses) for which in ("child", "parent"))
+            child, parent = (self.end(joint, which, ends) for which in ("child", "parent"))
             if child in hung:
                 self._close(joint, parent, child)
-            hung.setdefault(child, joint)
-        bodies = [*(self._body(name, link, hung.get(name)) for name, link in links.items()), *self.frames]
+            hung.setdefault(child, (joint, parent))
+        bodies = [self._body(name, link, *hung.get(name, (None, GROUND))) for name, link in links.items()]
+        bodies += self.frames
         gravity = file.numbers(file.root, file.root.findtext("world/gravity"), _GRAVITY).tolist()
         name = file.required(model, "name")
         return Tree(name, file.path.name, bodies, (), {}, self.closures, gravity, self.left_out)
 
-    def _body(self, name: str, link: Element, joint: Element | None) -> Body:
-        parent = _WORLD if joint is None else self.end(joint, "parent", self.poses)
-        (position, rotation), (origin, axes) = self.poses[name], self.poses[parent]
+    def _body(self, name: str, link: Element, joint: Element | None, parent: str) -> Body:
+        here = self.places[name]
         joints: tuple[Joint, ...] = ()
         if joint is not None:
             joints = self._joints(joint, name)
         elif not self.static:
-            slides = (Joint(f"{name}.{'xyz'[k]}", "slide", rotation[k], zero=float(position[k])) for k in range(3))
+            held = zip("xyz", here.rotation, here.position.tolist(), strict=True)
+            slides = (Joint(f"{name}.{axis}", "slide", turned, zero=zero) for axis, turned, zero in held)
             joints = (*slides, Joint(name, "ball"))
         for tag, usual in (("gravity", True), ("kinematic", False)):
             if self._flag(link, tag, usual) != usual:
                 raise self.file.fault(link, f"has <{tag}> {str(not usual).lower()}, which cannot be represented")
-        parent = parent if parent != _WORLD else GROUND
-        inertia = self.inertia(link, 1.0)  # mass and inertia of a link that states none
-        return Body(name, parent, axes.T @ (position - origin), axes.T @ rotation, *inertia, joints)
+        mass, centre, inertia = self.inertia(link, 1.0)  # mass and inertia of a link that states none
+        return Body(name, parent, *here.within(self.places[parent]), mass, centre, inertia, joints)
 
     def _flag(self, element: Element, tag: str, default: bool = False) -> bool:
         """Return a truth value in the text of a child."""
@@ -124,7 +119,7 @@ class _Reader(LinkReader):
         """Return the axis of a joint in the axes of its child."""
         of_model = self._flag(axis, "use_parent_model_frame", self.file.root.get("version") in _IN_MODEL)
         of_model |= axis.find("xyz[@expressed_in='__model__']") is not None
-        turned = self.poses[child][1].T @ self.axes if of_model else self.pose(joint, joint)[1]
+        turned = self.places[child].rotation.T @ self.model.rotation if of_model else self.pose(joint, joint)[1]
         return np.asarray(turned @ self.direction(joint, axis, (0.0, 0.0, 1.0)))
 
     def _joints(self, joint: Element, child: str) -> tuple[Joint, ...]:
@@ -146,9 +141,6 @@ class _Reader(LinkReader):
         if _AXES[kind]:
             axis = self._axis(joint, self.file.child(joint, "axis"), child)
             rotation = np.linalg.svd(axis[:, None])[0][:, [1, 2, 0]]  # its last column is along the axis
-        (position, axes), (origin, other) = self.poses[child], self.poses[parent]
-        at = other.T @ (position + axes @ anchor - origin)
-        self.frames.append(Body(f"{name}.1", child, anchor, rotation))
-        ground = parent if parent != _WORLD else GROUND
-        self.frames.append(Body(f"{name}.2", ground, at, other.T @ axes @ rotation))
+        same = self.places[child].moved(anchor, rotation).within(self.places[parent])
+        self.frames += [Body(f"{name}.1", child, anchor, rotation), Body(f"{name}.2", parent, *same)]
         self.closures.append(Closure(name, _LOOPS[kind], f"{name}.1", f"{name}.2"))

@@ -45,15 +45,16 @@ def read_urdf(file: XmlFile) -> Tree:
 class _Reader(LinkReader):
     def tree(self) -> Tree:
         file, root = self.file, self.file.root
-        links = {file.required(link, "name"): link for link in root.findall("link")}
-        hung: dict[str, Element] = {}
+        links = [(file.required(link, "name"), link) for link in root.findall("link")]
+        ends = {name: name for name, _ in links}
+        hung = dict[str, tuple[Element, str]]()
         for joint in root.findall("joint"):
-            child, _ = (self.end(joint, which, links) for which in ("child", "parent"))
+            child, parent = (self.end(joint, which, ends) for which in ("child", "parent"))
             if child in hung:
-                other = hung[child].get("name")
+                other = hung[child][0].get("name")
                 raise file.fault(joint, f"gives {child} a second parent, beside joint {other}: a URDF is a tree")
-            hung[child] = joint
-        roots = [name for name in links if name not in hung]
+            hung[child] = joint, parent
+        roots = [name for name in ends if name not in hung]
         if not links or len(roots) > 1:
             listed = ", ".join(roots[:4])
             why = f"has {len(roots)} root links, {listed}: all but one need a joint to a parent"
@@ -61,15 +62,14 @@ class _Reader(LinkReader):
         transmissions = [str(each.get("name")) for each in root.findall("transmission")]
         if transmissions:
             self.left_out.append(f"transmissions {', '.join(transmissions)}: inputs act on the joints")
-        bodies = [self._body(link, hung.get(file.required(link, "name"))) for link in root.findall("link")]
+        bodies = [self._body(name, link, *hung.get(name, (None, GROUND))) for name, link in links]
         return Tree(root.get("name") or file.path.stem, file.path.name, bodies, left_out=self.left_out)
 
-    def _body(self, link: Element, joint: Element | None) -> Body:
-        name, (mass, centre, inertia) = str(link.get("name")), self.inertia(link)
+    def _body(self, name: str, link: Element, joint: Element | None, parent: str) -> Body:
+        mass, centre, inertia = self.inertia(link)
         if joint is None:
             self.left_out += [f"mass of {name}: the root stands on the ground"] if mass else []
-            return Body(name, GROUND, mass=mass, centre=centre, inertia=inertia)
-        parent = str(self.file.child(joint, "parent").get("link"))
+            return Body(name, parent, ZERO, IDENTITY, mass, centre, inertia)
         return Body(name, parent, *self.pose(joint, joint), mass, centre, inertia, self._joints(joint))
 
     def _joints(self, joint: Element) -> tuple[Joint, ...]:

@@ -6,7 +6,7 @@ Links and joints are read as URDF and SDF write them: URDF in attributes, SDF in
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -152,13 +152,13 @@ class LinkReader:
         centre, turned = self.pose(link.find("inertial"), link)
         return self.file.value(link, self._mass, missing), centre, turned @ tensor @ turned.T
 
-    def end(self, joint: Element, which: str, links: Collection[str]) -> str:
-        """Return the parent or the child of a joint; raises `InvalidModel` if it is no link."""
+    def end(self, joint: Element, which: str, links: Mapping[str, str]) -> str:
+        """Return the parent or the child of a joint by its name; raises `InvalidModel` if it is no link."""
         element = self.file.child(joint, which)
         name = element.get("link") or (element.text or "").strip()
         if name not in links:
             raise self.file.fault(joint, f"joins the link {name}, which does not exist")
-        return name
+        return links[name]
 
     def direction(self, joint: Element, axis: Element | None, default: tuple[float, float, float]) -> Array:
         """Return the axis of a joint, of unit length."""
@@ -179,17 +179,17 @@ class LinkReader:
             self.left_out.append(f"limits of joint {name}, both {ends[0]:g}, are taken for none")
         if kind == "continuous" or ends[0] == ends[1]:
             ends = [-math.inf, math.inf]
-        lower, upper = (end if abs(end) < LARGEST else math.copysign(math.inf, end) for end in ends)  # SDF writes 1e16
-        largest = {which: file.value(holder, f"limit/{which}", math.inf) for which in ("velocity", "effort")}
-        for which, value in largest.items():
+        limits = [end if abs(end) < LARGEST else math.copysign(math.inf, end) for end in ends]  # SDF writes 1e16
+        for which in ("velocity", "effort"):
+            value = file.value(holder, f"limit/{which}", math.inf)
             if not value > 0.0:  # many files leave it out in this way
                 self.left_out.append(f"{which} limit of joint {name}: {value:g} is taken for none")
-                largest[which] = math.inf
+            limits.append(value if value > 0.0 else math.inf)
         if file.value(holder, "dynamics/friction", 0.0):
             self.left_out.append(f"dry friction of joint {name}")
         names = ("spring_stiffness", "spring_reference", "damping")
         stiffness, rest, damping = (file.value(holder, f"dynamics/{which}", 0.0) for which in names)
-        velocity, effort = largest.values()
+        lower, upper, velocity, effort = limits
         moves = "slide" if kind == "prismatic" else "hinge"
         return Joint(name, moves, axis, anchor, lower, upper, velocity, effort, stiffness, rest, damping)
 
