@@ -11,7 +11,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
-from servocore.importers.tree import Actuator, Joint
+from servocore.importers.tree import FREE, Actuator, Joint
 from servocore.model.quantity import Quantity
 
 _WRENCH = re.compile(r"(.+)\.(force|torque)_([xyz])")
@@ -124,18 +124,16 @@ def _on_joint(joint: Joint, layout: Layout) -> Drive:
 def _limited(drive: Drive, actuator: Actuator, gear: float, length: ca.SX) -> Drive:
     """Return the drive with the limits of an actuator, and its ctrl where that is not the force itself."""
     gain, (constant, position, damping) = actuator.gain, actuator.bias
-    low, high = drive.bounds.get(drive.quantity, (-np.inf, np.inf))
-    ranges, bounds, observed = [(actuator.lower, actuator.upper)], dict[Quantity, Bounds](), dict[Quantity, ca.SX]()
+    ranges, bounds, observed = [actuator.limits], dict[Quantity, Bounds](), dict[Quantity, ca.SX]()
     if any(actuator.bias):
         ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
         bias = constant + gear * (position * length + damping * drive.power)
         observed[ctrl], bounds[ctrl] = (drive.symbol / gear - bias) / gain, actuator.control
     else:
         ranges.append((gain * actuator.control[0], gain * actuator.control[1]))
-    for each in ranges:
-        ends = sorted((gear * each[0], gear * each[1]))
-        low, high = max(low, ends[0]), min(high, ends[1])
-    return replace(drive, bounds=bounds | {drive.quantity: (low, high)}, observed=observed)
+    behind = [drive.bounds.get(drive.quantity, FREE), actuator.behind]
+    lower, upper = zip(*behind, *(sorted((gear * low, gear * high)) for low, high in ranges), strict=True)
+    return replace(drive, bounds=bounds | {drive.quantity: (max(lower), min(upper))}, observed=observed)
 
 
 def rotors(layout: Layout, drives: list[Drive]) -> dict[Quantity, ca.SX]:

@@ -170,17 +170,14 @@ def _target(start: float, way: float, low: float, high: float) -> float:
 
 def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
     """Return the limits of a file: of joints, their rates, inputs and controls."""
-    limits = list[Limit]()
-
-    def add(name: str, unit: str, low: float, high: float, rate: bool = False) -> None:
-        if low < high and (math.isfinite(low) or math.isfinite(high)):
-            what = f"{name}{RATE}" if rate else name
-            limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
-
+    rows = list[tuple[str, str, tuple[float, float], bool]]()
     for joint in assembly.moving:
-        add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
-        add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
-    for drive in assembly.inputs:
-        for quantity, bounds in drive.bounds.items():
-            add(quantity.name, quantity.unit, *bounds)
-    return tuple(limits)
+        unit = UNITS[joint.kind][0]
+        rows.append((joint.name, unit, (joint.lower, joint.upper), False))
+        rows.append((joint.name, unit, (-joint.velocity, joint.velocity), True))
+    rows += [(of.name, of.unit, ends, False) for drive in assembly.inputs for of, ends in drive.bounds.items()]
+    return tuple(
+        Limit(f"{name}{RATE * rate}", f"{unit}{'/s' * rate}", low, "", Named(name), upper=high, rate=rate)
+        for name, unit, (low, high), rate in rows
+        if low < high and (math.isfinite(low) or math.isfinite(high))
+    )

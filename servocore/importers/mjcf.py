@@ -8,13 +8,14 @@ and soft in MuJoCo.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from servocore.errors import InvalidModel, extra
-from servocore.importers.tree import GROUND, IDENTITY, LARGEST, ZERO, Actuator, Body, Closure, Joint, Tendon, Tree
+from servocore.importers.tree import FREE, GROUND, IDENTITY, LARGEST, Actuator, Body, Closure, Joint, Tendon, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
@@ -97,7 +98,7 @@ class _Reader:
         self._require_representable()
         self._list_left_out()
         weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        gravity = ZERO if weightless else m.opt.gravity
+        gravity = np.zeros(3) if weightless else m.opt.gravity
         name = (root.get("model") or root.get("name") or self.file.path.stem).replace(" ", "_")
         tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
         actuators = [self._actuator(k) for k in range(m.nu)]
@@ -149,25 +150,20 @@ class _Reader:
         """Return the elementary joints of a joint of a body with this rotation in its parent's axes."""
         m, name, kind = self.m, self.joints[j], int(self.m.jnt_type[j])
         dof, place = int(m.jnt_dofadr[j]), int(m.jnt_qposadr[j])
-        damping, armature = float(m.dof_damping[dof]), float(m.dof_armature[dof])
+        same: Any = {"damping": float(m.dof_damping[dof]), "armature": float(m.dof_armature[dof])}
         if kind in (_FREE, _BALL):
             if m.jnt_stiffness[j]:
                 raise self.fault(f"joint {name} has a spring, which a ball or a free body cannot have here")
             if m.jnt_limited[j]:
                 self.left_out.append(f"limit of joint {name}: a ball has none")
-            slides = [
-                Joint(f"{name}.{axis}", "slide", turned, damping=damping, armature=armature, zero=float(zero))
-                for axis, turned, zero in zip("xyz", rotation, m.qpos0[place : place + 3], strict=True)
-            ]
-            ball = Joint(name, "ball", anchor=np.array(m.jnt_pos[j]), damping=damping, armature=armature)
-            return [*slides, ball] if kind == _FREE else [ball]
-        lower, upper = _range(m.jnt_limited[j], m.jnt_range[j])
-        effort = max(map(abs, _range(m.jnt_actfrclimited[j], m.jnt_actfrcrange[j])))
+            free = Joint.free(name, rotation, m.qpos0[place : place + 3], **same)
+            return free if kind == _FREE else [replace(free[-1], anchor=np.array(m.jnt_pos[j]))]
+        lower, upper = self._range("jnt_", j)
         return [
             Joint(
-                name, _KINDS[kind], np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper, effort=effort,
-                stiffness=float(m.jnt_stiffness[j]), rest=float(m.qpos_spring[place]), damping=damping,
-                armature=armature, zero=float(m.qpos0[place]),
+                name, _KINDS[kind], np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper,
+                effort=max(map(abs, self._range("jnt_actfrc", j))), stiffness=float(m.jnt_stiffness[j]),
+                rest=float(m.qpos_spring[place]), zero=float(m.qpos0[place]), **same,
             )
         ]  # fmt: skip
 
@@ -190,7 +186,7 @@ class _Reader:
             self.left_out.append(f"range of tendon {name}, unless it is taut=['{name}']")
         return Tendon(
             name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), math.nan if slack else low,
-            float(m.tendon_damping[k]), _range(m.tendon_limited[k], m.tendon_range[k])[1], refusal,
+            float(m.tendon_damping[k]), self._range("tendon_", k)[1], refusal,
         )  # fmt: skip
 
     def _closure(self, k: int) -> list[Closure]:
@@ -242,15 +238,10 @@ class _Reader:
                 raise self.fault(f"actuator {name} has {attribute[9:]}: give it to the joint instead")
         if m.actuator_dyntype[k] != dynamics.mjDYN_NONE:
             self.left_out.append(f"dynamics of actuator {name}: the input is its force")
-        lower, upper = _range(m.actuator_forcelimited[k], m.actuator_forcerange[k])
-        element = {"joint": "jnt", "tendon": "tendon"}.get(where, "")
-        if hasattr(m, f"{element}_actfrclimited"):  # of the force behind the gear; older versions lack it for tendons
-            behind = (getattr(m, f"{element}_actfrc{what}")[target] for what in ("limited", "range"))
-            low, high = sorted(end / gear[0] for end in _range(*behind))
-            lower, upper = max(lower, low), min(upper, high)
-        control = _range(m.actuator_ctrllimited[k], m.actuator_ctrlrange[k])
+        limits, control = (self._range(f"actuator_{what}", k) for what in ("force", "ctrl"))
+        behind = self._range("jnt_actfrc" if where == "joint" else f"{where}_actfrc", target)
         bias = tuple(m.actuator_biasprm[k][:3].tolist()) if affine else (0.0, 0.0, 0.0)
-        return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, lower, upper, control)
+        return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, limits, control, behind)
 
     def _list_left_out(self) -> None:
         """List elements without a part in the model."""
@@ -263,7 +254,8 @@ class _Reader:
         if m.opt.density or m.opt.viscosity:
             self.left_out.append("forces of the fluid")
 
-
-def _range(limited: Any, bounds: Any) -> tuple[float, float]:
-    """Return the bounds of an element, infinite where it is not limited."""
-    return (float(bounds[0]), float(bounds[1])) if limited else (-math.inf, math.inf)
+    def _range(self, what: str, k: int) -> tuple[float, float]:
+        """Return the bounds of an element, infinite where it is not limited, or none are known to MuJoCo's version."""
+        limited = getattr(self.m, f"{what}limited", None)
+        low, high = getattr(self.m, f"{what}range")[k] if limited is not None and limited[k] else FREE
+        return float(low), float(high)

@@ -7,7 +7,7 @@ a loop: it becomes a constraint.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -89,13 +89,8 @@ class _Reader(LinkReader):
 
     def _body(self, name: str, link: Element, joint: Element | None, parent: str) -> Body:
         here = self.places[name]
-        joints: tuple[Joint, ...] = ()
-        if joint is not None:
-            joints = self._joints(joint, name)
-        elif not self.static:
-            held = zip("xyz", here.rotation, here.position.tolist(), strict=True)
-            slides = (Joint(f"{name}.{axis}", "slide", turned, zero=zero) for axis, turned, zero in held)
-            joints = (*slides, Joint(name, "ball"))
+        free = [] if self.static else Joint.free(name, here.rotation, here.position)
+        joints = free if joint is None else self._joints(joint, name)
         for tag, usual in (("gravity", True), ("kinematic", False)):
             if self._flag(link, tag, usual) != usual:
                 raise self.file.fault(link, f"has <{tag}> {str(not usual).lower()}, which cannot be represented")
@@ -122,7 +117,7 @@ class _Reader(LinkReader):
         turned = self.places[child].rotation.T @ self.model.rotation if of_model else self.pose(joint, joint)[1]
         return np.asarray(turned @ self.direction(joint, axis, (0.0, 0.0, 1.0)))
 
-    def _joints(self, joint: Element, child: str) -> tuple[Joint, ...]:
+    def _joints(self, joint: Element, child: str) -> Sequence[Joint]:
         """Return the elementary joints of a joint."""
         name, kind, anchor = self.file.required(joint, "name"), self._kind(joint), self.pose(joint, joint)[0]
         if kind == "ball":

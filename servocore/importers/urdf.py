@@ -7,6 +7,7 @@ leave it out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
@@ -72,7 +73,7 @@ class _Reader(LinkReader):
             return Body(name, parent, ZERO, IDENTITY, mass, centre, inertia)
         return Body(name, parent, *self.pose(joint, joint), mass, centre, inertia, self._joints(joint))
 
-    def _joints(self, joint: Element) -> tuple[Joint, ...]:
+    def _joints(self, joint: Element) -> Sequence[Joint]:
         """Return the elementary joints of a joint."""
         file, name, kind = self.file, self.file.required(joint, "name"), self.file.required(joint, "type")
         if kind not in _KINDS:
@@ -80,7 +81,7 @@ class _Reader(LinkReader):
         if kind == "fixed":
             return ()
         if kind == "floating":
-            return (*(Joint(f"{name}.{'xyz'[k]}", "slide", IDENTITY[k]) for k in range(3)), Joint(name, "ball"))
+            return Joint.free(name, IDENTITY, ZERO)
         axis = self.direction(joint, joint.find("axis"), (1.0, 0.0, 0.0))
         if kind == "planar":
             first = np.linalg.svd(axis[None])[2][1]
