@@ -9,11 +9,10 @@ from pathlib import Path
 
 from servocore.importers.assembly import Assembly
 from servocore.importers.coordinates import UNITS
+from servocore.importers.link_files import read_sdf, read_urdf
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
-from servocore.importers.sdf import read_sdf
 from servocore.importers.tree import Tree
-from servocore.importers.urdf import read_urdf
 from servocore.importers.xml_files import XmlFile
 from servocore.model.limits import RATE, Limit, Named
 from servocore.model.scene import Scene
