@@ -93,7 +93,7 @@ class Assembly(Layout):
         origins = {stage: position for stage, (_, position) in self.motion.world.items()}
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
         parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
-        parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
+        parts += [("bar", (origins[stage.base.stage], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
         for name in tips or [self.tree.bodies[-1].name]:
             tip, stage = self.position(name), self.places[name].stage
@@ -139,8 +139,8 @@ class Assembly(Layout):
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
         motion, A = self.motion, self.reduction
-        armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
-        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
+        armature = motion.spread("armature", self.options.elastic)
+        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + armature), A)
         beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
         beside += [(f"{body}.{axis}", self.load_mass(body)) for body in self.loads for axis in "xyz"]
         for name, inertia in beside:
@@ -149,11 +149,8 @@ class Assembly(Layout):
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
-        """Return V: weight, springs of joints and tendons, elastic joints."""
+        """Return V: weight, and springs."""
         potential = self.motion.weight(gravity)
-        for joint in self.joints:
-            if joint.stiffness:
-                potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
         for stretch, stiffness, _ in self._springs:
             potential += stiffness / 2 * stretch**2
         for body in self.loads:
@@ -162,15 +159,15 @@ class Assembly(Layout):
 
     @cached_property
     def _springs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Extension, stiffness and damping of tendons and elastic joints."""
-        springs = [
-            (self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping))
-            for tendon in self.tree.tendons.values()
-            if (tendon.stiffness or tendon.damping) and tendon.name not in self.options.taut
-        ]
+        """Extension, stiffness and damping of tendons and elastic joints, and of the springs of other joints."""
+        sprung = [joint for joint in self.joints if joint.stiffness]
+        springs = [(self.motion.q[each.name] - each.rest, ca.SX(each.stiffness), ca.SX(0)) for each in sprung]
         for name, tendon in self.tree.tendons.items():
-            if np.isnan(tendon.rest) and name not in self.options.taut:
+            if name in self.options.taut or not (tendon.stiffness or tendon.damping):
+                continue
+            if np.isnan(tendon.rest):
                 raise self.tree.fault(f"the tendon {name} has a spring with a slack range, which cannot be represented")
+            springs.append((self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping)))
         for name, elastic in self.options.elastic.items():
             damping = self.parameters[f"{name}.spring_damping"] if elastic.damping else ca.SX(0)
             springs.append((self._twist(name), self.parameters[f"{name}.stiffness"], damping))
@@ -183,8 +180,7 @@ class Assembly(Layout):
     def _damping(self) -> ca.SX:
         """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
         motion, A = self.motion, self.reduction
-        damping = {joint.name: joint.damping for joint in self.joints if joint.damping}
-        forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
+        forces = -ca.mtimes(ca.mtimes(A.T, motion.spread("damping")), ca.mtimes(A, self.v))
         for stretch, _, value in self._springs:
             J = ca.jacobian(stretch, self.q)
             forces -= value * ca.mtimes(J.T, ca.mtimes(J, self.v))
@@ -233,7 +229,8 @@ class Assembly(Layout):
             return [of[closure.first] - closure.rest[0] - polynomial]
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
-            turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
+            first, second = (self.motion.pose(self.place(name))[0] for name in (closure.first, closure.second))
+            turned = ca.mtimes(first.T, second)
             rows += ca.vertsplit(ca.inv_skew(turned) if closure.kind == "weld" else turned[:2, 2])
         return rows
 

@@ -83,12 +83,10 @@ def _drive(name: str, layout: Layout) -> Drive:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
         power = motion.power(layout.place(part[1]).moved(tree.body[part[1]].centre), np.eye(6)[number])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
-    joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
-    own, _, force = joint.rpartition(".")
-    if joint not in tree.joints and own in tree.joints and force == UNITS[tree.joints[own].kind][2]:
-        joint = own
-    if joint in tree.joints:
-        return _on_joint(tree.joints[joint], layout)
+    joints = {f"{joint.name}.{UNITS[joint.kind][2]}": joint for joint in tree.joints.values()} | {**tree.joints}
+    joints |= {each.name: tree.joints[each.on] for each in tree.actuators if each.kind == "joint"}
+    if name in joints:
+        return _on_joint(joints[name], layout)
     if name not in actuators:
         listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(

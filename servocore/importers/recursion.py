@@ -59,17 +59,14 @@ class Stage:
 
     Attributes
     ----------
-    parent : int
-        Its parent stage; -1 for the ground.
     base : Place
-        Pose of the joint's frame in the parent's axes.
+        Pose of the joint's frame on its parent, a stage or the ground.
     joint : Joint
         The joint.
     inertia : ndarray, shape (6, 6)
         Inertia about the origin, first moment as a cross product, and mass, in its axes.
     """
 
-    parent: int
     base: Place
     joint: Joint
     inertia: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -121,7 +118,7 @@ def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], d
     for body in tree.bodies:
         here = places[body.parent].moved(body.position, body.rotation)
         for joint in body.joints:
-            stages.append(Stage(here.stage, here.moved(joint.anchor), joint))
+            stages.append(Stage(here.moved(joint.anchor), joint))
             here = Place(len(stages) - 1, -joint.anchor, IDENTITY)
         places[body.name] = here
         if here.stage >= 0 and body.name not in without:
@@ -212,7 +209,7 @@ class Motion:
         """Rotation and position of every stage in the axes of the ground, which is stage -1."""
         found = {-1: (ca.SX.eye(3), ca.SX(3, 1))}
         for k, (stage, (R, p, *_)) in enumerate(zip(self.stages, self._local, strict=True)):
-            turned, origin = found[stage.parent]
+            turned, origin = found[stage.base.stage]
             found[k] = (ca.mtimes(turned, R), origin + ca.mtimes(turned, p))
         return found
 
@@ -221,7 +218,7 @@ class Motion:
         """Angular velocity, velocity of the origin of every stage, in its axes, shape (6,); the ground is stage -1."""
         found = {-1: ca.SX(6, 1)}
         for k, (stage, (_, _, X, S, v)) in enumerate(zip(self.stages, self._local, strict=True)):
-            found[k] = ca.mtimes(X, found[stage.parent]) + ca.mtimes(S, v)
+            found[k] = ca.mtimes(X, found[stage.base.stage]) + ca.mtimes(S, v)
         return found
 
     def pose(self, place: Place) -> tuple[ca.SX, ca.SX]:
@@ -234,7 +231,7 @@ class Motion:
         position, at = sparse(place.position), place.stage
         while at != stage:
             R, p, *_ = self._local[at]
-            position, at = p + ca.mtimes(R, position), self.stages[at].parent
+            position, at = p + ca.mtimes(R, position), self.stages[at].base.stage
         return position
 
     def power(self, place: Place, acting: Array) -> ca.SX:
@@ -246,7 +243,7 @@ class Motion:
         mass, composite = ca.SX(len(self.q), len(self.q)), list(self._inertias)
         for i in reversed(range(len(self.stages))):
             R, p, _, S, _ = self._local[i]
-            if (parent := self.stages[i].parent) >= 0:
+            if (parent := self.stages[i].base.stage) >= 0:
                 composite[parent] += _moved(composite[i], R, p)
             momentum, j = ca.mtimes(composite[i], S), i
             while j >= 0:
@@ -254,18 +251,18 @@ class Motion:
                 block = ca.mtimes(S.T, momentum)
                 mass[self._rows[j], self._rows[i]] = block
                 mass[self._rows[i], self._rows[j]] = block.T
-                momentum, j = ca.mtimes(X.T, momentum), self.stages[j].parent
+                momentum, j = ca.mtimes(X.T, momentum), self.stages[j].base.stage
         return ca.sparsify(mass)
 
-    def spread(self, values: Mapping[str, float]) -> ca.SX:
-        """Return S^T S times a value of every joint, shape (coordinates, coordinates).
+    def spread(self, what: str, without: Collection[str] = ()) -> ca.SX:
+        """Return S^T S times the armature or the damping of every joint but some, shape (coordinates, coordinates).
 
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
         matrix = ca.SX(len(self.q), len(self.q))
         for stage, rows, (_, _, _, S, _) in zip(self.stages, self._rows, self._local, strict=True):
-            if stage.joint.name in values:
-                matrix[rows, rows] = values[stage.joint.name] * ca.mtimes(S.T, S)
+            if stage.joint.name not in without:
+                matrix[rows, rows] = getattr(stage.joint, what) * ca.mtimes(S.T, S)
         return ca.sparsify(matrix)
 
     @cached_property
@@ -278,17 +275,17 @@ class Motion:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
         forces, accelerations, wrenches = ca.SX(len(self.q), 1), {-1: ca.SX(6, 1)}, {-1: ca.SX(6, 1)}
         for k, (stage, (_, _, X, S, v)) in enumerate(zip(self.stages, self._local, strict=True)):
-            carried, turning = ca.mtimes(X[:, :3], self.rates[stage.parent][:3]), self.rates[k][:3]
+            carried, turning = ca.mtimes(X[:, :3], self.rates[stage.base.stage][:3]), self.rates[k][:3]
             own = ca.mtimes(S, v)
             beside = _turned(carried[:3], ca.vertcat(own[:3], carried[3:] + 2 * own[3:]))
-            accelerations[k] = ca.mtimes(X, accelerations[stage.parent]) + beside
+            accelerations[k] = ca.mtimes(X, accelerations[stage.base.stage]) + beside
             inertia = self._inertias[k]
             centrifugal = _turned(turning, ca.mtimes(inertia[:, :3], turning))
             wrenches[k] = ca.mtimes(inertia, accelerations[k]) + centrifugal
         for i in reversed(range(len(self.stages))):
             _, _, X, S, _ = self._local[i]
             forces[self._rows[i]] = ca.mtimes(S.T, wrenches[i])
-            wrenches[self.stages[i].parent] += ca.mtimes(X.T, wrenches[i])
+            wrenches[self.stages[i].base.stage] += ca.mtimes(X.T, wrenches[i])
         return forces
 
     def weight(self, gravity: ca.SX) -> ca.SX:

@@ -254,7 +254,6 @@ class Tree:
         ordered = sorted(self.bodies, key=lambda body: len(self.above(body.name)))
         object.__setattr__(self, "bodies", tuple(ordered))
         self._require_physical()
-        self._require_metres()
 
     def fault(self, sentence: str) -> InvalidModel:
         """Return the error of a sentence about the file."""
@@ -276,16 +275,16 @@ class Tree:
         return way
 
     def _require_physical(self) -> None:
-        """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
+        """Refuse masses that no body has, and sizes out of proportion: files in millimetres.
+
+        Inertias are checked with all that is fixed to a body, in `stages_of`.
+        """
         for body in self.bodies:
             values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
             if not (np.abs(values) < LARGEST).all():
                 raise self.fault(f"the body {body.name} holds a number that is not finite, or above {LARGEST:g}")
             if body.mass < 0.0:
                 raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
-
-    def _require_metres(self) -> None:
-        """Refuse sizes out of proportion: files in millimetres."""
         far = max(self.bodies, key=lambda body: float(np.abs(body.position).max()), default=None)
         if far is not None and np.abs(far.position).max() > _LONGEST:
             raise self.fault(
