@@ -139,8 +139,7 @@ class Assembly(Layout):
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
         motion, A = self.motion, self.reduction
-        armature = motion.spread("armature", self.options.elastic)
-        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + armature), A)
+        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread("armature", self.options.elastic)), A)
         beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
         beside += [(f"{body}.{axis}", self.load_mass(body)) for body in self.loads for axis in "xyz"]
         for name, inertia in beside:
@@ -249,13 +248,11 @@ class Assembly(Layout):
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
         values = self.start | {f"{name}{MOTOR}": self.start[name] for name in self.options.elastic}
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
-        if not self.rows:
-            return q
         for body in self.loads:  # where it is in the file, in the posture
             first = self.coordinates.index(f"{body}.x")
             place = ca.Function("place", [self.q], [self.motion.pose(self.centre(body))[1]])
             q[first : first + 3] = filled(place(q)).ravel()
-        g = ca.vertcat(*self.rows.values())
+        g = ca.vertcat(*self.rows.values(), ca.SX(1, 1))  # a row of zeros, for there may be no constraint
         evaluate = ca.Function("posture", [self.q], [g, ca.jacobian(g, self.q)])
         for _ in range(_MOST_CORRECTIONS):
             residual, jacobian = (filled(each) for each in evaluate(q))
@@ -263,9 +260,8 @@ class Assembly(Layout):
                 return q
             q = q - np.linalg.lstsq(jacobian, residual.ravel(), rcond=1e-10)[0]
         worst = list(self.rows)[int(np.abs(residual).argmax())]
-        raise self.tree.fault(
-            f"no configuration near the posture satisfies the constraint {worst}; give another posture"
-        )
+        why = f"no configuration near the posture satisfies the constraint {worst}"
+        raise self.tree.fault(f"{why}; give another posture")
 
     def _prediction(self, output: ca.SX, names: list[Quantity], q: Array) -> tuple[list[float], Array]:
         """Return the outputs at the posture, and dq/d(outputs) there: the configuration to first order.
@@ -282,9 +278,8 @@ class Assembly(Layout):
         if rank < tied + m:
             listed = ", ".join(each.name for each in names)
             there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
-            raise self.tree.fault(
-                f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
-            )
+            what = f"the outputs {listed} are dependent at the posture {there}"
+            raise self.tree.fault(f"{what}: give another one with posture")
         spread = np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float)
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 from itertools import dropwhile, pairwise, takewhile
 from math import comb
@@ -69,24 +69,19 @@ class Layout:
         self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
 
-    def _declared(self) -> list[Parameter]:
-        """Return the parameters: of elastic joints, and payloads."""
-        declared = []
+    def _declared(self) -> Iterator[Parameter]:
+        """Yield the parameters: of elastic joints, and payloads."""
         for name, elastic in self.options.elastic.items():
             joint = self.tree.joints[name]
             per, force, _ = UNITS[joint.kind]
             inertia = "kg.m2" if joint.kind == "hinge" else "kg"
             motor = joint.armature if elastic.motor_inertia is None else elastic.motor_inertia
-            declared += [
-                Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),
-                Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9),
-            ]
+            yield Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15)
+            yield Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9)
             if elastic.damping:  # without any, other equations hold: the index is higher
-                declared += [Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)]
-        return declared + [
-            Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
-            for name, mass in self.options.payload.items()
-        ]
+                yield Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)
+        for name, mass in self.options.payload.items():
+            yield Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
 
     @cached_property
     def start(self) -> dict[str, float]:
@@ -260,8 +255,7 @@ def _below(tree: Tree, load: str, hinges: list[Joint]) -> list[str]:
     for body in tree.bodies:
         if hinges[-1] in body.joints or body.parent in found:
             found.append(body.name)
-            other = [joint.name for joint in body.joints if joint not in hinges and joint.kind != "slide"]
-            if other:
+            if other := [joint.name for joint in body.joints if joint not in hinges and joint.kind != "slide"]:
                 raise tree.fault(f"ropes: {body.name} cannot be part of a rope: the joint {other[0]} moves beside it")
     return found
 

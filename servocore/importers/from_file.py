@@ -12,7 +12,7 @@ from servocore.importers.coordinates import UNITS
 from servocore.importers.link_files import read_sdf, read_urdf
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
-from servocore.importers.tree import Tree
+from servocore.importers.tree import FREE, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.model.limits import RATE, Limit, Named
 from servocore.model.scene import Scene
@@ -153,18 +153,13 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
     system = assembly()
     if reference is None:
         bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
-        target = [
-            _target(x, _WAY.get(each.unit, 0.1), *bounds.get(each.name, (-math.inf, math.inf)))
-            for x, each in zip(system.home, system.outputs, strict=True)
-        ]
+        target = list[float]()
+        for x, each in zip(system.home, system.outputs, strict=True):
+            low, high = bounds.get(each.name, FREE)
+            way = min(_WAY.get(each.unit, 0.1), _SHARE * (high - low))
+            target.append(x + (way if x + 2 * way < high else -way))  # within its limits
         reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
     return Scene(tree.name, {"file": assembly}, reference, limits=limits, drawing=assembly.drawing, hint=assembly.hint)
-
-
-def _target(start: float, way: float, low: float, high: float) -> float:
-    """Return the end of the default path of an output, within its limits."""
-    way = min(way, _SHARE * (high - low))
-    return start + (way if start + 2 * way < high else -way)
 
 
 def limits_of(assembly: Assembly) -> tuple[Limit, ...]:

@@ -162,8 +162,7 @@ class _Urdf(LinkReader):
             listed = ", ".join(roots[:4])
             why = f"has {len(roots)} root links, {listed}: all but one need a joint to a parent"
             raise file.fault(root, why if links else "has no <link>")
-        transmissions = [str(each.get("name")) for each in root.findall("transmission")]
-        if transmissions:
+        if transmissions := [str(each.get("name")) for each in root.findall("transmission")]:
             self.left_out.append(f"transmissions {', '.join(transmissions)}: inputs act on the joints")
         bodies = [self._body(name, link, *hung.get(name, (None, GROUND))) for name, link in links]
         return Tree(root.get("name") or file.path.stem, file.path.name, bodies, left_out=self.left_out)
@@ -298,9 +297,7 @@ class _Sdf(LinkReader):
             return (Joint(name, "ball", anchor=anchor),)
         axes = [self.file.child(joint, tag) for tag in ("axis", "axis2")[: _AXES[kind]]]
         found = zip((name, f"{name}.2"), axes, strict=False)
-        return tuple(
-            self.single(joint, axis, each, kind, self._axis(joint, axis, child), anchor) for each, axis in found
-        )
+        return [self.single(joint, axis, each, kind, self._axis(joint, axis, child), anchor) for each, axis in found]
 
     def _close(self, joint: Element, parent: str, child: str) -> None:
         """Add the constraint of a joint whose child already has a parent."""

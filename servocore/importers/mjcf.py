@@ -103,10 +103,8 @@ class _Reader:
         tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
         actuators = [self._actuator(k) for k in range(m.nu)]
         joints = [each.on for each in actuators if each.kind == "joint"]
-        shared = [each for each in actuators if joints.count(each.on) > 1]
-        self.left_out += [
-            f"gain and limits of actuator {each.name}: joint {each.on} has another drive" for each in shared
-        ]
+        for each in (each for each in actuators if joints.count(each.on) > 1):
+            self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
         closures = [closure for k in range(m.neq) for closure in self._closure(k)]
         bodies = [*(self._body(k) for k in range(1, m.nbody)), *self.frames]
         return Tree(name, self.file.path.name, bodies, actuators, tendons, closures, gravity.tolist(), self.left_out)
@@ -164,13 +162,12 @@ class _Reader:
             free = Joint.free(name, rotation, m.qpos0[place : place + 3], **same)
             return free if kind == "free" else [replace(free[-1], anchor=np.array(m.jnt_pos[j]))]
         lower, upper = self._range("jnt_", j)
-        return [
-            Joint(
-                name, kind, np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper,
-                effort=max(map(abs, self._range("jnt_actfrc", j))), stiffness=float(m.jnt_stiffness[j]),
-                rest=float(m.qpos_spring[place]), zero=float(m.qpos0[place]), **same,
-            )
-        ]  # fmt: skip
+        joint = Joint(
+            name, kind, np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper,
+            effort=max(map(abs, self._range("jnt_actfrc", j))), stiffness=float(m.jnt_stiffness[j]),
+            rest=float(m.qpos_spring[place]), zero=float(m.qpos0[place]), **same,
+        )  # fmt: skip
+        return [joint]
 
     def _tendon(self, k: int, name: str) -> Tendon:
         m, terms, branches, refusal = self.m, dict[str, float](), [(1.0, list[str]())], ""

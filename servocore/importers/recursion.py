@@ -274,12 +274,12 @@ class Motion:
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
         forces, accelerations, wrenches = ca.SX(len(self.q), 1), {-1: ca.SX(6, 1)}, {-1: ca.SX(6, 1)}
-        for k, (stage, (_, _, X, S, v)) in enumerate(zip(self.stages, self._local, strict=True)):
-            carried, turning = ca.mtimes(X[:, :3], self.rates[stage.base.stage][:3]), self.rates[k][:3]
+        for k, inertia in enumerate(self._inertias):
+            (_, _, X, S, v), parent = self._local[k], self.stages[k].base.stage
+            carried, turning = ca.mtimes(X[:, :3], self.rates[parent][:3]), self.rates[k][:3]
             own = ca.mtimes(S, v)
             beside = _turned(carried[:3], ca.vertcat(own[:3], carried[3:] + 2 * own[3:]))
-            accelerations[k] = ca.mtimes(X, accelerations[stage.base.stage]) + beside
-            inertia = self._inertias[k]
+            accelerations[k] = ca.mtimes(X, accelerations[parent]) + beside
             centrifugal = _turned(turning, ca.mtimes(inertia[:, :3], turning))
             wrenches[k] = ca.mtimes(inertia, accelerations[k]) + centrifugal
         for i in reversed(range(len(self.stages))):
@@ -290,8 +290,7 @@ class Motion:
 
     def weight(self, gravity: ca.SX) -> ca.SX:
         """Return the potential of gravity, J, for its acceleration in the axes of the ground, shape (3,)."""
-        moments = [
-            inertia[5, 5] * self.world[k][1] + ca.mtimes(self.world[k][0], _moment(inertia))
-            for k, inertia in enumerate(self._inertias)
-        ]
-        return -ca.dot(gravity, sum(moments, ca.SX(3, 1)))
+        moment = ca.SX(3, 1)
+        for k, inertia in enumerate(self._inertias):
+            moment += inertia[5, 5] * self.world[k][1] + ca.mtimes(self.world[k][0], _moment(inertia))
+        return -ca.dot(gravity, moment)

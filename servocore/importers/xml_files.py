@@ -102,7 +102,6 @@ class XmlFile:
         except ValueError:
             values = np.array([np.nan])
         if len(values) != len(default) or not np.isfinite(values).all():
-            raise self.fault(
-                element, f"holds {text!r} where {len(default)} finite number{'s' * (len(default) > 1)} belong"
-            )
+            wanted = f"{len(default)} finite number{'s' * (len(default) > 1)}"
+            raise self.fault(element, f"holds {text!r} where {wanted} belong")
         return values
