@@ -133,8 +133,7 @@ def test_cranes_of_the_library_written_as_mjcf_have_their_closed_form(name: str,
 
 def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:
     half = "<inertial><origin xyz='{}'/><mass value='1'/><inertia ixx='0.002'/></inertial>"
-    whole = r'<inertial><origin xyz="0.2 0 0"/>.*?</inertial>'
-    text = re.sub(whole, half.format("0.1 0 0"), ARM.read_text(), flags=re.DOTALL)
+    text = re.sub(r'(?s)<inertial><origin xyz="0.2 0 0"/>.*?</inertial>', half.format("0.1 0 0"), ARM.read_text())
     text = text.replace(
         "</robot>",
         f"<link name='end'>{half.format('0 0 0')}</link><joint name='seam' type='fixed'>"
@@ -144,8 +143,8 @@ def test_names_order_and_split_links_change_nothing(tmp_path: Path) -> None:
     other[:] = reversed(other)
     ElementTree.ElementTree(other).write(tmp_path / "other.urdf")
     scenes = [sc.scenes.from_file(path) for path in (ARM, tmp_path / "other.urdf")]
-    runs = [(sc.solve(scene, step=0.05), [each.name for each in scene.model().inputs]) for scene in scenes]
-    inputs = [{name.removeprefix("a "): run[name] for name in names} for run, names in runs]
+    runs = [(sc.solve(scene, step=0.05), scene.model().inputs) for scene in scenes]
+    inputs = [{each.name.removeprefix("a "): run[each.name] for each in names} for run, names in runs]
     assert apart([(inputs[0][name], inputs[1][name]) for name in inputs[0]]) < 1e-12
 
 
