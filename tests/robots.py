@@ -109,7 +109,7 @@ def apart_from_pinocchio(path: Path) -> float:
     layout, evaluate = terms(tree)
     model = pin.buildModelFromUrdf(str(path))
     model.gravity.linear = np.array(tree.gravity)
-    names, data, rng = list(layout.motion.columns), model.createData(), np.random.default_rng(3)
+    names, data, rng = list(layout.motion.q), model.createData(), np.random.default_rng(3)
     joints = [model.joints[model.getJointId(name)] for name in names]
     order, A = [joint.idx_v for joint in joints], np.asarray(ca.DM(layout.reduction))
     coordinates = ca.vertcat(ca.SX(0, 1), *[layout.motion.q[name] for name in names])

@@ -93,7 +93,7 @@ class Assembly(Layout):
         origins = {stage: position for stage, (_, position) in self.motion.world.items()}
         parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
         parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
-        parts += [("bar", (origins[stage.parent], origins[k]), "") for k, stage in enumerate(self.stages)]
+        parts += [("bar", (origins[stage.base.stage], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
         for name in tips or [self.tree.bodies[-1].name]:
             tip, stage = self.position(name), self.places[name].stage
@@ -139,8 +139,7 @@ class Assembly(Layout):
     def mass(self) -> ca.SX:
         """M, shape (n, n)."""
         motion, A = self.motion, self.reduction
-        armature = {joint.name: joint.armature for joint in self.joints if joint.name not in self.options.elastic}
-        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread(armature)), A)
+        mass = ca.mtimes(ca.mtimes(A.T, motion.mass() + motion.spread("armature", self.options.elastic)), A)
         beside = [(f"{name}{MOTOR}", self.parameters[f"{name}.motor_inertia"]) for name in self.options.elastic]
         beside += [(f"{body}.{axis}", self.load_mass(body)) for body in self.loads for axis in "xyz"]
         for name, inertia in beside:
@@ -149,11 +148,8 @@ class Assembly(Layout):
         return ca.sparsify(mass)
 
     def _potential(self, gravity: ca.SX) -> ca.SX:
-        """Return V: weight, springs of joints and tendons, elastic joints."""
+        """Return V: weight, and springs."""
         potential = self.motion.weight(gravity)
-        for joint in self.joints:
-            if joint.stiffness:
-                potential += joint.stiffness / 2 * (self.motion.q[joint.name] - joint.rest) ** 2
         for stretch, stiffness, _ in self._springs:
             potential += stiffness / 2 * stretch**2
         for body in self.loads:
@@ -162,15 +158,15 @@ class Assembly(Layout):
 
     @cached_property
     def _springs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Extension, stiffness and damping of tendons and elastic joints."""
-        springs = [
-            (self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping))
-            for tendon in self.tree.tendons.values()
-            if (tendon.stiffness or tendon.damping) and tendon.name not in self.options.taut
-        ]
+        """Extension, stiffness and damping of tendons and elastic joints, and of the springs of other joints."""
+        sprung = [joint for joint in self.joints if joint.stiffness]
+        springs = [(self.motion.q[each.name] - each.rest, ca.SX(each.stiffness), ca.SX(0)) for each in sprung]
         for name, tendon in self.tree.tendons.items():
-            if np.isnan(tendon.rest) and name not in self.options.taut:
+            if name in self.options.taut or not (tendon.stiffness or tendon.damping):
+                continue
+            if np.isnan(tendon.rest):
                 raise self.tree.fault(f"the tendon {name} has a spring with a slack range, which cannot be represented")
+            springs.append((self.length(tendon) - tendon.rest, ca.SX(tendon.stiffness), ca.SX(tendon.damping)))
         for name, elastic in self.options.elastic.items():
             damping = self.parameters[f"{name}.spring_damping"] if elastic.damping else ca.SX(0)
             springs.append((self._twist(name), self.parameters[f"{name}.stiffness"], damping))
@@ -183,8 +179,7 @@ class Assembly(Layout):
     def _damping(self) -> ca.SX:
         """Return the viscous forces, shape (n,), the gradient of half the dissipated power."""
         motion, A = self.motion, self.reduction
-        damping = {joint.name: joint.damping for joint in self.joints if joint.damping}
-        forces = -ca.mtimes(ca.mtimes(A.T, motion.spread(damping)), ca.mtimes(A, self.v))
+        forces = -ca.mtimes(ca.mtimes(A.T, motion.spread("damping")), ca.mtimes(A, self.v))
         for stretch, _, value in self._springs:
             J = ca.jacobian(stretch, self.q)
             forces -= value * ca.mtimes(J.T, ca.mtimes(J, self.v))
@@ -233,7 +228,8 @@ class Assembly(Layout):
             return [of[closure.first] - closure.rest[0] - polynomial]
         rows = ca.vertsplit(self.position(closure.first) - self.position(closure.second))
         if closure.kind != "connect":
-            turned = ca.mtimes(self.rotation(closure.first).T, self.rotation(closure.second))
+            first, second = (self.motion.pose(self.place(name))[0] for name in (closure.first, closure.second))
+            turned = ca.mtimes(first.T, second)
             rows += ca.vertsplit(ca.inv_skew(turned) if closure.kind == "weld" else turned[:2, 2])
         return rows
 
@@ -252,13 +248,11 @@ class Assembly(Layout):
         """A configuration that satisfies all constraints, near the posture, shape (n,)."""
         values = self.start | {f"{name}{MOTOR}": self.start[name] for name in self.options.elastic}
         q = np.array([values.get(name, 0.0) for name in self.coordinates.names])
-        if not self.rows:
-            return q
         for body in self.loads:  # where it is in the file, in the posture
             first = self.coordinates.index(f"{body}.x")
             place = ca.Function("place", [self.q], [self.motion.pose(self.centre(body))[1]])
             q[first : first + 3] = filled(place(q)).ravel()
-        g = ca.vertcat(*self.rows.values())
+        g = ca.vertcat(*self.rows.values(), ca.SX(1, 1))  # a row of zeros, for there may be no constraint
         evaluate = ca.Function("posture", [self.q], [g, ca.jacobian(g, self.q)])
         for _ in range(_MOST_CORRECTIONS):
             residual, jacobian = (filled(each) for each in evaluate(q))
@@ -266,9 +260,8 @@ class Assembly(Layout):
                 return q
             q = q - np.linalg.lstsq(jacobian, residual.ravel(), rcond=1e-10)[0]
         worst = list(self.rows)[int(np.abs(residual).argmax())]
-        raise self.tree.fault(
-            f"no configuration near the posture satisfies the constraint {worst}; give another posture"
-        )
+        why = f"no configuration near the posture satisfies the constraint {worst}"
+        raise self.tree.fault(f"{why}; give another posture")
 
     def _prediction(self, output: ca.SX, names: list[Quantity], q: Array) -> tuple[list[float], Array]:
         """Return the outputs at the posture, and dq/d(outputs) there: the configuration to first order.
@@ -285,9 +278,8 @@ class Assembly(Layout):
         if rank < tied + m:
             listed = ", ".join(each.name for each in names)
             there = ", ".join(f"{name} = {x:.3g}" for name, x in list(zip(self.coordinates.names, q, strict=True))[:8])
-            raise self.tree.fault(
-                f"the outputs {listed} are dependent at the posture {there}: give another one with posture"
-            )
+            what = f"the outputs {listed} are dependent at the posture {there}"
+            raise self.tree.fault(f"{what}: give another one with posture")
         spread = np.asarray(np.linalg.pinv(stacked, rcond=_DEPENDENT)[:, :m], float)
         near = np.round(spread)
         return value.ravel().tolist(), np.where(np.abs(spread - near) < _ROUND_OFF, near, spread)

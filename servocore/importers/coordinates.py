@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 from itertools import dropwhile, pairwise, takewhile
 from math import comb
@@ -48,7 +48,10 @@ class Layout:
         self.roped = {name for body, hinges in self.ropes.items() for name in _below(tree, body, hinges)}
         on_way = {name for body in options.points for name in _light(tree, tree.body[body], self.driven)} | self.roped
         self.loads = (*options.points, *options.ropes)
-        self.carried = {body.name: load for body in tree.bodies if (load := self._load(body.name))}
+        self.carried = dict[str, str]()
+        for body in tree.bodies:  # parents first
+            if load := body.name if body.name in self.loads else "" if body.joints else self.carried.get(body.parent):
+                self.carried[body.name] = load
         taut = {f"range of tendon {name}" for name in options.taut}
         self.left_out = [each for each in tree.left_out if each.partition(",")[0] not in taut]
         self.left_out += [f"inertia of {name} about its centre: it is a point mass" for name in self.loads]
@@ -66,24 +69,19 @@ class Layout:
         self.q, self.v = self.coordinates.q, self.coordinates.v
         self.parameters = Parameters(*self._declared())
 
-    def _declared(self) -> list[Parameter]:
-        """Return the parameters: of elastic joints, and payloads."""
-        declared = []
+    def _declared(self) -> Iterator[Parameter]:
+        """Yield the parameters: of elastic joints, and payloads."""
         for name, elastic in self.options.elastic.items():
             joint = self.tree.joints[name]
             per, force, _ = UNITS[joint.kind]
             inertia = "kg.m2" if joint.kind == "hinge" else "kg"
             motor = joint.armature if elastic.motor_inertia is None else elastic.motor_inertia
-            declared += [
-                Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15),
-                Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9),
-            ]
+            yield Parameter(f"{name}.stiffness", elastic.stiffness, f"{force}/{per}", 1e-12, 1e15)
+            yield Parameter(f"{name}.motor_inertia", motor, inertia, 0.0, 1e9)
             if elastic.damping:  # without any, other equations hold: the index is higher
-                declared += [Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)]
-        return declared + [
-            Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
-            for name, mass in self.options.payload.items()
-        ]
+                yield Parameter(f"{name}.spring_damping", elastic.damping, f"{force}.s/{per}", 0.0, 1e9)
+        for name, mass in self.options.payload.items():
+            yield Parameter(f"{name}.payload", mass, "kg", 0.0, 1e9, f"point mass at {name}")
 
     @cached_property
     def start(self) -> dict[str, float]:
@@ -145,18 +143,16 @@ class Layout:
         """Return the place of a frame; raises `InvalidModel` if there is none, or a rope has replaced its joints."""
         self.tree.above(name)
         if name in self.roped:
-            load = self._load(name)
+            load = self.carried.get(name)
             what = f"the body {load} hangs on a rope as a point mass" if load else f"the body {name} is part of a rope"
             raise self.tree.fault(f"{what}: it has no orientation")
         return self.places[name]
 
     def load_mass(self, load: str) -> ca.SX:
         """Return the mass of a point mass, kg: of the body, all that is fixed to it, and payloads."""
-        masses = (self.tree.body[name].mass for name, on in self.carried.items() if on == load)
-        payloads = (
-            self.parameters[f"{name}.payload"] for name in self.options.payload if self.carried.get(name) == load
-        )
-        return sum(payloads, ca.SX(sum(masses)))
+        fixed = [name for name, carrier in self.carried.items() if carrier == load]
+        payloads = (self.parameters[f"{name}.payload"] for name in fixed if name in self.options.payload)
+        return sum(payloads, ca.SX(sum(self.tree.body[name].mass for name in fixed)))
 
     def point(self, body: str) -> ca.SX:
         """Return the coordinates x, y, z of a body that is a point mass, shape (3,)."""
@@ -165,18 +161,8 @@ class Layout:
 
     def position(self, name: str) -> ca.SX:
         """Return the position of a frame, shape (3,), m; a point mass is at one place."""
-        load = self._load(name)
+        load = self.carried.get(name)
         return self.point(load) if load else self.motion.pose(self.place(name))[1]
-
-    def _load(self, name: str) -> str:
-        """Return the point mass that a frame belongs to; empty if there is none."""
-        way = self.tree.above(name)
-        own = way[: next((k + 1 for k, body in enumerate(way) if body.joints), len(way))]
-        return next((body.name for body in own if body.name in self.loads), "")
-
-    def rotation(self, name: str) -> ca.SX:
-        """Return the axes of a frame in those of the ground, shape (3, 3)."""
-        return self.motion.pose(self.place(name))[0]
 
     def length(self, tendon: Tendon) -> ca.SX:
         """Return the length of a tendon; raises `InvalidModel` where it cannot be computed."""
@@ -226,7 +212,7 @@ class Layout:
         It is analytic at zero: the unit quaternion is halved three times, and what remains is the series of asin(x)/x.
         Rotations reach up to half a turn.
         """
-        R = self.rotation(frame)
+        R, _ = self.motion.pose(self.place(frame))
         start = filled(ca.Function("start", [self.coordinates.q], [R])(posture))
         D = ca.mtimes(R, ca.DM(start).T)
         w = ca.sqrt(1 + ca.trace(D)) / 2
@@ -269,8 +255,7 @@ def _below(tree: Tree, load: str, hinges: list[Joint]) -> list[str]:
     for body in tree.bodies:
         if hinges[-1] in body.joints or body.parent in found:
             found.append(body.name)
-            other = [joint.name for joint in body.joints if joint not in hinges and joint.kind != "slide"]
-            if other:
+            if other := [joint.name for joint in body.joints if joint not in hinges and joint.kind != "slide"]:
                 raise tree.fault(f"ropes: {body.name} cannot be part of a rope: the joint {other[0]} moves beside it")
     return found
 

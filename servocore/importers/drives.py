@@ -11,10 +11,8 @@ import numpy as np
 
 from servocore.errors import InvalidSetting
 from servocore.importers.coordinates import MOTOR, UNITS, Layout
-from servocore.importers.recursion import Place
-from servocore.importers.tree import Actuator, Joint
+from servocore.importers.tree import FREE, Actuator, Joint
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array
 
 _WRENCH = re.compile(r"(.+)\.(force|torque)_([xyz])")
 _EXACT = 1e-9  # of a unit wrench that rotors must exert
@@ -83,15 +81,12 @@ def _drive(name: str, layout: Layout) -> Drive:
     actuators = {each.name: each for each in tree.actuators}
     if (part := _WRENCH.fullmatch(name)) and part[1] in tree.body:
         number = 3 * (part[2] == "torque") + "xyz".index(part[3])
-        unit = np.eye(6)[number]
-        power = motion.power(layout.place(part[1]).moved(tree.body[part[1]].centre), unit[:3], unit[3:])
+        power = motion.power(layout.place(part[1]).moved(tree.body[part[1]].centre), np.eye(6)[number])
         return Drive(Quantity(name, "N" if number < 3 else "N.m"), power, wrench=(part[1], number))
-    joint = actuators[name].on if name in actuators and actuators[name].kind == "joint" else name
-    own, _, force = joint.rpartition(".")
-    if joint not in tree.joints and own in tree.joints and force == UNITS[tree.joints[own].kind][2]:
-        joint = own
-    if joint in tree.joints:
-        return _on_joint(tree.joints[joint], layout)
+    joints = {f"{joint.name}.{UNITS[joint.kind][2]}": joint for joint in tree.joints.values()} | {**tree.joints}
+    joints |= {each.name: tree.joints[each.on] for each in tree.actuators if each.kind == "joint"}
+    if name in joints:
+        return _on_joint(joints[name], layout)
     if name not in actuators:
         listed = ", ".join([*tree.joints, *actuators])
         raise InvalidSetting(
@@ -106,7 +101,7 @@ def _drive(name: str, layout: Layout) -> Drive:
     size, unit = float(np.linalg.norm(gear[:3])), Quantity(f"{name}.force", "N")
     if not size:
         size, unit = float(np.linalg.norm(gear[3:])), Quantity(f"{name}.torque", "N.m")
-    power = motion.power(layout.place(actuator.on), gear[:3] / size, gear[3:] / size)
+    power = motion.power(layout.place(actuator.on), gear / size)
     return _limited(Drive(unit, power, rotor=actuator.on), replace(actuator, bias=(0.0, 0.0, 0.0)), size, ca.SX(0))
 
 
@@ -127,18 +122,16 @@ def _on_joint(joint: Joint, layout: Layout) -> Drive:
 def _limited(drive: Drive, actuator: Actuator, gear: float, length: ca.SX) -> Drive:
     """Return the drive with the limits of an actuator, and its ctrl where that is not the force itself."""
     gain, (constant, position, damping) = actuator.gain, actuator.bias
-    low, high = drive.bounds.get(drive.quantity, (-np.inf, np.inf))
-    ranges, bounds, observed = [(actuator.lower, actuator.upper)], dict[Quantity, Bounds](), dict[Quantity, ca.SX]()
+    ranges, bounds, observed = [actuator.limits], dict[Quantity, Bounds](), dict[Quantity, ca.SX]()
     if any(actuator.bias):
         ctrl = Quantity(f"{actuator.name}.ctrl", "1", f"control of {actuator.name}")
         bias = constant + gear * (position * length + damping * drive.power)
         observed[ctrl], bounds[ctrl] = (drive.symbol / gear - bias) / gain, actuator.control
     else:
         ranges.append((gain * actuator.control[0], gain * actuator.control[1]))
-    for each in ranges:
-        ends = sorted((gear * each[0], gear * each[1]))
-        low, high = max(low, ends[0]), min(high, ends[1])
-    return replace(drive, bounds=bounds | {drive.quantity: (low, high)}, observed=observed)
+    behind = [drive.bounds.get(drive.quantity, FREE), actuator.behind]
+    lower, upper = zip(*behind, *(sorted((gear * low, gear * high)) for low, high in ranges), strict=True)
+    return replace(drive, bounds=bounds | {drive.quantity: (max(lower), min(upper))}, observed=observed)
 
 
 def rotors(layout: Layout, drives: list[Drive]) -> dict[Quantity, ca.SX]:
@@ -157,21 +150,15 @@ def rotors(layout: Layout, drives: list[Drive]) -> dict[Quantity, ca.SX]:
         on = [(each, place) for each, place in placed if place.stage == centre.stage]
         if not on:
             continue
-        G = np.column_stack([_wrench(each, place, centre) for each, place in on])
-        share = np.linalg.pinv(G, rcond=_EXACT)
-        if np.abs(G @ share[:, list(parts)] - np.eye(6)[:, list(parts)]).max() > _EXACT:
+        G = np.column_stack([place.wrench(each.gear) for each, place in on])
+        wanted = np.column_stack([centre.wrench(np.eye(6)[number]) for number in parts])
+        share = np.linalg.pinv(G, rcond=_EXACT) @ wanted
+        if np.abs(G @ share - wanted).max() > _EXACT:
             raise InvalidSetting(
                 f"inputs: {', '.join(each.name for each, _ in on)} cannot exert"
                 f" {', '.join(drive.quantity.name for drive in parts.values())} independently of each other"
             )
         for row, (each, _) in zip(share, on, strict=True):
-            force = ca.dot(row[list(parts)], ca.vertcat(*[drive.symbol for drive in parts.values()]))
+            force = ca.dot(row, ca.vertcat(*[drive.symbol for drive in parts.values()]))
             found[Quantity(f"{each.name}.drive", "N", f"drive of {each.name}")] = force
     return found
-
-
-def _wrench(actuator: Actuator, place: Place, centre: Place) -> Array:
-    """Return force and torque about the centre in the axes of the body, for a unit of the drive, shape (6,)."""
-    force, torque = (place.rotation @ np.array(actuator.gear)[part] for part in (slice(0, 3), slice(3, 6)))
-    torque = torque + np.cross(place.position - centre.position, force)
-    return np.concatenate([centre.rotation.T @ force, centre.rotation.T @ torque])

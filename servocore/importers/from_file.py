@@ -9,11 +9,10 @@ from pathlib import Path
 
 from servocore.importers.assembly import Assembly
 from servocore.importers.coordinates import UNITS
+from servocore.importers.link_files import read_sdf, read_urdf
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.options import Elastic, Options
-from servocore.importers.sdf import read_sdf
-from servocore.importers.tree import Tree
-from servocore.importers.urdf import read_urdf
+from servocore.importers.tree import FREE, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.model.limits import RATE, Limit, Named
 from servocore.model.scene import Scene
@@ -154,33 +153,25 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
     system = assembly()
     if reference is None:
         bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
-        target = [
-            _target(x, _WAY.get(each.unit, 0.1), *bounds.get(each.name, (-math.inf, math.inf)))
-            for x, each in zip(system.home, system.outputs, strict=True)
-        ]
+        target = list[float]()
+        for x, each in zip(system.home, system.outputs, strict=True):
+            low, high = bounds.get(each.name, FREE)
+            way = min(_WAY.get(each.unit, 0.1), _SHARE * (high - low))
+            target.append(x + (way if x + 2 * way < high else -way))  # within its limits
         reference = rest_to_rest(system.home, target, _DURATION, DEGREE13)
     return Scene(tree.name, {"file": assembly}, reference, limits=limits, drawing=assembly.drawing, hint=assembly.hint)
 
 
-def _target(start: float, way: float, low: float, high: float) -> float:
-    """Return the end of the default path of an output, within its limits."""
-    way = min(way, _SHARE * (high - low))
-    return start + (way if start + 2 * way < high else -way)
-
-
 def limits_of(assembly: Assembly) -> tuple[Limit, ...]:
     """Return the limits of a file: of joints, their rates, inputs and controls."""
-    limits = list[Limit]()
-
-    def add(name: str, unit: str, low: float, high: float, rate: bool = False) -> None:
-        if low < high and (math.isfinite(low) or math.isfinite(high)):
-            what = f"{name}{RATE}" if rate else name
-            limits.append(Limit(what, f"{unit}/s" if rate else unit, low, "", Named(name), upper=high, rate=rate))
-
+    rows = list[tuple[str, str, tuple[float, float], bool]]()
     for joint in assembly.moving:
-        add(joint.name, UNITS[joint.kind][0], joint.lower, joint.upper)
-        add(joint.name, UNITS[joint.kind][0], -joint.velocity, joint.velocity, rate=True)
-    for drive in assembly.inputs:
-        for quantity, bounds in drive.bounds.items():
-            add(quantity.name, quantity.unit, *bounds)
-    return tuple(limits)
+        unit = UNITS[joint.kind][0]
+        rows.append((joint.name, unit, (joint.lower, joint.upper), False))
+        rows.append((joint.name, unit, (-joint.velocity, joint.velocity), True))
+    rows += [(of.name, of.unit, ends, False) for drive in assembly.inputs for of, ends in drive.bounds.items()]
+    return tuple(
+        Limit(f"{name}{RATE * rate}", f"{unit}{'/s' * rate}", low, "", Named(name), upper=high, rate=rate)
+        for name, unit, (low, high), rate in rows
+        if low < high and (math.isfinite(low) or math.isfinite(high))
+    )

@@ -8,19 +8,20 @@ and soft in MuJoCo.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from servocore.errors import InvalidModel, extra
-from servocore.importers.tree import GROUND, IDENTITY, LARGEST, ZERO, Actuator, Body, Closure, Joint, Tendon, Tree
+from servocore.importers.tree import FREE, GROUND, IDENTITY, LARGEST, Actuator, Body, Closure, Joint, Tendon, Tree
 from servocore.importers.xml_files import XmlFile
 from servocore.numerics.compiled_calls import Array
 
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-_KINDS = {2: "slide", 3: "hinge"}
-_FREE, _BALL = 0, 1
+_SINGLE = ("slide", "hinge")
+_DRIVEN = {"joint": "joint", "tendon": "tendon", "site": "frame"}
 
 
 def read_mjcf(file: XmlFile) -> Tree:
@@ -97,17 +98,20 @@ class _Reader:
         self._require_representable()
         self._list_left_out()
         weightless = m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        gravity = ZERO if weightless else m.opt.gravity
+        gravity = np.zeros(3) if weightless else m.opt.gravity
         name = (root.get("model") or root.get("name") or self.file.path.stem).replace(" ", "_")
         tendons = {each: self._tendon(k, each) for k, each in enumerate(self.tendons)}
         actuators = [self._actuator(k) for k in range(m.nu)]
         joints = [each.on for each in actuators if each.kind == "joint"]
-        for each in actuators:
-            if joints.count(each.on) > 1:
-                self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
+        for each in (each for each in actuators if joints.count(each.on) > 1):
+            self.left_out.append(f"gain and limits of actuator {each.name}: joint {each.on} has another drive")
         closures = [closure for k in range(m.neq) for closure in self._closure(k)]
         bodies = [*(self._body(k) for k in range(1, m.nbody)), *self.frames]
         return Tree(name, self.file.path.name, bodies, actuators, tendons, closures, gravity.tolist(), self.left_out)
+
+    def _kind(self, of: str, value: int) -> str:
+        """Return the name of a value of an enumeration of MuJoCo, in small letters."""
+        return str(getattr(self.mujoco, f"mjt{of}")(int(value)).name).partition("_")[2].lower()
 
     def _rotation(self, quaternion: Array) -> Array:
         matrix = np.zeros(9)
@@ -147,40 +151,33 @@ class _Reader:
 
     def _joint(self, j: int, rotation: Array) -> list[Joint]:
         """Return the elementary joints of a joint of a body with this rotation in its parent's axes."""
-        m, name, kind = self.m, self.joints[j], int(self.m.jnt_type[j])
+        m, name, kind = self.m, self.joints[j], self._kind("Joint", self.m.jnt_type[j])
         dof, place = int(m.jnt_dofadr[j]), int(m.jnt_qposadr[j])
-        damping, armature = float(m.dof_damping[dof]), float(m.dof_armature[dof])
-        if kind in (_FREE, _BALL):
+        same: Any = {"damping": float(m.dof_damping[dof]), "armature": float(m.dof_armature[dof])}
+        if kind not in _SINGLE:
             if m.jnt_stiffness[j]:
                 raise self.fault(f"joint {name} has a spring, which a ball or a free body cannot have here")
             if m.jnt_limited[j]:
                 self.left_out.append(f"limit of joint {name}: a ball has none")
-            slides = [
-                Joint(f"{name}.{axis}", "slide", turned, damping=damping, armature=armature, zero=float(zero))
-                for axis, turned, zero in zip("xyz", rotation, m.qpos0[place : place + 3], strict=True)
-            ]
-            ball = Joint(name, "ball", anchor=np.array(m.jnt_pos[j]), damping=damping, armature=armature)
-            return [*slides, ball] if kind == _FREE else [ball]
-        lower, upper = _range(m.jnt_limited[j], m.jnt_range[j])
-        effort = max(map(abs, _range(m.jnt_actfrclimited[j], m.jnt_actfrcrange[j])))
-        return [
-            Joint(
-                name, _KINDS[kind], np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper, effort=effort,
-                stiffness=float(m.jnt_stiffness[j]), rest=float(m.qpos_spring[place]), damping=damping,
-                armature=armature, zero=float(m.qpos0[place]),
-            )
-        ]  # fmt: skip
+            free = Joint.free(name, rotation, m.qpos0[place : place + 3], **same)
+            return free if kind == "free" else [replace(free[-1], anchor=np.array(m.jnt_pos[j]))]
+        lower, upper = self._range("jnt_", j)
+        joint = Joint(
+            name, kind, np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper,
+            effort=max(map(abs, self._range("jnt_actfrc", j))), stiffness=float(m.jnt_stiffness[j]),
+            rest=float(m.qpos_spring[place]), zero=float(m.qpos0[place]), **same,
+        )  # fmt: skip
+        return [joint]
 
     def _tendon(self, k: int, name: str) -> Tendon:
-        m, wraps = self.m, self.mujoco.mjtWrap
-        terms, branches, refusal = dict[str, float](), [(1.0, list[str]())], ""
+        m, terms, branches, refusal = self.m, dict[str, float](), [(1.0, list[str]())], ""
         for w in range(m.tendon_adr[k], m.tendon_adr[k] + m.tendon_num[k]):
-            kind, place, value = int(m.wrap_type[w]), int(m.wrap_objid[w]), float(m.wrap_prm[w])
-            if kind == wraps.mjWRAP_JOINT:
+            kind, place, value = self._kind("Wrap", m.wrap_type[w]), int(m.wrap_objid[w]), float(m.wrap_prm[w])
+            if kind == "joint":
                 terms[self.joints[place]] = value
-            elif kind == wraps.mjWRAP_PULLEY:
+            elif kind == "pulley":
                 branches.append((value, []))
-            elif kind == wraps.mjWRAP_SITE:
+            elif kind == "site":
                 branches[-1][1].append(self.sites[place])
             else:
                 refusal = f"wraps around the geom {m.geom(place).name or place}, which cannot be represented"
@@ -190,13 +187,12 @@ class _Reader:
             self.left_out.append(f"range of tendon {name}, unless it is taut=['{name}']")
         return Tendon(
             name, terms, [] if terms else branches, float(m.tendon_stiffness[k]), math.nan if slack else low,
-            float(m.tendon_damping[k]), _range(m.tendon_limited[k], m.tendon_range[k])[1], refusal,
+            float(m.tendon_damping[k]), self._range("tendon_", k)[1], refusal,
         )  # fmt: skip
 
     def _closure(self, k: int) -> list[Closure]:
         """Return an equality constraint; none where it is not active."""
-        m, sites = self.m, self.mujoco.mjtObj.mjOBJ_SITE
-        kind = self.mujoco.mjtEq(m.eq_type[k]).name.removeprefix("mjEQ_").lower()
+        m, kind = self.m, self._kind("Eq", self.m.eq_type[k])
         name, data = m.eq(k).name or f"equality{k}", m.eq_data[k]
         first, second = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
         if not m.eq_active0[k]:
@@ -208,7 +204,7 @@ class _Reader:
             of, values = (self.joints, m.qpos0[m.jnt_qposadr]) if kind == "joint" else (self.tendons, m.tendon_length0)
             rest = (float(values[first]), float(values[second]) if second >= 0 else 0.0)
             return [Closure(name, kind, of[first], of[second] if second >= 0 else "", tuple(data[:5]), rest)]
-        if m.eq_objtype[k] == sites:
+        if self._kind("Obj", m.eq_objtype[k]) == "site":
             return [Closure(name, kind, self.sites[first], self.sites[second])]
         # A weld lists the point on the second body before the pose in the first one, a connect the other way round.
         one, other = (data[3:6], data[:3]) if kind == "weld" else (data[:3], data[3:6])
@@ -218,39 +214,29 @@ class _Reader:
         return [Closure(name, kind, f"{name}.1", f"{name}.2")]
 
     def _actuator(self, k: int) -> Actuator:
-        m, kinds, gear = self.m, self.mujoco.mjtTrn, tuple(self.m.actuator_gear[k].tolist())
-        kind, (target, reference) = int(m.actuator_trntype[k]), m.actuator_trnid[k]
-        if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT) and m.jnt_type[target] in _KINDS:
-            where, place = "joint", self.joints[target]
-        elif kind == kinds.mjTRN_TENDON:
-            where, place = "tendon", self.tendons[target]
-        elif kind == kinds.mjTRN_SITE and reference < 0:
-            where, place = "frame", self.sites[target]
-        else:
+        m, gear, (target, reference) = self.m, tuple(self.m.actuator_gear[k].tolist()), self.m.actuator_trnid[k]
+        on = self._kind("Trn", m.actuator_trntype[k]).removesuffix("inparent")
+        turned = on == "joint" and self._kind("Joint", m.jnt_type[target]) not in _SINGLE
+        if on not in _DRIVEN or turned or (on == "site" and reference >= 0):
             name = m.actuator(k).name or k
             raise self.fault(f"actuator {name} acts on something else than a hinge, a slide, a tendon or a site")
+        where, place = _DRIVEN[on], getattr(self, f"{on}s")[target]
         name = m.actuator(k).name or f"{place}.drive"
         if not 0.0 < np.abs(gear if where == "frame" else gear[:1]).max() < LARGEST:
             raise self.fault(f"actuator {name} has a gear of zero, or above {LARGEST:g}")
-        gains, biases, dynamics = self.mujoco.mjtGain, self.mujoco.mjtBias, self.mujoco.mjtDyn
-        affine, none = (m.actuator_biastype[k] == each for each in (biases.mjBIAS_AFFINE, biases.mjBIAS_NONE))
-        known = m.actuator_gaintype[k] == gains.mjGAIN_FIXED and (affine or none)
-        if not known or int(m.actuator_dyntype[k]) in (dynamics.mjDYN_MUSCLE, dynamics.mjDYN_USER):
+        kinds = (self._kind(of, getattr(m, f"actuator_{of.lower()}type")[k]) for of in ("Gain", "Bias", "Dyn"))
+        gain, biased, dynamics = kinds
+        if gain != "fixed" or biased not in ("none", "affine") or dynamics in ("muscle", "user"):
             raise self.fault(f"actuator {name} is no motor and no position or velocity servo: it cannot be represented")
         for attribute in ("actuator_armature", "actuator_damping"):
             if getattr(m, attribute, np.zeros(m.nu))[k]:
                 raise self.fault(f"actuator {name} has {attribute[9:]}: give it to the joint instead")
-        if m.actuator_dyntype[k] != dynamics.mjDYN_NONE:
+        if dynamics != "none":
             self.left_out.append(f"dynamics of actuator {name}: the input is its force")
-        lower, upper = _range(m.actuator_forcelimited[k], m.actuator_forcerange[k])
-        element = {"joint": "jnt", "tendon": "tendon"}.get(where, "")
-        if hasattr(m, f"{element}_actfrclimited"):  # of the force behind the gear; older versions lack it for tendons
-            behind = (getattr(m, f"{element}_actfrc{what}")[target] for what in ("limited", "range"))
-            low, high = sorted(end / gear[0] for end in _range(*behind))
-            lower, upper = max(lower, low), min(upper, high)
-        control = _range(m.actuator_ctrllimited[k], m.actuator_ctrlrange[k])
-        bias = tuple(m.actuator_biasprm[k][:3].tolist()) if affine else (0.0, 0.0, 0.0)
-        return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, lower, upper, control)
+        limits, control = (self._range(f"actuator_{what}", k) for what in ("force", "ctrl"))
+        behind = self._range("jnt_actfrc" if where == "joint" else f"{where}_actfrc", target)
+        bias = tuple(m.actuator_biasprm[k][:3].tolist()) if biased == "affine" else (0.0, 0.0, 0.0)
+        return Actuator(name, where, place, gear, float(m.actuator_gainprm[k][0]), bias, limits, control, behind)
 
     def _list_left_out(self) -> None:
         """List elements without a part in the model."""
@@ -263,7 +249,8 @@ class _Reader:
         if m.opt.density or m.opt.viscosity:
             self.left_out.append("forces of the fluid")
 
-
-def _range(limited: Any, bounds: Any) -> tuple[float, float]:
-    """Return the bounds of an element, infinite where it is not limited."""
-    return (float(bounds[0]), float(bounds[1])) if limited else (-math.inf, math.inf)
+    def _range(self, what: str, k: int) -> tuple[float, float]:
+        """Return the bounds of an element, infinite where it is not limited, or none are known to MuJoCo's version."""
+        limited = getattr(self.m, f"{what}limited", None)
+        low, high = getattr(self.m, f"{what}range")[k] if limited is not None and limited[k] else FREE
+        return float(low), float(high)

@@ -1,11 +1,13 @@
 """Dynamics of a tree of rigid bodies by recursion: composite bodies for M, Newton-Euler for the inertia forces.
 
 A `Stage` is a frame behind a hinge, a slide or a ball, with everything fixed to it as one inertia. With
-q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its parent's axes, and in its own axes
+q its coordinates, the frame has the pose R = R0 Rj(q), p = p0 + R0 pj(q) in its parent's axes, and in its own axes the
+angular velocity w and the velocity v of its origin are
 
-    w = R^T w_p + W q_dot,    v = R^T (v_p + w_p x p) + V q_dot;
+    (w, v) = X (w_p, v_p) + S q_dot,    X = [R^T, 0; -R^T [p]x, R^T].
 
-W q_dot has no derivative but W q_ddot, for all kinds: W = e for a hinge, and for a ball with a unit quaternion too.
+S q_dot has no derivative but S q_ddot, for all kinds: S is constant for hinges and slides, and a ball has a unit
+quaternion. Wrenches (torque, force) go to the parent by X^T, and inertias are matrices of six rows.
 
 R. Featherstone: Rigid Body Dynamics Algorithms. Springer 2008, chapters 5 and 6.
 """
@@ -41,6 +43,15 @@ class Place:
         """Return the place with this pose in the axes of this one."""
         return Place(self.stage, self.position + self.rotation @ position, self.rotation @ rotation)
 
+    def within(self, other: Place) -> tuple[Array, Array]:
+        """Return position and rotation in the axes of another place on the same stage."""
+        return other.rotation.T @ (self.position - other.position), other.rotation.T @ self.rotation
+
+    def wrench(self, acting: Sequence[float] | Array) -> Array:
+        """Return torque and force on the stage, at its origin in its axes, of force and torque in the axes of here."""
+        force, torque = np.reshape(acting, (2, 3)) @ self.rotation.T
+        return np.concatenate([torque + np.cross(self.position, force), force])
+
 
 @dataclass(eq=False)
 class Stage:
@@ -48,30 +59,26 @@ class Stage:
 
     Attributes
     ----------
-    parent : int
-        Its parent stage; -1 for the ground.
     base : Place
-        Pose of the joint's frame in the parent's axes.
+        Pose of the joint's frame on its parent, a stage or the ground.
     joint : Joint
         The joint.
-    mass, moment, inertia : float, ndarray of shapes (3,) and (3, 3)
-        Mass, first moment and inertia about the origin, in its axes.
+    inertia : ndarray, shape (6, 6)
+        Inertia about the origin, first moment as a cross product, and mass, in its axes.
     """
 
-    parent: int
     base: Place
     joint: Joint
-    mass: float = 0.0
-    moment: Array = field(default_factory=lambda: np.zeros(3))
-    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    inertia: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     def require_physical(self, tree: Tree) -> None:
         """Raise `InvalidModel` if no distribution of mass has this inertia.
 
         Bodies that are fixed to each other are judged as one: files share inertias among them carelessly.
         """
-        centre = self.moment / self.mass if self.mass > 0.0 else ZERO
-        small, middle, large = np.linalg.eigvalsh(self.inertia - self.mass * _about(centre))
+        cross, mass = self.inertia[:3, 3:], self.inertia[5, 5]
+        about_centre = self.inertia[:3, :3] + (cross @ cross / mass if mass > 0.0 else 0.0)
+        small, middle, large = np.linalg.eigvalsh(about_centre)
         if small + middle < (1.0 - _UNPHYSICAL) * large - _NEGLIGIBLE:
             body = next(body.name for body in tree.bodies if self.joint in body.joints)
             raise tree.fault(
@@ -80,9 +87,10 @@ class Stage:
             )
 
 
-def _about(point: Array) -> Array:
-    """Return the inertia of a unit mass at a point about the origin."""
-    return np.asarray(point @ point * IDENTITY - np.outer(point, point))
+def _at(centre: Array, mass: float = 1.0, inertia: Array | float = 0.0) -> Array:
+    """Return the inertia about the origin of a mass with this inertia about its centre, shape (6, 6)."""
+    cross = np.cross(centre, IDENTITY).T
+    return np.block([[inertia - mass * cross @ cross, mass * cross], [-mass * cross, mass * IDENTITY]])
 
 
 def sparse(values: Array, least: float = _ROUND_OFF) -> ca.SX:
@@ -110,22 +118,38 @@ def stages_of(tree: Tree, without: Collection[str] = ()) -> tuple[list[Stage], d
     for body in tree.bodies:
         here = places[body.parent].moved(body.position, body.rotation)
         for joint in body.joints:
-            stages.append(Stage(here.stage, here.moved(joint.anchor), joint))
+            stages.append(Stage(here.moved(joint.anchor), joint))
             here = Place(len(stages) - 1, -joint.anchor, IDENTITY)
         places[body.name] = here
         if here.stage >= 0 and body.name not in without:
-            carrier, centre = stages[here.stage], here.moved(body.centre).position
-            carrier.mass += body.mass
-            carrier.moment += body.mass * centre
-            carrier.inertia += here.rotation @ body.inertia @ here.rotation.T + body.mass * _about(centre)
+            centre, inertia = here.moved(body.centre).position, here.rotation @ body.inertia @ here.rotation.T
+            stages[here.stage].inertia += _at(centre, body.mass, inertia)
     for stage in stages:
         stage.require_physical(tree)
     return stages, places
 
 
-def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return the columns a x b of a vector and a matrix."""
-    return ca.mtimes(ca.sparsify(ca.skew(a)), b)
+def _skew(vector: ca.SX) -> ca.SX:
+    """Return the matrix of the cross product of a vector, without entries of zero."""
+    return ca.sparsify(ca.skew(vector))
+
+
+def _turned(rate: ca.SX, pair: ca.SX) -> ca.SX:
+    """Return the cross products of an angular velocity and each of two vectors, shape (6,)."""
+    return ca.mtimes(ca.diagcat(_skew(rate), _skew(rate)), pair)
+
+
+def _moved(inertia: ca.SX, R: ca.SX, p: ca.SX) -> ca.SX:
+    """Return an inertia in the axes of the parent; the mass stays as it is."""
+    c, P, m = ca.mtimes(R, _moment(inertia)), _skew(p), inertia[5, 5]
+    C, cross = _skew(c), _skew(c + m * p)
+    J = ca.mtimes(ca.mtimes(R, inertia[:3, :3]), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
+    return ca.blockcat([[J, cross], [cross.T, m * ca.SX.eye(3)]])
+
+
+def _moment(inertia: ca.SX) -> ca.SX:
+    """Return the first moment of an inertia, shape (3,)."""
+    return ca.vertcat(inertia[2, 4], inertia[0, 5], inertia[1, 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,27 +172,17 @@ class Motion:
     loads: Sequence[tuple[Place, ca.SX]] = ()
 
     @cached_property
-    def _inertias(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Mass, first moment and inertia about the origin of every stage."""
-        found = []
-        for k, stage in enumerate(self.stages):
-            m = ca.SX(stage.mass)
-            c, J = (sparse(each, _TINY * np.abs(each).max()) for each in (stage.moment, stage.inertia))
-            for place, mass in self.loads:
-                if place.stage == k:
-                    point = place.position
-                    m, c, J = m + mass, c + mass * sparse(point), J + mass * sparse(_about(point))
-            found.append((m, c, J))
+    def _inertias(self) -> list[ca.SX]:
+        """Inertia about the origin of every stage, shape (6, 6)."""
+        found = [sparse(stage.inertia, _TINY * np.abs(stage.inertia).max()) for stage in self.stages]
+        for place, mass in self.loads:
+            if place.stage >= 0:
+                found[place.stage] += mass * sparse(_at(place.position))
         return found
 
     @cached_property
-    def columns(self) -> Mapping[str, int]:
-        """Number of every coordinate of the stages."""
-        return {name: k for k, name in enumerate(self.q)}
-
-    @cached_property
     def _local(self) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]]:
-        """R, p in the parent's axes, W, V, rates of every stage."""
+        """R, p in the parent's axes, X, S, rates of every stage."""
         local = []
         for stage in self.stages:
             joint = stage.joint
@@ -182,10 +196,12 @@ class Motion:
                 rotation = ca.mtimes(rotation, ca.sparsify(turned(ca.DM(axis).full().ravel(), q - joint.zero)))
             else:
                 w, e = q[0], q[1:]  # R = (w^2 - e.e) 1 + 2 e e^T + 2 w [e]x, W = 2 (-e, w 1 - [e]x)
-                cross, one = ca.sparsify(ca.skew(e)), ca.SX.eye(3)
+                cross, one = _skew(e), ca.SX.eye(3)
                 turn = 2 * ca.horzcat(-e, w * one - cross)
                 rotation = ca.mtimes(rotation, (w * w - ca.sumsqr(e)) * one + 2 * ca.mtimes(e, e.T) + 2 * w * cross)
-            local.append((rotation, position, turn, slide, v))
+            cross = ca.mtimes(rotation.T, _skew(position))
+            X = ca.blockcat([[rotation.T, ca.SX(3, 3)], [-cross, rotation.T]])
+            local.append((rotation, position, X, ca.vertcat(turn, slide), v))
         return local
 
     @cached_property
@@ -193,17 +209,16 @@ class Motion:
         """Rotation and position of every stage in the axes of the ground, which is stage -1."""
         found = {-1: (ca.SX.eye(3), ca.SX(3, 1))}
         for k, (stage, (R, p, *_)) in enumerate(zip(self.stages, self._local, strict=True)):
-            turned, origin = found[stage.parent]
+            turned, origin = found[stage.base.stage]
             found[k] = (ca.mtimes(turned, R), origin + ca.mtimes(turned, p))
         return found
 
     @cached_property
-    def rates(self) -> dict[int, tuple[ca.SX, ca.SX]]:
-        """Angular velocity and velocity of the origin of every stage, in its own axes; the ground is stage -1."""
-        found = {-1: (ca.SX(3, 1), ca.SX(3, 1))}
-        for k, (stage, (R, p, W, V, v)) in enumerate(zip(self.stages, self._local, strict=True)):
-            w, u = found[stage.parent]
-            found[k] = (ca.mtimes(R.T, w) + ca.mtimes(W, v), ca.mtimes(R.T, u + _cross(w, p)) + ca.mtimes(V, v))
+    def rates(self) -> dict[int, ca.SX]:
+        """Angular velocity, velocity of the origin of every stage, in its axes, shape (6,); the ground is stage -1."""
+        found = {-1: ca.SX(6, 1)}
+        for k, (stage, (_, _, X, S, v)) in enumerate(zip(self.stages, self._local, strict=True)):
+            found[k] = ca.mtimes(X, found[stage.base.stage]) + ca.mtimes(S, v)
         return found
 
     def pose(self, place: Place) -> tuple[ca.SX, ca.SX]:
@@ -216,80 +231,66 @@ class Motion:
         position, at = sparse(place.position), place.stage
         while at != stage:
             R, p, *_ = self._local[at]
-            position, at = p + ca.mtimes(R, position), self.stages[at].parent
+            position, at = p + ca.mtimes(R, position), self.stages[at].base.stage
         return position
 
-    def power(self, place: Place, force: Array, torque: Array) -> ca.SX:
-        """Return the power of a unit wrench that acts at a place, both in its axes."""
-        w, u = self.rates[place.stage]
-        along, about = sparse(place.rotation @ force), sparse(place.rotation @ torque)
-        return ca.dot(along, u + _cross(w, sparse(place.position))) + ca.dot(about, w)
+    def power(self, place: Place, acting: Array) -> ca.SX:
+        """Return the power of force and torque that act at a place, in its axes, shape (6,)."""
+        return ca.dot(sparse(place.wrench(acting)), self.rates[place.stage])
 
     def mass(self) -> ca.SX:
         """Return M, shape (coordinates, coordinates), by composite bodies."""
-        mass, rows = ca.SX(len(self.columns), len(self.columns)), self._rows
-        composite = list(self._inertias)
+        mass, composite = ca.SX(len(self.q), len(self.q)), list(self._inertias)
         for i in reversed(range(len(self.stages))):
-            m, c, J = composite[i]
-            _, _, W, V, _ = self._local[i]
-            # Momentum of the composite body for unit rates: m v + w x c and J w + c x v.
-            f, n, j = m * V - _cross(c, W), ca.mtimes(J, W) + _cross(c, V), i
+            R, p, _, S, _ = self._local[i]
+            if (parent := self.stages[i].base.stage) >= 0:
+                composite[parent] += _moved(composite[i], R, p)
+            momentum, j = ca.mtimes(composite[i], S), i
             while j >= 0:
-                R, p, W, V, _ = self._local[j]
-                block = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
-                mass[rows[j], rows[i]] = block
-                mass[rows[i], rows[j]] = block.T
-                f, j = ca.mtimes(R, f), self.stages[j].parent
-                n = ca.mtimes(R, n) + _cross(p, f)
-            if (parent := self.stages[i].parent) >= 0:
-                R, p, *_ = self._local[i]
-                c, P, above = ca.mtimes(R, c), ca.sparsify(ca.skew(p)), composite[parent]
-                C = ca.sparsify(ca.skew(c))
-                J = ca.mtimes(ca.mtimes(R, J), R.T) - ca.mtimes(P, C) - ca.mtimes(C, P) - m * ca.mtimes(P, P)
-                composite[parent] = above[0] + m, above[1] + c + m * p, above[2] + J
+                _, _, X, S, _ = self._local[j]
+                block = ca.mtimes(S.T, momentum)
+                mass[self._rows[j], self._rows[i]] = block
+                mass[self._rows[i], self._rows[j]] = block.T
+                momentum, j = ca.mtimes(X.T, momentum), self.stages[j].base.stage
         return ca.sparsify(mass)
 
-    def spread(self, values: Mapping[str, float]) -> ca.SX:
-        """Return W^T W or V^T V times a value of every joint, shape (coordinates, coordinates).
+    def spread(self, what: str, without: Collection[str] = ()) -> ca.SX:
+        """Return S^T S times the armature or the damping of every joint but some, shape (coordinates, coordinates).
 
         So armature and damping act on the rates of joints, on the angular velocity of a ball.
         """
-        matrix = ca.SX(len(self.columns), len(self.columns))
-        for stage, rows, (_, _, W, V, _) in zip(self.stages, self._rows, self._local, strict=True):
-            if stage.joint.name in values:
-                matrix[rows, rows] = values[stage.joint.name] * (ca.mtimes(W.T, W) + ca.mtimes(V.T, V))
+        matrix = ca.SX(len(self.q), len(self.q))
+        for stage, rows, (_, _, _, S, _) in zip(self.stages, self._rows, self._local, strict=True):
+            if stage.joint.name not in without:
+                matrix[rows, rows] = getattr(stage.joint, what) * ca.mtimes(S.T, S)
         return ca.sparsify(matrix)
 
     @cached_property
     def _rows(self) -> list[list[int]]:
         """Numbers of the coordinates of every stage."""
-        return [[self.columns[name] for name in stage.joint.coordinates] for stage in self.stages]
+        names = list(self.q)
+        return [[names.index(name) for name in stage.joint.coordinates] for stage in self.stages]
 
     def inertia_forces(self) -> ca.SX:
         """Return the forces quadratic in the rates, shape (coordinates,), by Newton-Euler without accelerations."""
-        accelerations, wrenches = {-1: (ca.SX(3, 1), ca.SX(3, 1))}, {-1: (ca.SX(3, 1), ca.SX(3, 1))}
-        for k, (stage, (R, p, W, V, v)) in enumerate(zip(self.stages, self._local, strict=True)):
-            (w, _), (w_p, _), (alpha_p, a_p) = self.rates[k], self.rates[stage.parent], accelerations[stage.parent]
-            carried = ca.mtimes(R.T, w_p)
-            alpha = ca.mtimes(R.T, alpha_p) + _cross(carried, ca.mtimes(W, v))
-            a = ca.mtimes(R.T, a_p + _cross(alpha_p, p) + _cross(w_p, _cross(w_p, p)))
-            a = a + 2 * _cross(carried, ca.mtimes(V, v))
-            accelerations[k] = alpha, a
-            m, c, J = self._inertias[k]
-            force = m * a + _cross(alpha, c) + _cross(w, _cross(w, c))
-            wrenches[k] = force, ca.mtimes(J, alpha) + _cross(w, ca.mtimes(J, w)) + _cross(c, a)
-        forces = ca.SX(len(self.columns), 1)
+        forces, accelerations, wrenches = ca.SX(len(self.q), 1), {-1: ca.SX(6, 1)}, {-1: ca.SX(6, 1)}
+        for k, inertia in enumerate(self._inertias):
+            (_, _, X, S, v), parent = self._local[k], self.stages[k].base.stage
+            carried, turning = ca.mtimes(X[:, :3], self.rates[parent][:3]), self.rates[k][:3]
+            own = ca.mtimes(S, v)
+            beside = _turned(carried[:3], ca.vertcat(own[:3], carried[3:] + 2 * own[3:]))
+            accelerations[k] = ca.mtimes(X, accelerations[parent]) + beside
+            centrifugal = _turned(turning, ca.mtimes(inertia[:, :3], turning))
+            wrenches[k] = ca.mtimes(inertia, accelerations[k]) + centrifugal
         for i in reversed(range(len(self.stages))):
-            (f, n), (R, p, W, V, _), parent = wrenches[i], self._local[i], self.stages[i].parent
-            forces[self._rows[i]] = ca.mtimes(W.T, n) + ca.mtimes(V.T, f)
-            f, n = ca.mtimes(R, f), ca.mtimes(R, n)
-            wrenches[parent] = wrenches[parent][0] + f, wrenches[parent][1] + n + _cross(p, f)
+            _, _, X, S, _ = self._local[i]
+            forces[self._rows[i]] = ca.mtimes(S.T, wrenches[i])
+            wrenches[self.stages[i].base.stage] += ca.mtimes(X.T, wrenches[i])
         return forces
 
     def weight(self, gravity: ca.SX) -> ca.SX:
         """Return the potential of gravity, J, for its acceleration in the axes of the ground, shape (3,)."""
-        terms = [
-            m * ca.dot(gravity, self.world[k][1]) + ca.dot(gravity, ca.mtimes(self.world[k][0], c))
-            for k, (m, c, _) in enumerate(self._inertias)
-        ]
-        return -sum(terms, ca.SX(0))
+        moment = ca.SX(3, 1)
+        for k, inertia in enumerate(self._inertias):
+            moment += inertia[5, 5] * self.world[k][1] + ca.mtimes(self.world[k][0], _moment(inertia))
+        return -ca.dot(gravity, moment)

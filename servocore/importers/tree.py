@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,9 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 LARGEST = 1e15
 """Numbers of files are smaller, in SI units: no body is made of larger ones."""
+
+FREE = (-math.inf, math.inf)
+"""Limits of what is not limited."""
 
 _LONGEST = 300.0  # m between two joints: cranes are smaller, robots in millimetres are larger
 _SLENDER = 30.0  # radius of gyration in lengths of the mechanism: inertias in kg mm2 are a thousand
@@ -79,6 +83,13 @@ class Joint:
         """Names of its coordinates."""
         return tuple(f"{self.name}.e{k}" for k in range(4)) if self.kind == "ball" else (self.name,)
 
+    @classmethod
+    def free(cls, name: str, rotation: Array, position: Sequence[float] | Array, **same: Any) -> list[Joint]:
+        """Return the joints of a free body with this pose in its parent's axes: slides along those, and a ball."""
+        along = zip("xyz", rotation, position, strict=True)
+        slides = [cls(f"{name}.{axis}", "slide", turned, zero=float(zero), **same) for axis, turned, zero in along]
+        return [*slides, cls(name, "ball", **same)]
+
 
 @dataclass(frozen=True, eq=False)
 class Body:
@@ -126,10 +137,8 @@ class Actuator:
         Force per unit of the drive: one number, or force and torque in the axes of the frame.
     gain, bias : float, tuple of float
         Drive = gain ctrl + bias[0] + bias[1] length + bias[2] rate of the length.
-    lower, upper : float
-        Limits of the drive.
-    control : tuple of float
-        Limits of ctrl.
+    limits, control, behind : tuple of float
+        Limits of the drive, of ctrl, and of the force behind the gear.
     """
 
     name: str
@@ -138,9 +147,9 @@ class Actuator:
     gear: tuple[float, ...] = (1.0,)
     gain: float = 1.0
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    lower: float = -math.inf
-    upper: float = math.inf
-    control: tuple[float, float] = (-math.inf, math.inf)
+    limits: tuple[float, float] = FREE
+    control: tuple[float, float] = FREE
+    behind: tuple[float, float] = FREE
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +254,6 @@ class Tree:
         ordered = sorted(self.bodies, key=lambda body: len(self.above(body.name)))
         object.__setattr__(self, "bodies", tuple(ordered))
         self._require_physical()
-        self._require_metres()
 
     def fault(self, sentence: str) -> InvalidModel:
         """Return the error of a sentence about the file."""
@@ -267,16 +275,16 @@ class Tree:
         return way
 
     def _require_physical(self) -> None:
-        """Refuse masses that no body has; inertias are checked with all that is fixed to a body, in `stages_of`."""
+        """Refuse masses that no body has, and sizes out of proportion: files in millimetres.
+
+        Inertias are checked with all that is fixed to a body, in `stages_of`.
+        """
         for body in self.bodies:
             values = (body.mass, *body.centre, *body.inertia.ravel(), *body.position, *body.rotation.ravel())
             if not (np.abs(values) < LARGEST).all():
                 raise self.fault(f"the body {body.name} holds a number that is not finite, or above {LARGEST:g}")
             if body.mass < 0.0:
                 raise self.fault(f"the body {body.name} has the negative mass {body.mass:g} kg")
-
-    def _require_metres(self) -> None:
-        """Refuse sizes out of proportion: files in millimetres."""
         far = max(self.bodies, key=lambda body: float(np.abs(body.position).max()), default=None)
         if far is not None and np.abs(far.position).max() > _LONGEST:
             raise self.fault(
