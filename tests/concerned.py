@@ -153,8 +153,8 @@ if __name__ == "__main__":
         for ran, took in processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py")))):
             lines |= ran
             seconds.update(took)
-    # What is listed is what a quick run measured. Here the first of a file may have prepared what there another does.
-    slow = {case: float(seconds[case]) for case in lines if seconds[case] > budgets.A_MOMENT}
+    # What is listed is what a quick run measured. Here every line takes longer, and the first of a file prepares for all.
+    slow = {case: float(seconds[case]) for case in lines if seconds[case] > 2.0 * budgets.A_MOMENT}
     slow |= {case: known for case, known in budgets.slow().items() if case in lines}
     budgets.SLOW.write_text("".join(f"{slow[case]:.2f} {case}\n" for case in sorted(slow)), encoding="utf-8")
     budgets.slow.cache_clear()
