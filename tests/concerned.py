@@ -153,7 +153,7 @@ if __name__ == "__main__":
         for ran, took in processes.map(watched, sorted(map(str, TESTS.rglob("test_*.py")))):
             lines |= ran
             seconds.update(took)
-    # What is listed is what a quick run measured. Here lines take longer, and the first case of a file prepares for all.
+    # What is listed is what a quick run measured. Here lines take longer, and the first of a file prepares for all.
     slow = {case: float(seconds[case]) for case in lines if seconds[case] > 2.0 * budgets.A_MOMENT}
     slow |= {case: known for case, known in budgets.slow().items() if case in lines}
     budgets.SLOW.write_text("".join(f"{slow[case]:.2f} {case}\n" for case in sorted(slow)), encoding="utf-8")
