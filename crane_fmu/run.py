@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,11 +15,13 @@ import fmpy
 import numpy as np
 import numpy.typing as npt
 from fmpy.ssp.simulation import simulate_ssp
+from fmpy.validation import validate_fmu
 
 import servocore as sc
-from crane_fmu.catalogue import FEEDBACK_INPUTS, ORDERS, PATH_INPUTS
 
 Array = npt.NDArray[np.float64]
+
+_CHECK_STEP, _CHECK_STOP = 0.1, 0.5  # s
 
 
 def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: float | str) -> dict[str, Array]:
@@ -103,6 +106,26 @@ def simulated(
             f" {messages[-1] if messages else 'it did not say why'}"
         )
     return {name: found[name] for name in found.dtype.names}
+
+
+def check(fmu: str, runs: str) -> None:
+    """Exit with a sentence unless an FMU is valid and takes a few steps of each run with nothing connected.
+
+    Parameters
+    ----------
+    fmu : str
+        The FMU's file.
+    runs : str
+        Start values of each run, as JSON.
+    """
+    if problems := validate_fmu(fmu):
+        sys.exit("; ".join(problems))
+    rows = np.array([(0.0,), (_CHECK_STOP,)], dtype=[("time", np.float64)])
+    for settings in json.loads(runs):
+        try:
+            simulated(Path(fmu), rows, _CHECK_STEP, numbered(Path(fmu), settings))
+        except sc.IntegrationFailed as error:
+            sys.exit(f"{', '.join(map(str, settings.values())) or 'defaults'}: {error}")
 
 
 def numbered(fmu: Path, values: Mapping[str, float | str]) -> dict[str, float | int]:
@@ -216,6 +239,8 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
     structured ndarray, shape (n,)
         Columns by the names of the variables, in SI units, ``time`` first.
     """
+    from crane_fmu.catalogue import FEEDBACK_INPUTS, ORDERS, PATH_INPUTS  # noqa: PLC0415 - the check needs no scenes
+
     t = np.linspace(reference.start_time, reference.end_time, round(reference.duration / step) + 1)
     path = reference.jet(t, len(ORDERS) - 1).reshape(len(t), -1).T
     nothing = np.zeros((len(FEEDBACK_INPUTS), len(t)))

@@ -24,7 +24,7 @@ from crane_fmu.catalogue import LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.slave import kernel
 from servocore.export.native_model import NativeModel
 from servocore.export.parameter_sets import base_units
-from servocore.export.targets import host
+from servocore.export.targets import host, libraries
 from servocore.files import zipped
 
 THIS_MACHINE = (host(),)
@@ -83,6 +83,26 @@ def test_a_library_missing_from_the_bundle_is_found_by_the_check(
     monkeypatch.setattr(build, "native_model", lambda *_: native)
     monkeypatch.setattr(build, "packed", without_libraries)
     with pytest.raises(sc.ServocoreError, match="the FMU has libraries for win64, none for linux64"):
+        build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("call", "said"), [("abort", "ended the process with code -6"), ("pause", "did not end")])
+def test_a_library_that_crashes_or_hangs_fails_the_check_alone(
+    call: str, said: str, native: NativeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headers = "#include <stdlib.h>\n#include <unistd.h>\n"
+    text = f"{headers}__attribute__((constructor)) static void loaded(void) {{ {call}(); }}"
+    ((_, broken),) = libraries({"broken.c": text}, ["broken.c"], "broken", THIS_MACHINE, 2).items()
+
+    def with_the_broken_one(*given: Any) -> bytes:
+        parts = members(io.BytesIO(packed(*given)))
+        return zipped({name: broken.content if "/libraries/" in name else parts[name] for name in parts})
+
+    monkeypatch.setattr(build, "native_model", lambda *_: native)
+    monkeypatch.setattr(build, "packed", with_the_broken_one)
+    monkeypatch.setattr(build, "_PATIENCE", 3.0)
+    with pytest.raises(sc.ServocoreError, match=said):
         build.build_fmu(tmp_path, kind=LOAD_TRAJECTORY, targets="host")
     assert not list(tmp_path.iterdir())
 

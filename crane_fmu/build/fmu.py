@@ -8,7 +8,10 @@ members are fixed: equal sources give equal bytes.
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 import re
+import subprocess
 import sys
 import tempfile
 import zipfile
@@ -18,15 +21,12 @@ from importlib import import_module, metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-from fmpy.validation import validate_fmu
-
 import servocore as sc
 from crane_fmu.build.native import OF_PYTHONFMU, native_model
 from crane_fmu.build.page import documentation_page, user_page
 from crane_fmu.catalogue import NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
-from crane_fmu.run import nothing_left, numbered, simulated
+from crane_fmu.run import nothing_left
 from servocore.export.description import model_description
 from servocore.export.native_model import NativeModel
 from servocore.export.sources import HEADERS, compiled_files, fmu_sources, token_of
@@ -37,7 +37,8 @@ USUAL_TARGETS = "host,x86_64-windows"
 """Platforms that an FMU is built for by default."""
 
 _HERE = Path(__file__).parent
-_CHECK_STEP, _CHECK_STOP = 0.1, 0.5  # s
+_CHECK = "import sys; from crane_fmu.run import check; check(*sys.argv[1:])"
+_PATIENCE = 300.0  # s
 
 PREFIX = "rotary_crane_"
 """Prefix of the names of all entry modules."""
@@ -117,20 +118,24 @@ def build_fmu(
 
 
 def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
-    """Raise `ServocoreError` unless an FMU is valid and takes a few steps of each run with nothing connected."""
+    """Raise `ServocoreError` unless an FMU passes `crane_fmu.run.check`, in a process of its own.
+
+    Native code that crashes ends that process alone, and one that hangs is ended.
+    """
     failed = "the FMU was built but failed its check, so it was not written"
-    rows = np.array([(0.0,), (_CHECK_STOP,)], dtype=[("time", np.float64)])
     with tempfile.TemporaryDirectory(prefix="crane_fmu_", ignore_cleanup_errors=True) as folder:
         put(Path(folder), {kind.file_name: archive})
-        file = Path(folder) / kind.file_name
-        if problems := validate_fmu(str(file)):
-            raise sc.ServocoreError(f"{failed}: {'; '.join(problems)}")
-        for settings in kind.runs_with(starts):
-            try:
-                simulated(file, rows, _CHECK_STEP, numbered(file, settings))
-            except sc.IntegrationFailed as error:
-                label = ", ".join(map(str, settings.values())) or "defaults"
-                raise sc.ServocoreError(f"{failed}: {label}: {error}") from error
+        command = [sys.executable, "-c", _CHECK, str(Path(folder) / kind.file_name), json.dumps(kind.runs_with(starts))]
+        search_path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=_PATIENCE, check=False, env=os.environ | search_path
+            )
+        except subprocess.TimeoutExpired as error:
+            raise sc.ServocoreError(f"{failed}: it did not end within {_PATIENCE:g} s") from error
+    if done.returncode:
+        reason = done.stderr.strip() or f"its library ended the process with code {done.returncode}"
+        raise sc.ServocoreError(f"{failed}: {reason}")
 
 
 # The archive ----------------------------------------------------------------------------------------------------------
