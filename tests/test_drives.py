@@ -14,7 +14,8 @@ import fmpy
 import numpy as np
 import pytest
 from browser import Page, require_browser
-from command_lines import CommandLine, write
+from command_lines import crane_fmu, write
+from command_lines import servocore as line
 from fmpy.ssp.simulation import simulate_ssp
 from present import of_kind
 from problems import DRIVES, driven_crane
@@ -23,10 +24,8 @@ from thinned import thinned
 
 import servocore as sc
 from crane_fmu.build.native import feedback_of
-from crane_fmu.cli.commands import app as crane_fmu
 from crane_fmu.run import nothing_left
 from servocore.checks.motion_limits import limited_values
-from servocore.cli.commands import app
 from servocore.export.variables import ORDERS
 from servocore.model.drives import largest_torque
 from servocore.model.limits import Bounds
@@ -35,7 +34,7 @@ from servocore.problem import Problem
 from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.exact_inversion import prepared_motion
 
-line, ARM = CommandLine(app, "servocore"), Path(__file__).parent / "mechanisms" / "arm.urdf"
+ARM = Path(__file__).parent / "mechanisms" / "arm.urdf"
 SHEET = """
 F = {ratio = 25, drum_radius = "125 mm", motor_inertia = "4 kg cm^2", viscous = 2e-4, coulomb = 0.02}
 [M_w]
@@ -285,9 +284,8 @@ def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load
 @pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool) -> None:
     write("drives.toml", SHEET_OF_CRANE)
-    result = CommandLine(crane_fmu, "crane-fmu")(
-        "ssp", "--drives", "drives.toml", "--targets", "host", "-o", "system", *["--native"] * native
-    )
+    words = ("--drives", "drives.toml", "--targets", "host", "-o", "system")
+    result = crane_fmu("ssp", *words, *["--native"] * native)
     assert result.exit_code == 0, result.stderr
     with nothing_left():
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)

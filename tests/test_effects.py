@@ -11,11 +11,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from command_lines import CommandLine, write
+from command_lines import servocore, write
 from present import of_kind, present
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
 from servocore.effects.report import HEADINGS, EffectsReport
@@ -386,17 +385,11 @@ def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or
 # The command.
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CommandLine:
-    monkeypatch.chdir(tmp_path)
-    return CommandLine(app, "servocore")
-
-
-def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_prints_the_table_and_writes_the_page() -> None:
     write("crane.toml", "load_mass = 80.0\nhook_mass = 2.0\n")
-    result = run(
-        "effects", "overhead_crane", "--deviation", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
-    )
+    options = ("--deviation", "2cm", "--parameters", "crane.toml", "--markdown", "page.md")
+    result = servocore("effects", "overhead_crane", *options)
     assert result.exit_code == 0, result.output
     assert "the load keeps 20 mm with" in " ".join(result.stdout.split())
     assert "with_effects" not in result.stdout

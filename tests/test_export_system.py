@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine, write
+from command_lines import servocore as run
+from command_lines import write
 from fmpy import read_model_description
 from native_fmu import END, Native, began, exported, path_of
 from present import of_kind, present
 
 import servocore as sc
-from crane_fmu.cli.commands import app as crane_app
-from servocore.cli.commands import app
 from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
@@ -27,7 +26,6 @@ from servocore.references.rest_to_rest import RestToRest
 CRANE = sc.scenes.rotary_crane()
 DRIVES = ("M_b", "F", "M_w")
 pytestmark = pytest.mark.usefixtures("compiler")
-run, crane = CommandLine(app, "servocore"), CommandLine(crane_app, "crane-fmu")
 
 
 # Trajectory ----------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import servocore as run
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
@@ -37,7 +37,6 @@ from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.native import feedback_of
 from crane_fmu.files import put
 from crane_fmu.run import run_ssp
-from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import c_files
 from servocore.export.native_model import HostRules
@@ -45,7 +44,6 @@ from servocore.export.sources import compiled_files, fmu_sources
 from servocore.export.system import Element, packed_system, wires_by_name
 
 pytestmark = pytest.mark.usefixtures("compiler")
-run = CommandLine(app, "servocore")
 
 STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 
@@ -229,11 +227,9 @@ def test_the_system_with_feedback_declares_no_algebraic_loop() -> None:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_related_files_are_in_the_fmu_with_their_roles(
-    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_related_files_are_in_the_fmu_with_their_roles(fmi: int) -> None:
     """FMI-LS-REF: a parameter set as SSV, a run as smoke test, and its results."""
-    monkeypatch.chdir(tmp_path)
     line = ("export", "overhead_crane", "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--cross-check")
     assert run(*line).exit_code == 0
     folder = "extra/org.fmi-standard.fmi-ls-ref/"
@@ -313,8 +309,9 @@ line = "3"
 
 
 @pytest.fixture
-def vendor(tmp_path: Path) -> Path:
-    """Return a folder with a vendor's files."""
+def vendor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Run the test in a folder with a vendor's files, and return it."""
+    monkeypatch.chdir(tmp_path)
     contents = {
         "terms.txt": b"All rights reserved.",
         "icon.png": b"\x89PNG and so on",
@@ -329,9 +326,8 @@ def vendor(tmp_path: Path) -> Path:
     ("kind", "default"), [((), "input_time"), (("--plant",), "hold"), (("--trajectory",), "profile")]
 )
 def test_a_vendor_s_words_stand_in_description_sources_and_documentation(
-    kind: tuple[str, ...], default: str, fmi: int, vendor: Path, monkeypatch: pytest.MonkeyPatch
+    kind: tuple[str, ...], default: str, fmi: int, vendor: Path
 ) -> None:
-    monkeypatch.chdir(vendor)
     (vendor / "vendor.toml").write_text(VENDOR + f'{default} = "{LAST[default]}"\n')
     line = ("export", "mass_on_car", *kind, "-o", "x.fmu", "--fmi", fmi, "--targets", "none", "--about", "vendor.toml")
     assert run(*line).exit_code == 0
@@ -374,10 +370,7 @@ LAST = {"input_time": "end", "hold": "zero_order", "profile": "degree13"}
         ("[defaults]\nthe_time = 'end'", "no input or parameter 'the_time'"),
     ],
 )
-def test_what_a_vendor_cannot_say_is_refused(
-    text: str, sentence: str, vendor: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(vendor)
+def test_what_a_vendor_cannot_say_is_refused(text: str, sentence: str, vendor: Path) -> None:
     for name in ("page.png", "icon.svg"):
         (vendor / name).write_text("<svg/>")
     (vendor / "vendor.toml").write_text(text)
@@ -675,8 +668,8 @@ UNSTABLE = {"boom_crane", "quadrotor_with_load"}
 
 
 @pytest.mark.parametrize("name", sorted({*sc.scenes.REGISTRY} - UNSTABLE) if FULL else ["cars", "overhead_crane"])
-def test_the_system_of_a_scene_follows_its_path(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_system_of_a_scene_follows_its_path(name: str) -> None:
     scene = sc.scenes.REGISTRY[name]()
     result = run("ssp", name, "-o", "x.ssp", "--targets", "host")
     assert result.exit_code == 0

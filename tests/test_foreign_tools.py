@@ -16,17 +16,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import servocore as run
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from lxml import etree  # type: ignore[import-untyped]  # it has no types
 from native_fmu import FULL, scene_called
 
 import servocore as sc
-from servocore.cli.commands import app
 
-pytestmark = pytest.mark.usefixtures("compiler")
-run = CommandLine(app, "servocore")
+pytestmark = pytest.mark.usefixtures("compiler", "empty_folder")
 
 SCENES = sorted(sc.scenes.REGISTRY) if FULL else ["overhead_crane"]
 KINDS = {"inverse": "--cross-check", "plant": "--plant", "trajectory": "--trajectory"}
@@ -90,10 +88,7 @@ def as_in_fmusim(file: Path, program: Path) -> None:
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_component_of_a_maker_is_valid_and_runs(
-    name: str, kind: str, fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_component_of_a_maker_is_valid_and_runs(name: str, kind: str, fmi: int, tmp_path: Path) -> None:
     Path("vendor.toml").write_text(VENDOR)
     line = ("export", name, KINDS[kind], "-o", "x.fmu", "--fmi", fmi, "--targets", "host", "--about", "vendor.toml")
     done = run(*line, "--no-certify")

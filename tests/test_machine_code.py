@@ -12,11 +12,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_lines import servocore
 from present import present
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics import vectorized as vectorized_module
 from servocore.numerics.code_cache import CodeCache
@@ -336,7 +335,7 @@ def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache: code_ca
     assert "mode 0755: only its user may have access" in own_cache.refusal()
     assert own_cache.find("a" * 40) is None
     assert own_cache.store("b" * 40, b"code") is None
-    refused = CliRunner().invoke(app, ["cache"])
+    refused = servocore("cache")
     assert refused.exit_code == 2
     assert "no machine code is kept" in refused.output.replace("\n", " ")
 
@@ -379,8 +378,8 @@ def test_processes_that_build_the_same_do_not_meet(own_cache: code_cache.CodeCac
 
 def test_the_command_shows_and_clears_the_cache(own_cache: code_cache.CodeCache) -> None:
     own_cache.store("a" * 40, b"code" * 1000)
-    shown = CliRunner().invoke(app, ["cache"])
+    shown = servocore("cache")
     assert "1 library of machine code with 0.004 MB of at most 67.1 MB in" in shown.output
-    cleared = CliRunner().invoke(app, ["cache", "clear"])
+    cleared = servocore("cache", "clear")
     assert "1 library of machine code with 0.004 MB removed" in cleared.output
     assert not own_cache.contents()

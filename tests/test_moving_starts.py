@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import crane_fmu as run
 from fmu_host import fmu_file
 from loops import CRANE, FORCES, Case, deviation
 from native_fmu import END, Native, exported
@@ -20,11 +20,9 @@ from problems import polynomial_path
 import servocore as sc
 from crane_fmu.build.ssp import SystemOptions, start_values
 from crane_fmu.catalogue import CRANE_PLANT, ORDERS, components
-from crane_fmu.cli.commands import app
 from crane_fmu.run import run_ssp
 from servocore.files import csv_text
 
-run = CommandLine(app, "crane-fmu")
 WHOLE = CRANE.reference
 POSITION, VELOCITY = components("start.position"), components("start.velocity")
 

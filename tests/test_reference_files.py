@@ -196,13 +196,11 @@ def test_the_sampled_working_cycle_is_the_one_through_the_waypoints() -> None:
     assert present(path.fit_error) < 1e-11
 
 
-def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(tmp_path: Path) -> None:
     script = (EXAMPLES / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     waypoints = (EXAMPLES / "working_cycle_waypoints.csv").read_text()
     (tmp_path / "working_cycle_waypoints.csv").write_text(waypoints)
-    monkeypatch.chdir(tmp_path)
     exec(compile(script, "README.md", "exec"), {})
     made = np.loadtxt("working_cycle_sampled.csv", delimiter=",", skiprows=1)
     kept = np.loadtxt(EXAMPLES / "working_cycle_sampled.csv", delimiter=",", skiprows=1)

@@ -13,8 +13,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from command_lines import CommandLine
+from command_lines import crane_fmu as run
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
@@ -25,7 +24,6 @@ import servocore as sc
 from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, elements_of
 from crane_fmu.catalogue import KINDS
-from crane_fmu.cli.commands import app
 from crane_fmu.run import nothing_left
 from servocore.export.system import Element, packed_system
 from servocore.numerics.compiled_calls import Array
@@ -166,16 +164,15 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> Non
 @pytest.mark.parametrize(
     ("option", "variant"), [("--reference", []), ("--waypoints", []), ("--waypoints", ["--native"])], ids=str
 )
+@pytest.mark.usefixtures("empty_folder")
 def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
-    option: str, variant: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    option: str, variant: list[str], tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
     text = sc.path_to_csv(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
     (tmp_path / "path.csv").write_text(text)
-    line = CommandLine(app, "crane-fmu")
-    refused = line("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
-    line.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
+    refused = run("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
+    run.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
     assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
 
 
@@ -209,7 +206,7 @@ def own_system(native: bool) -> Path:
     given = ["--waypoints", "way.csv", "--native"] if native else ["--reference", "path.csv"]
     options = [*given, "--parameters", "crane.toml", "--targets", "host"]
     with contextlib.chdir(folder):
-        result = CliRunner().invoke(app, ["ssp", "-o", "out", *options])
+        result = run("ssp", "-o", "out", *options)
     assert result.exit_code == 0, result.output
     assert "certificate: proved: one regular motion at all times from 0 s to" in result.stderr
     expected = [*(f"{name}.fmu" for name in KINDS), "Crane.ssp"]
@@ -243,12 +240,9 @@ def test_a_path_beside_a_time_law_is_refused() -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--native"]])
-def test_a_path_that_starts_before_the_run_is_one_sentence_and_no_folder(
-    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_a_path_that_starts_before_the_run_is_one_sentence_and_no_folder(options: list[str], tmp_path: Path) -> None:
     (tmp_path / "early.csv").write_text("time,x,y,z\n-3,5,0,-5\n13,4,3,-5\n")
-    line = CommandLine(app, "crane-fmu")
-    refused = line("ssp", "-o", "out", "--waypoints", "early.csv", *options)
-    line.assert_refused(refused, "the path starts at t = -3 s, but the run of the system")
+    refused = run("ssp", "-o", "out", "--waypoints", "early.csv", *options)
+    run.assert_refused(refused, "the path starts at t = -3 s, but the run of the system")
     assert not (tmp_path / "out").exists()
