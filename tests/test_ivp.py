@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from processes import python
 
 import servocore as sc
 from benchmarks.ivp import REFERENCES, peer
@@ -18,7 +17,6 @@ from benchmarks.ivp.long import long_problems
 from benchmarks.ivp.marching import marched
 from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset
 
-ROOT = Path(__file__).resolve().parent.parent
 PROBLEMS = {each.name: each for each in problems()}
 FINEST = {"car_axis": ("simulate, rtol", 1e-12), "squeezer": ("simulate, rtol", 1e-12),
           "slider_crank": ("solve, RadauIIA(5), steps", 4000)}  # fmt: skip
@@ -72,7 +70,8 @@ def test_the_script_measures_its_own_routes(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_study_needs_nothing_that_its_environment_lacks() -> None:
     code = "import sys; sys.modules['pytest'] = None; import benchmarks.ivp.__main__"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
+    run = python("-c", code, folder=Path(__file__).resolve().parent.parent)
+    assert run.returncode == 0, run.stderr
 
 
 # Problems of long duration --------------------------------------------------------------------------------------------

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from command_lines import PROGRAMS, write
 from command_lines import servocore as run
+from processes import python
 
 import servocore as sc
 from servocore.cli import commands
@@ -53,10 +52,7 @@ class TestScenes:
 
     def test_without_docstrings_the_table_is_still_there(self) -> None:
         code = "from servocore.cli.commands import app; app(['scenes'])"
-        command = [sys.executable, "-OO", "-c", code]
-        found = subprocess.run(
-            command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}
-        )
+        found = python("-OO", "-c", code, COLUMNS="120")
         assert found.returncode == 0, found.stderr
         assert "rotary_crane" in found.stdout
 
@@ -156,8 +152,7 @@ def test_the_examples_of_the_help_have_options_and_names_that_there_are(line: st
     ],
 )
 def test_a_module_runs_as_its_command(line: str, said: str) -> None:
-    command = [sys.executable, "-m", *line.split()]
-    found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    found = python("-m", *line.split(), folder=ROOT)
     assert found.returncode == 2
     assert found.stderr.startswith(said)
     assert found.stdout == ""
