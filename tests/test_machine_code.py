@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_lines import servocore
 from present import present
+from processes import python
 
 import servocore as sc
 from servocore.numerics import code_cache
@@ -169,15 +170,6 @@ def test_a_path_gives_the_same_bits_as_a_formula(profile: sc.Profile) -> None:
         np.testing.assert_array_equal(found.reshape(order + 1, 3, -1).transpose(2, 0, 1), path.jet(t, order))
 
 
-@pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane"])
-@pytest.mark.usefixtures("compiler")
-def test_a_solution_has_the_same_bits(name: str) -> None:
-    scene = getattr(sc.scenes, name)()
-    interpreted, compiled = (sc.solve(scene, native=native) for native in (False, True))
-    np.testing.assert_array_equal(compiled.values, interpreted.values)
-    assert compiled.statistics == interpreted.statistics
-
-
 def test_many_instants_are_looked_at_in_parts_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(3).standard_normal((3, 1001))
     x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2)
@@ -236,8 +228,6 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch: pytest.MonkeyPa
         found = Vectorized(function, (True, False), None, "difference")(np.arange(20_000.0)[None], np.array([3.0]))
         BACKGROUND.wait()
     np.testing.assert_array_equal(found[0][0], np.arange(20_000.0) - 3.0)
-    with pytest.raises(sc.InvalidSetting, match="machine code needs a C compiler"):
-        Vectorized(function, (True, False), True, "difference")
 
 
 def test_a_compiler_that_starts_while_the_process_ends_is_ended_too(tmp_path: Path) -> None:
@@ -266,13 +256,9 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
         "Vectorized(ca.Function('sc_f', [x, y], [x * y]), (True, False), None, 'f')(np.zeros((1, 20000)), np.ones(1))\n"
         f"while not Path({str(slow)!r} + '.pid').exists(): time.sleep(0.01)\n"
     )
-    environment = {
-        **os.environ,
-        "CC": str(slow),
-        "SERVOCORE_CACHE": str(tmp_path / "cache"),
-        "SERVOCORE_MACHINE_CODE": "",
-    }
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=500)
+    cache = str(tmp_path / "cache")
+    done = python("-c", code, seconds=500, CC=str(slow), SERVOCORE_CACHE=cache, SERVOCORE_MACHINE_CODE="")
+    assert done.returncode == 0, done.stderr
     running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
     assert not running.exists()
 
