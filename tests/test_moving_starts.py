@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-import zipfile
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -11,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from command_lines import crane_fmu as run
-from fmu_host import fmu_file
+from fmu_host import fmu_file, members
 from loops import CRANE, FORCES, Case, deviation
 from native_fmu import END, Native, exported
 from numpy.polynomial import Polynomial
@@ -173,8 +172,7 @@ def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(varia
         in done.stderr
     )
     system, path = tmp_path / "out" / "Crane.ssp", sc.from_csv(file)
-    with zipfile.ZipFile(system) as archive:
-        root = ET.fromstring(archive.read("SystemStructure.ssd"))
+    root = ET.fromstring(members(system)["SystemStructure.ssd"])
     bound = {
         each.get("name"): float(each[0].get("value", "")) for each in root.iter() if each.tag.endswith("}Parameter")
     }
