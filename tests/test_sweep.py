@@ -23,14 +23,14 @@ from command_lines import servocore as line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import elbow_arm, vtol
-from present import of_kind, present
+from present import present
+from problems import along_its_line
 
 import servocore as sc
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
 from servocore.planning.sweep_settings import drawn
 from servocore.planning.sweep_store import Parquet, Zarr
-from servocore.references.rest_to_rest import RestToRest
 
 pytestmark = pytest.mark.skipif(not (find_spec("xarray") and find_spec("zarr")), reason="needs xarray and zarr")
 
@@ -49,9 +49,8 @@ def assert_case_is_its_solution(found: Any, scene: sc.Scene, path: sc.Reference,
     return solution
 
 
-def default_path(duration: float) -> RestToRest:
-    path = of_kind(RestToRest, CRANE.reference)
-    return sc.rest_to_rest(path.start, path.end, duration)
+def default_path(duration: float) -> sc.Reference:
+    return along_its_line(CRANE, duration).reference
 
 
 def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution() -> None:
