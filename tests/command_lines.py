@@ -11,6 +11,8 @@ import pytest
 from click import Group
 from click.testing import CliRunner
 
+from crane_fmu.cli.commands import app as crane_app
+from servocore.cli.commands import app
 from servocore.cli.console import PatientProgress
 from servocore.numerics.compiled_calls import Array
 
@@ -36,6 +38,10 @@ class CommandLine:
         assert "Traceback" not in result.stderr
         for word in words:
             assert word in result.stderr
+
+
+servocore, crane_fmu = CommandLine(app, "servocore"), CommandLine(crane_app, "crane-fmu")
+PROGRAMS = {each.name: each for each in (servocore, crane_fmu)}
 
 
 def write(name: str, text: str) -> str:

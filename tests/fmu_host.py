@@ -5,14 +5,15 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
+from io import BytesIO
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any, Self
+from zipfile import ZipFile
 
 import numpy as np
 from budgets import shared_by_all_files
@@ -20,6 +21,7 @@ from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
+from processes import python
 
 from crane_fmu.build import build_fmu
 from crane_fmu.catalogue import KINDS, ORDERS
@@ -67,6 +69,12 @@ def built_once(name: str, build: Callable[[Path], object], seconds: float = 900.
 @cache
 def fmu_file(name: str = "RotaryCrane") -> Path:
     return built_once(f"{name}.fmu", lambda file: build_fmu(file.parent, kind=KINDS[name], targets="host"))
+
+
+def members(file: str | Path | BytesIO) -> dict[str, bytes]:
+    """Return the contents of an archive by their names."""
+    with ZipFile(file) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 @cache
@@ -192,21 +200,10 @@ def follow(host: Host, jets: Array, times: Array, *, at: str = "start") -> dict[
 
 def in_a_process(
     code: str, *arguments: str | Path, seconds: float = 600.0, **environment: str
-) -> subprocess.CompletedProcess[str]:
+) -> CompletedProcess[str]:
     """Run code that may crash; it finds this module on its path."""
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=seconds,
-        check=False,
-        cwd=scratch(),
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
-            **environment,
-        },
-    )
+    here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    return python("-c", code, *arguments, folder=scratch(), seconds=seconds, PYTHONPATH=here, **environment)
 
 
 def promised(name: str = "RotaryCrane") -> list[str]:

@@ -24,6 +24,7 @@ from scipy.interpolate import BPoly
 import servocore as sc
 from crane_fmu.build.estimates import estimates_of
 from crane_fmu.build.native import PLANT, feedback_of
+from crane_fmu.files import put
 from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
@@ -63,6 +64,29 @@ def elastic_arm() -> sc.Scene:
     """Return the UR5 of the examples with elastic joints."""
     joints = [each.name for each in sc.scenes.from_file(ARM).model().outputs]
     return sc.scenes.from_file(ARM, elastic=dict.fromkeys(joints, sc.Elastic(1e4, 0.3)))
+
+
+VENDOR = """
+version = "4.2"
+author = "Jane Doe"
+company = "ACME & Sons"
+license = "proprietary"
+license_text = "terms.txt"
+copyright = "Copyright 2026 ACME */"
+description = "A <component>"
+icon = "icon.png"
+documentation = "page.html"
+[annotations."com.acme"]
+order = "17"
+line = "3"
+[defaults]
+"""
+
+
+def put_vendor(folder: Path) -> None:
+    """Write a vendor's files."""
+    texts = {"terms.txt": b"All rights reserved.", "page.html": b"<html>ACME</html>", "vendor.toml": VENDOR.encode()}
+    put(folder, {**texts, "icon.png": b"\x89PNG and so on"})
 
 
 LIMITS: dict[str, Any] = {"F": (-60.0, 1300.0), "w.rate": 2.0}

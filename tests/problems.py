@@ -235,11 +235,16 @@ def problem(scene_name: str, model: str, formulation: str = "projected", method:
     return found
 
 
+def along_its_line(this: sc.Scene, duration: float, profile: sc.Profile = sc.DEGREE9) -> sc.Scene:
+    """Return a scene whose path goes between the same points in another time, or by another law."""
+    path = of_kind(RestToRest, this.reference)
+    return this.with_reference(sc.rest_to_rest(path.start, path.end, duration, profile))
+
+
 @cache
 def smooth_scene(name: str) -> sc.Scene:
     """Return a scene with a path of degree 17 between the same points: C^8, so that no method meets a kink."""
-    path = of_kind(RestToRest, scene(name).reference)
-    return scene(name).with_reference(sc.rest_to_rest(path.start, path.end, path.duration, polynomial(17)))
+    return along_its_line(scene(name), scene(name).reference.duration, polynomial(17))
 
 
 @cache

@@ -29,6 +29,7 @@ from problems import (
     jets_near_home,
     largest_errors,
     observed_orders,
+    polynomial_path,
     scene,
     solved,
 )
@@ -405,6 +406,10 @@ def march(
     return np.array(found)
 
 
+x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+"""Unknowns and reference of small problems."""
+
+
 def small_dae(x: ca.SX, z: ca.SX, rate: ca.SX, constraint: ca.SX, gamma: ca.SX, H: ca.SX | None = None) -> sc.Dae:
     """A `Dae` without parameters from x_dot = rate, 0 = constraint, all unknowns of the level of positions."""
     x, z, rate, constraint = (ca.vertcat(ca.SX(0, 1), each) for each in (x, z, rate, constraint))
@@ -427,12 +432,8 @@ def small_dae(x: ca.SX, z: ca.SX, rate: ca.SX, constraint: ca.SX, gamma: ca.SX, 
 
 def polynomial(coefficients: list[float]) -> Callable[[float], Array]:
     """Return t -> value and derivatives of a polynomial, lowest power first."""
-
-    def path(t: float) -> Array:
-        parts = [np.polynomial.polynomial.polyder(coefficients, k) for k in range(4)]
-        return np.array([np.polynomial.polynomial.polyval(t, part) for part in parts])
-
-    return path
+    path = polynomial_path([[each] for each in coefficients])
+    return lambda t: path.jet(t, 3)[:, 0]
 
 
 ZERO = polynomial([0.0])
@@ -443,7 +444,6 @@ class MethodSuite:
 
     def _quadrature_error(self, by: MethodCase, degree: int) -> float:
         """Integrate x_dot = gamma(t) to x = t^degree from t = 0 to 2, relative to its size."""
-        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, gamma[0], z - x, gamma)
         rate = polynomial([0.0] * (degree - 1) + [float(degree)])
         found = march(by.method, dae, lambda t: [t**degree, t**degree], rate, 0.25, 8)[:, 0]
@@ -460,7 +460,6 @@ class MethodSuite:
         """z^3 + z = 2 x, x_dot = -(3 z^2 + 1) z^2/2: z = 1/(2 + t)."""
         if not by.starts_in_motion:
             pytest.skip("the solution starts in motion")
-        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -(3 * z**2 + 1) * z**2 / 2, z**3 + z - 2 * x, gamma)
 
         def exact(t: Array) -> list[Array]:
@@ -483,13 +482,11 @@ class MethodSuite:
 
     def test_only_a_damped_method_forgets_a_wrong_start_of_a_stiff_problem(self, by: MethodCase) -> None:
         """x_dot = -1e9 (x - gamma) from x = 1 with gamma = 0: within the history if stiffly accurate, else never."""
-        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -1e9 * (z - gamma[0]), z - x, gamma)
         last = march(by.method, dae, lambda _: [1.0, 1.0], ZERO, 0.1, 8)[-1, 0]
         assert (abs(last) < 1e-6) if by.damped else (abs(last) > 0.9)
 
     def test_its_nodes_lie_within_the_step_in_order(self, by: MethodCase) -> None:
-        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         nodes = by.method.discretize(small_dae(x, z, gamma[0], z - x, gamma)).nodes
         assert all(a < b for a, b in pairwise(nodes))
         assert 0.0 <= nodes[0] <= nodes[-1] <= 1.0

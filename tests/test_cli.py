@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import CommandLine, columns, table, write
+from command_lines import columns, table, write
+from command_lines import crane_fmu as run
 from present import present
 from test_reference_files import table as rows_of
 from test_reference_files import write as write_rows
 
 import servocore as sc
 from crane_fmu.catalogue import METHODS, MODELS
-from crane_fmu.cli.commands import app
 from servocore.cli import feedforward
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
@@ -26,7 +26,6 @@ INPUTS = ((1, "M_b"), (2, "F"), (3, "M_w"))
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
 PAPER = ["--formulation", "projected", "--method", "backward-euler"]
 ROOT = Path(__file__).resolve().parents[1]
-run = CommandLine(app, "crane-fmu")
 assert_refused = run.assert_refused
 
 

@@ -11,17 +11,15 @@ from typing import Any, NamedTuple
 import click
 import pytest
 from click.testing import CliRunner
-from command_lines import CommandLine
+from command_lines import PROGRAMS, CommandLine
 
-import crane_fmu.cli.commands
-import servocore.cli.commands
+from crane_fmu.cli.commands import CRANE as FIXED
 from servocore.cli.command import Command
 from servocore.cli.console import ON_THE_COMMAND_LINE
 from servocore.cli.kinds import Kind
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
-PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
 ROOT = Path(__file__).resolve().parents[1]
 
 ALONG = {"feedforward", "plan", "sensitivities", "sweep", "effects", "drives", "view", "export", "ssp"}
@@ -133,8 +131,8 @@ OPTIONS = {
 
 
 def commands() -> Iterator[tuple[str, Command]]:
-    for program, app in PROGRAMS.items():
-        for name, command in app.commands.items():
+    for program, line in PROGRAMS.items():
+        for name, command in line.app.commands.items():
             assert isinstance(command, Command)
             yield f"{program} {name}", command
 
@@ -150,8 +148,7 @@ def argument_of(command: Command) -> list[str]:
 
 def run(line: str) -> tuple[CommandLine, Any]:
     program, *words = shlex.split(line)
-    command_line = CommandLine(PROGRAMS[program], program)
-    return command_line, command_line(*words)
+    return PROGRAMS[program], PROGRAMS[program](*words)
 
 
 def test_the_table_names_all_options_of_all_commands() -> None:
@@ -184,9 +181,8 @@ def test_an_option_means_the_same_in_every_command(option: str) -> None:
 def test_commands_of_the_crane_are_those_of_servocore_with_the_scene_fixed() -> None:
     for name in BOUND:
         crane, general = COMMANDS[name], COMMANDS[f"servocore {name.split()[1]}"]
-        fixed = crane_fmu.cli.commands.CRANE
         assert crane.function is general.function
-        assert [each.opts for each in crane.params] == [each.opts for each in general.params if each.name not in fixed]
+        assert [each.opts for each in crane.params] == [each.opts for each in general.params if each.name not in FIXED]
 
 
 @pytest.mark.parametrize("name", ["crane-fmu feedforward", "crane-fmu plan"])
@@ -203,7 +199,7 @@ def test_their_tables_are_the_same(name: str) -> None:
 def test_a_value_that_is_missing_or_empty_is_refused_with_an_example(name: str) -> None:
     command = COMMANDS[name]
     program, word = name.split()
-    line = CommandLine(PROGRAMS[program], program)
+    line = PROGRAMS[program]
     for param in command.params:
         if isinstance(param, click.Option) and isinstance(param.type, Kind):
             option = max(param.opts, key=len)
@@ -327,7 +323,7 @@ WRONG = [
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_help_shows_options_and_no_inner_words(name: str) -> None:
     program, word = name.split()
-    text = CommandLine(PROGRAMS[program], program)(word, "--help").stdout
+    text = PROGRAMS[program](word, "--help").stdout
     for each in COMMANDS[name].params:
         assert all(option in text for option in each.opts if option.startswith("-"))
     assert not re.search(r"\[default|<bool>|<str>|\bPython: |\[/?cyan\]", text)
@@ -348,5 +344,5 @@ def test_what_is_advised_in_python_is_said_somewhere_in_the_library() -> None:
 @pytest.mark.parametrize("name", [*PROGRAMS, *COMMANDS])
 def test_a_help_is_as_wide_as_the_terminal_and_breaks_no_word(name: str, width: int) -> None:
     program, *words = name.split()
-    text = CliRunner().invoke(PROGRAMS[program], [*words, "--help"], prog_name=program, terminal_width=width).stdout
+    text = CliRunner().invoke(PROGRAMS[program].app, [*words, "--help"], prog_name=program, terminal_width=width).stdout
     assert [line for line in text.splitlines() if len(line) > width or re.search(r"\w-$", line)] == []

@@ -6,10 +6,8 @@ method cheaper lowers its bounds; who makes it dearer has to say why here.
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+from processes import python
 
 import servocore as sc
 from servocore.solution import Statistics
@@ -114,7 +112,8 @@ print(compiled)
 print(*sorted({name.split(".")[1] for name in sys.modules if name.count(".") > 1 and name.startswith("servocore.")}))
 print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if name in sys.modules.keys() - started])
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=600)
+    done = python("-c", script)
+    assert done.returncode == 0, done.stderr
     compiled, packages, more = done.stdout.splitlines()
     assert compiled == "[]"
     assert packages == "checks formulations methods model numerics references scenes solvers stepping structure"
@@ -123,5 +122,6 @@ print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if
 
 def test_functions_keep_their_names_whatever_package_is_imported_first() -> None:
     script = "import servocore.cli.studies, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=600)
+    done = python("-c", script)
+    assert done.returncode == 0, done.stderr
     assert done.stdout.count("<function") == 2

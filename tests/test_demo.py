@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page, require_browser
-from click.testing import CliRunner
+from command_lines import crane_fmu as run
 from command_lines import table
 from fmu_host import fmu_file
 from test_ssp import system
@@ -17,7 +17,6 @@ from test_ssp import system
 import crane_fmu.demo
 import servocore as sc
 from crane_fmu.catalogue import KINDS
-from crane_fmu.cli.commands import app
 from crane_fmu.demo import Demo, demo, example_cycle
 from crane_fmu.files import filled_folder
 from crane_fmu.report.study import LoadRun, Study, study
@@ -128,12 +127,10 @@ class TestDemo:
         (done.folder / "notes.txt").unlink()
 
 
-def test_the_command_prints_tables_and_where_the_report_is(
-    done: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_prints_tables_and_where_the_report_is(done: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(crane_fmu.demo, "demo", lambda *_, certify: done if certify else None)
-    result = CliRunner().invoke(app, ["demo"])
+    result = run("demo")
     assert result.exit_code == 0
     assert "Largest errors against the closed form" in result.stdout
     assert "largest differences between the models' inputs" in result.stdout

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from problems import along_its_line
 
 import servocore as sc
 
-CRANE = sc.scenes.rotary_crane().with_reference(
-    sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0, profile=sc.DEGREE13)
-)
+CRANE = along_its_line(sc.scenes.rotary_crane(), 20.0, sc.DEGREE13)
 
 
 def midpoint_error(method: sc.Method, steps: int, name: str) -> float:

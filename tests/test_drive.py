@@ -7,13 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import crane_fmu as run
 from fmu_host import fmu_file, scratch
 from pythonfmu.builder import FmuBuilder
 
-from crane_fmu.cli.commands import app
-
-run = CommandLine(app, "crane-fmu")
 LINE = ["--from", "5", "0", "-5", "--to", "4", "1", "-4", "--duration", "6"]
 NAMES = {"M_b": "slew.torque", "F": "trolley.force", "M_w": "hoist.torque"}
 

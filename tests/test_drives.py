@@ -14,28 +14,25 @@ import fmpy
 import numpy as np
 import pytest
 from browser import Page, require_browser
-from command_lines import CommandLine, write
+from command_lines import crane_fmu, write
+from command_lines import servocore as line
 from fmpy.ssp.simulation import simulate_ssp
-from present import of_kind
-from problems import DRIVES, driven_crane
+from problems import DRIVES, along_its_line, driven_crane
 from scipy.integrate import simpson
 from thinned import thinned
 
 import servocore as sc
 from crane_fmu.build.native import feedback_of
-from crane_fmu.cli.commands import app as crane_fmu
 from crane_fmu.run import nothing_left
 from servocore.checks.motion_limits import limited_values
-from servocore.cli.commands import app
 from servocore.export.variables import ORDERS
 from servocore.model.drives import largest_torque
 from servocore.model.limits import Bounds
 from servocore.model.parameter_files import read_drives
 from servocore.problem import Problem
-from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.exact_inversion import prepared_motion
 
-line, ARM = CommandLine(app, "servocore"), Path(__file__).parent / "mechanisms" / "arm.urdf"
+ARM = Path(__file__).parent / "mechanisms" / "arm.urdf"
 SHEET = """
 F = {ratio = 25, drum_radius = "125 mm", motor_inertia = "4 kg cm^2", viscous = 2e-4, coulomb = 0.02}
 [M_w]
@@ -124,8 +121,7 @@ def test_smooth_torque_speed_curves_are_near_those_of_the_sheet_and_never_above(
 @pytest.mark.parametrize("seed", thinned(range(12), lambda seed: seed == 1))
 def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(seed: int) -> None:
     draw, bare = np.random.default_rng(seed), sc.scenes.REGISTRY[list(LIKE)[seed % 3]]()
-    line_ = of_kind(RestToRest, bare.reference)
-    slow = sc.solve(bare.with_reference(sc.rest_to_rest(line_.start, line_.end, 30.0)))
+    slow = sc.solve(along_its_line(bare, 30.0))
     drives = {}
     for each in bare.model().inputs:
         n = draw.uniform(10.0, 60.0)
@@ -137,7 +133,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
             draw.uniform(0.0, 1.0) / n**2, 0.02 * torque, torque_speed=curve,
         )  # fmt: skip
     crane = bare.with_drives(**drives).with_limits(**{f"{name}.torque_reserve": (0.0, None) for name in drives})
-    plan, report = sc.fastest(crane, (line_.start, line_.end), intervals=40)
+    plan, report = sc.fastest(crane, bare.reference.jet([0.0, bare.reference.end_time], 0)[:, 0], intervals=40)
     assert report.limits.evidence == "proved to be kept at all times"
     problem = Problem.of(crane.with_reference(plan))
     t = np.linspace(plan.start_time, plan.end_time, 50_001)
@@ -145,7 +141,7 @@ def test_plans_keep_torque_speed_curves_of_random_drives_between_all_instants(se
     peaks = np.array([[max(torque for _, torque in drive.torque_speed)] for drive in drives.values()])
     assert -1e-9 < (reserves / peaks).min() < 0.02  # one of them is used up
     with pytest.raises(sc.LimitBroken, match="torque_reserve goes beyond its lower limit of 0 N"):
-        sc.solve(crane.with_reference(sc.rest_to_rest(line_.start, line_.end, report.duration)))
+        sc.solve(along_its_line(crane, report.duration))
 
 
 RUN_LIMITS: dict[str, Bounds] = {"F.rms_torque": "0.9 N m", "M_w.energy": "4 kJ"}
@@ -165,11 +161,10 @@ def test_limits_of_energy_and_effective_torque_hold_for_the_run_as_a_whole(tmp_p
 
 def test_the_shortest_duration_keeps_limits_of_the_run_as_a_whole() -> None:
     crane = driven_crane().with_limits(**{"F.rms_torque": "0.9 N m"})
-    shortest, path = sc.shortest_duration(crane), crane.reference
-    assert isinstance(path, RestToRest)
-    sc.solve(crane.with_reference(sc.rest_to_rest(path.start, path.end, shortest)))
+    shortest = sc.shortest_duration(crane)
+    sc.solve(along_its_line(crane, shortest))
     with pytest.raises(sc.LimitBroken, match="over the whole run"):
-        sc.solve(crane.with_reference(sc.rest_to_rest(path.start, path.end, 0.999 * shortest)))
+        sc.solve(along_its_line(crane, 0.999 * shortest))
     with pytest.raises(sc.PlanningFailed, match="no duration was found"):  # less than what the weight of the load takes
         sc.shortest_duration(crane.with_limits(**{"M_w.energy": "0.1 kJ"}))
 
@@ -177,8 +172,9 @@ def test_the_shortest_duration_keeps_limits_of_the_run_as_a_whole() -> None:
 @pytest.mark.nightly
 def test_plans_keep_limits_of_the_run_as_a_whole() -> None:
     crane = driven_crane()
-    line_ = of_kind(RestToRest, crane.reference)
-    plan, report = sc.fastest(crane, (line_.start, line_.end), {**RUN_LIMITS, "F": 1000.0}, intervals=40)
+    plan, report = sc.fastest(
+        crane, crane.reference.jet([0.0, 3.0], 0)[:, 0], {**RUN_LIMITS, "F": 1000.0}, intervals=40
+    )
     assert report.limits.evidence == "proved to be kept at all times"
     assert "F.rms_torque" in {each.quantity for each in report.active}
     assert report.duration < 0.85 * report.degree9  # which needs much torque in its middle
@@ -285,9 +281,8 @@ def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load
 @pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool) -> None:
     write("drives.toml", SHEET_OF_CRANE)
-    result = CommandLine(crane_fmu, "crane-fmu")(
-        "ssp", "--drives", "drives.toml", "--targets", "host", "-o", "system", *["--native"] * native
-    )
+    words = ("--drives", "drives.toml", "--targets", "host", "-o", "system")
+    result = crane_fmu("ssp", *words, *["--native"] * native)
     assert result.exit_code == 0, result.stderr
     with nothing_left():
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)

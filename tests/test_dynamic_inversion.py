@@ -173,11 +173,8 @@ def test_times_outside_the_path_are_refused() -> None:
 
 
 def test_a_path_that_is_a_table_is_no_path_for_sundials() -> None:
-    path = scene("mass_on_car").reference
-    t = np.linspace(0.0, path.end_time, 50)
-    sampled = scene("mass_on_car").with_reference(sc.sampled(t, path.jet(t, 0)[:, 0]))
     with pytest.raises(sc.InvalidReference, match="SUNDIALS needs a path that is a formula"):
-        sc.solve(sampled, sc.Reduced(), sc.Sundials())
+        sc.solve(sampled_car(), sc.Reduced(), sc.Sundials())
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1.0, -1e-3])

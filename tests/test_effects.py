@@ -11,17 +11,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from command_lines import CommandLine, write
-from present import of_kind, present
+from command_lines import servocore, write
+from present import present
+from problems import along_its_line
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.effects.closed_loop import run_loop
 from servocore.effects.model_inversion import inverted
 from servocore.effects.report import HEADINGS, EffectsReport
 from servocore.problem import Problem
 from servocore.references.profiles import polynomial
-from servocore.references.rest_to_rest import RestToRest
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
 ROWS = {  # index, derivatives of the path and unknowns of the rotary crane with an effect; all are flat
@@ -50,8 +49,7 @@ def crane(name: str) -> sc.Scene:
 
 
 def smooth(scene: sc.Scene, duration: float, order: int = 8) -> sc.Scene:
-    path = of_kind(RestToRest, scene.reference)
-    return scene.with_reference(sc.rest_to_rest(path.start, path.end, duration, polynomial(2 * order + 1)))
+    return along_its_line(scene, duration, polynomial(2 * order + 1))
 
 
 def known_only(scene: sc.Scene, values: dict[str, float]) -> dict[str, float]:
@@ -202,10 +200,7 @@ def test_effects_that_make_no_sense_are_refused_by_name(words: str, names: list[
 
 @cache
 def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> EffectsReport:
-    scene = crane(name)
-    path = of_kind(RestToRest, scene.reference)
-    scene = scene.with_reference(sc.rest_to_rest(path.start, path.end, 10.0))
-    return sc.effects(scene, tolerance=tolerance, simulate=simulate)
+    return sc.effects(along_its_line(crane(name), 10.0), tolerance=tolerance, simulate=simulate)
 
 
 def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study() -> None:
@@ -323,9 +318,7 @@ def test_a_plant_with_internal_dynamics_is_simulated() -> None:
 
 
 def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss() -> None:
-    path = of_kind(RestToRest, crane("rotary_crane").reference)
-    scene = crane("rotary_crane").with_reference(sc.rest_to_rest(path.start, path.end, 10.0))
-    found = sc.effects(scene, loops=None)
+    found = sc.effects(along_its_line(crane("rotary_crane"), 10.0), loops=None)
     assert present(found["elastic rope"].input_change) < 2e-4
     assert found["elastic rope"].error == pytest.approx(0.044, rel=0.05)
 
@@ -386,17 +379,11 @@ def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or
 # The command.
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CommandLine:
-    monkeypatch.chdir(tmp_path)
-    return CommandLine(app, "servocore")
-
-
-def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_prints_the_table_and_writes_the_page() -> None:
     write("crane.toml", "load_mass = 80.0\nhook_mass = 2.0\n")
-    result = run(
-        "effects", "overhead_crane", "--deviation", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
-    )
+    options = ("--deviation", "2cm", "--parameters", "crane.toml", "--markdown", "page.md")
+    result = servocore("effects", "overhead_crane", *options)
     assert result.exit_code == 0, result.output
     assert "the load keeps 20 mm with" in " ".join(result.stdout.split())
     assert "with_effects" not in result.stdout

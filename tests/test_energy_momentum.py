@@ -17,35 +17,28 @@ import servocore as sc
 from servocore.model.potentials import Stored
 from servocore.stepping.energy_momentum import conserving_equations
 
-STEPS = {
-    conserved.free_body: (0.1, 0.03, 0.01),
-    conserved.heavy_top: (0.01, 0.002),
-    conserved.crane: (0.1, 0.01),
-    conserved.braked_crane: (0.1, 0.01),
-    conserved.four_bar: (0.03, 0.01),
-    conserved.floating_loop: (0.1, 0.01),
+MECHANISMS: dict[Callable[[], conserved.Motion], tuple[tuple[float, ...], tuple[float, int]]] = {
+    conserved.free_body: ((0.1, 0.03, 0.01), (0.01, 1000)),
+    conserved.heavy_top: ((0.01, 0.002), (0.01, 1000)),
+    conserved.crane: ((0.1, 0.01), (0.03, 1000)),
+    conserved.braked_crane: ((0.1, 0.01), (0.1, 100)),
+    conserved.four_bar: ((0.03, 0.01), (0.03, 1000)),
+    conserved.floating_loop: ((0.1, 0.01), (0.1, 1000)),
 }
-"""Mechanisms, and steps in s."""
-
-ROTATED = {
-    conserved.free_body: (0.01, 1000),
-    conserved.heavy_top: (0.01, 1000),
-    conserved.crane: (0.03, 1000),
-    conserved.braked_crane: (0.1, 100),
-    conserved.four_bar: (0.03, 1000),
-    conserved.floating_loop: (0.1, 1000),
-}
-"""Mechanisms, a step in s and a number of steps, with rotations as unknowns."""
+"""Mechanisms and steps in s; with rotations as unknowns, a step and a number of steps."""
 
 MULTIPLIERS, ROTATIONS = sc.EnergyMomentum(), sc.EnergyMomentum(sc.RotationUpdate())
 RUNS = [
-    *((make, h, steps, MULTIPLIERS) for make, each in STEPS.items() for h in each for steps in (1_000, 10_000)),
-    *((make, *run, ROTATIONS) for make, run in ROTATED.items()),
+    *((make, h, n, MULTIPLIERS) for make, (each, _) in MECHANISMS.items() for h in each for n in (1_000, 10_000)),
+    *((make, *run, ROTATIONS) for make, (_, run) in MECHANISMS.items()),
 ]
 
 
 def named(value: Any) -> str:
     return value.__name__ if callable(value) else str(value)
+
+
+EACH_MECHANISM = pytest.mark.parametrize("make", MECHANISMS, ids=named)
 
 
 @pytest.mark.parametrize(("make", "step", "steps", "method"), thinned(RUNS, lambda run: run[2] < 10_000), ids=named)
@@ -60,7 +53,7 @@ def test_energy_momentum_and_constraints_stay(
     assert found.statistics.constraint_violation < 1e-12
 
 
-@pytest.mark.parametrize("make", STEPS, ids=named)
+@EACH_MECHANISM
 def test_errors_fall_with_the_square_of_the_step(make: Callable[[], conserved.Motion]) -> None:
     """At 0.2 s, against integration with error control of the equations differentiated twice."""
     motion, count = make(), 25 if make is not conserved.heavy_top else 200
@@ -82,7 +75,7 @@ def test_the_energy_changes_by_the_work_of_the_inputs() -> None:
     assert np.abs(change - found["work"]).max() < 1e-8 * np.abs(found["energy"]).max()
 
 
-@pytest.mark.parametrize("make", STEPS, ids=named)
+@EACH_MECHANISM
 def test_the_condition_of_a_step_does_not_depend_on_its_size(make: Callable[[], conserved.Motion]) -> None:
     motion = make()
     system = motion.system
@@ -109,12 +102,12 @@ def test_rates_of_constraints_tell_how_far_off_a_coarse_step_is() -> None:
 # Rotations as unknowns ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make", ROTATED, ids=named)
+@EACH_MECHANISM
 def test_rotations_as_unknowns_give_the_motion_and_the_forces_that_multipliers_give(
     make: Callable[[], conserved.Motion],
 ) -> None:
     """Over fifty steps: afterwards some of these motions magnify round-off."""
-    motion, (step, _) = make(), ROTATED[make]
+    motion, (_, (step, _)) = make(), MECHANISMS[make]
     with_multipliers, turned = (motion.run(step, 50, method=each) for each in (MULTIPLIERS, ROTATIONS))
     names = (*motion.system.coordinates.names, "work", "energy")
     for name in names:

@@ -11,19 +11,17 @@ from unittest.mock import Mock
 import casadi as ca
 import numpy as np
 import pytest
-from command_lines import CommandLine, write
+from command_lines import servocore as run
+from command_lines import write
 from fmpy import read_csv, read_model_description, simulate_fmu
 from native_fmu import exported, inputs_along_path, scene_called
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.export import targets
 from servocore.export.c_source import export_c
 from servocore.export.native_model import identifier_of
 from servocore.export.parameter_sets import base_units
 from servocore.export.variables import per_time
-
-run = CommandLine(app, "servocore")
 
 OWN = """
 from dataclasses import replace

@@ -16,16 +16,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from browser import Page, require_browser
-from command_lines import CommandLine
+from command_lines import servocore as run
 from fmu_host import built_once
 from native_fmu import FULL, scene_called
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.export import targets, wasm
 from servocore.numerics.compiled_calls import Array
 
-run = CommandLine(app, "servocore")
 INSTANTS, STEPS = 1000, 200
 SCENES = sorted(sc.scenes.REGISTRY) if FULL else ["elastic_bar", "mass_on_car", "rotary_crane"]
 needs_zig = pytest.mark.skipif(targets.zig() is None, reason="needs ziglang")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
+from processes import python
 
 import servocore
 from servocore.errors import missing_package
@@ -19,11 +19,10 @@ PACKAGES = ("control", "distributed", "fmpy", "jinja2", "markdown_it", "matplotl
 CRANE, LIBRARY = "from crane_fmu.cli import main", "from servocore.cli import main"
 
 
-def without_extras(code: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def without_extras(code: str, *arguments: str, folder: Path) -> CompletedProcess[str]:
     """Run Python with none of the packages to be found."""
     blocked = f"import sys\nsys.modules.update(dict.fromkeys({PACKAGES}))\n"
-    command = [sys.executable, "-c", f"{blocked}{code}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+    return python("-c", f"{blocked}{code}", *arguments, folder=folder)
 
 
 def test_solving_needs_no_extra(tmp_path: Path) -> None:
@@ -70,7 +69,7 @@ def test_nothing_native_imports_pythonfmu(tmp_path: Path) -> None:
         "from pathlib import Path; from crane_fmu.build import SystemOptions, build_ssp\n"
         "build_ssp(Path(), options=SystemOptions(native=True, targets='none'))\n"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    run = python("-c", code, folder=tmp_path)
     assert run.returncode == 0, run.stderr
 
 

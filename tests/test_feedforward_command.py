@@ -8,16 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_lines import CommandLine, table
+from command_lines import servocore, table
 from thinned import thinned
 
 import servocore as sc
 from servocore.cli import export, view
-from servocore.cli.commands import NAME, app
 from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY
 
-servocore_command = CommandLine(app, NAME)
 SCENES = thinned(REGISTRY, lambda name: name not in ("heavy_rope", "loop_manipulator"))  # which take seconds
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -29,7 +27,7 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path:
     file = tmp_path / "path.csv"
     file.write_text(sc.path_to_csv(scene.reference, outputs, each=40), encoding="utf-8")
     step = scene.reference.duration / 50
-    done = servocore_command("feedforward", name, "--reference", file, "--step", step, "-o", tmp_path / "inputs.csv")
+    done = servocore("feedforward", name, "--reference", file, "--step", step, "-o", tmp_path / "inputs.csv")
     assert done.exit_code == 0, done.stderr
     names, values = table((tmp_path / "inputs.csv").read_text(encoding="utf-8"))
     path = sc.from_csv(file, columns=outputs, rest_order=sc.Problem.of(scene).array.reference_order)
@@ -70,8 +68,8 @@ def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
     monkeypatch.setattr(export, "require_built", lambda *_: None)
     monkeypatch.setattr(export, "export_trajectory", lambda _, __, options, **___: shown.append(options.path))
     page, fmu = tmp_path / "page.html", tmp_path / "path.fmu"
-    viewed = servocore_command("view", name, "--reference", with_units_and_commas(file, scene), "-o", page)
-    exported = servocore_command("export", name, "--trajectory", "--reference", file, "-o", fmu)
+    viewed = servocore("view", name, "--reference", with_units_and_commas(file, scene), "-o", page)
+    exported = servocore("export", name, "--trajectory", "--reference", file, "-o", fmu)
     assert (viewed.exit_code, exported.exit_code) == (0, 0), viewed.stderr + exported.stderr
     assert page.read_text() == "page"
     t = np.linspace(expected.start_time, expected.end_time, 41)
@@ -82,7 +80,7 @@ def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
 
 
 def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene() -> None:
-    done = servocore_command("feedforward", "cars", "--from", "0", "--to", "2", "--duration", "5", "--step", "0.5")
+    done = servocore("feedforward", "cars", "--from", "0", "--to", "2", "--duration", "5", "--step", "0.5")
     names, values = table(done.stdout)
     scene = REGISTRY["cars"]().with_reference(sc.rest_to_rest((0.0,), (2.0,), 5.0))
     np.testing.assert_allclose(values[:, names.index("u")], sc.solve(scene, step=0.5)["u"], rtol=0, atol=1e-12)
@@ -90,8 +88,8 @@ def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene() -> None:
 
 def test_few_rows_are_waypoints_and_that_is_said() -> None:
     file = EXAMPLES / "working_cycle_waypoints.csv"
-    done = servocore_command("feedforward", "rotary_crane", "--reference", file)
-    asked = servocore_command("feedforward", "rotary_crane", "--waypoints", file)
+    done = servocore("feedforward", "rotary_crane", "--reference", file)
+    asked = servocore("feedforward", "rotary_crane", "--waypoints", file)
     assert "its 7 rows are read as waypoints" in done.stderr
     assert done.stdout == asked.stdout
 
@@ -100,7 +98,7 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
     scene = REGISTRY["overhead_crane"]()
     file = tmp_path / "path.csv"
     file.write_text(sc.path_to_csv(scene.reference, ["x", "z"]), encoding="utf-8")
-    done = servocore_command("feedforward", "overhead_crane", "--reference", file)
+    done = servocore("feedforward", "overhead_crane", "--reference", file)
     names, values = table(done.stdout)
     assert "waypoints" not in done.stderr
     np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
 from fmpy import read_model_description
-from fmu_host import Host, described, fmu_file, in_a_process, scratch
+from fmu_host import Host, described, fmu_file, in_a_process, members, scratch
 from native_fmu import Native
 from present import present
+from processes import python
 
 import servocore as sc
 from crane_fmu.build import fmu as build
@@ -31,11 +30,6 @@ THIS_MACHINE = (host(),)
 ROOT = Path(__file__).parents[1]
 
 
-def members(file: Path | io.BytesIO) -> dict[str, bytes]:
-    with zipfile.ZipFile(file) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
 @pytest.fixture(scope="module")
 def native() -> NativeModel:
     """Return the model of a native FMU that is soon compiled."""
@@ -45,8 +39,7 @@ def native() -> NativeModel:
 def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
     there = fmu_file().read_bytes()  # built for all files: what it compiles is not compiled again below
     folder = tmp_path / "a b" / "c"
-    command = [sys.executable, str(ROOT / "build_fmu.py"), "--targets", "host", "-o", str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = python(ROOT / "build_fmu.py", "--targets", "host", "-o", folder, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(folder / "RotaryCrane.fmu")
     assert [each.name for each in folder.iterdir()] == ["RotaryCrane.fmu"]
@@ -226,7 +219,6 @@ print(*sorted(unwanted & {each.split(".")[0] for each in sys.modules}))
 
 
 def test_a_clean_process_runs_it_without_casadi_or_the_project(tmp_path: Path) -> None:
-    command = [sys.executable, "-I", "-c", CLEAN, str(fmu_file())]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = python("-I", "-c", CLEAN, fmu_file(), folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""

@@ -53,7 +53,8 @@ def test_random_manoeuvres_hold_at_long_steps(at: str, any_crane: bool) -> None:
 
 # Steps that vary -----------------------------------------------------------------------------------------------------
 
-BLOWN_AT = Case(disturbance={"mass_error": 0.05, "gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0})
+GUST = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
+BLOWN_AT = Case(disturbance={"mass_error": 0.05, **GUST})
 
 
 @pytest.mark.parametrize(
@@ -100,8 +101,7 @@ def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(
 
 def test_without_feedback_a_gust_is_not_forgiven() -> None:
     """The bound above is no matter of course: a pendulum of four metres gives way by 80 mm."""
-    gust = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
-    assert deviation(Case(disturbance=gust), 0.01, stop=11.0, feedback=0.0) > 50.0
+    assert deviation(Case(disturbance=GUST), 0.01, stop=11.0, feedback=0.0) > 50.0
 
 
 def test_a_steady_wind_leaves_no_lasting_error() -> None:
@@ -115,11 +115,10 @@ def test_a_breeze_does_not_let_the_load_fall_before_the_first_inputs_arrive() ->
 
 def test_drives_that_give_no_more_bring_the_load_back_without_winding_up() -> None:
     """The gust takes some 1.6 kN.m; with half a kN.m the load gives way and returns."""
-    disturbance = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
     path, h, count = CRANE.reference, 0.02, 800
     jets, errors, peak = path.jet(h * np.arange(count + 1), 4), [], 0.0
     limits: dict[str, Any] = {"limit.M_b": 500.0}
-    with Loop(Case(disturbance=disturbance), **limits) as loop:
+    with Loop(Case(disturbance=GUST), **limits) as loop:
         for k in range(count):
             errors.append(np.linalg.norm(loop.step(jets, k, h) - jets[k + 1, 0]))
             peak = max(peak, abs(loop.crane["M_b"]))

@@ -101,13 +101,8 @@ def test_the_bridge_angle_counts_full_turns() -> None:
     jets[:, 0, 2] = -5.0
     for model in MODELS:
         with Host() as host:
-            host.set(input_time="end", model=model).start(jets[0])
-            phi = [host["phi"]]
-            for k in range(1, len(t)):
-                host.tell(jets[k])
-                assert host.step(t[k - 1], t[k] - t[k - 1])
-                phi.append(host["phi"])
-        np.testing.assert_allclose(phi, rate * t, atol=1e-9)
+            found = follow(host.set(model=model), jets, t, at="end")
+        np.testing.assert_allclose(found["phi"], rate * t, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["bridge_inertia", "trolley_mass", "load_mass", "winch_inertia"])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process
+from fmu_host import UNKNOWN, Host, described, fmu_file, in_a_process, members
 
 import servocore as sc
 from crane_fmu.build.page import TEMPLATES, documentation_page
@@ -125,7 +125,7 @@ def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(na
 
 @pytest.mark.parametrize("name", KINDS)
 def test_the_page_in_the_documentation_is_the_one_in_the_fmu(name: str) -> None:
-    from test_fmu_build import ROOT, members
+    from test_fmu_build import ROOT
 
     kind = KINDS[name]
     written = (ROOT / "docs" / kind.page).read_text(encoding="utf-8")

@@ -12,14 +12,13 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import servocore
 from outside.test_random_mechanisms import DIFFERENCE
 from present import present
 from robots import OWN, apart, apart_from_mujoco, apart_from_pinocchio, peer, simulated_stray, terms
 from thinned import thinned
 
 import servocore as sc
-from servocore.cli.commands import app as servocore_commands
 from servocore.importers.from_file import read_tree
 from servocore.importers.mjcf import read_mjcf
 from servocore.importers.xml_files import XmlFile
@@ -351,7 +350,6 @@ def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: st
 
 @pytest.mark.usefixtures("empty_folder")
 def test_commands_take_files_and_settings() -> None:
-    servocore = CommandLine(servocore_commands, "servocore")
     Path("arm.toml").write_text(
         'locked = ["left"]\n[payload]\ntool = 2.0\n[elastic]\nturn = 1e3\nelbow = { stiffness = 2e3 }\n'
     )

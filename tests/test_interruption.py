@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from processes import python
 from thinned import thinned
 
 from crane_fmu.run import nothing_left
@@ -90,7 +91,7 @@ SWALLOWED = "weakref.finalize(Importing(), signal.raise_signal, signal.SIGINT)" 
 @pytest.mark.parametrize(("package", "name"), [("servocore", "servocore"), ("crane_fmu", "crane-fmu")])
 def test_ctrl_c_during_imports_ends_a_command_as_later(package: str, name: str, stopped: str) -> None:
     code = WHILE_IMPORTING.format(package=package, stopped=stopped)
-    done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False)
+    done = python("-c", code, "--version")
     assert (done.returncode, done.stdout, done.stderr) == (interruption.INTERRUPTED, "", f"{name}: stopped\n")
 
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from processes import python
 
 import servocore as sc
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.ivp import REFERENCES, peer  # noqa: E402
-from benchmarks.ivp.__main__ import PAGE, own_rows, record, render  # noqa: E402
-from benchmarks.ivp.long import long_problems  # noqa: E402
-from benchmarks.ivp.marching import marched  # noqa: E402
-from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset  # noqa: E402
+from benchmarks.ivp import REFERENCES, peer
+from benchmarks.ivp.__main__ import PAGE, own_rows, record, render
+from benchmarks.ivp.long import long_problems
+from benchmarks.ivp.marching import marched
+from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset
 
 PROBLEMS = {each.name: each for each in problems()}
 FINEST = {"car_axis": ("simulate, rtol", 1e-12), "squeezer": ("simulate, rtol", 1e-12),
@@ -75,7 +70,8 @@ def test_the_script_measures_its_own_routes(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_study_needs_nothing_that_its_environment_lacks() -> None:
     code = "import sys; sys.modules['pytest'] = None; import benchmarks.ivp.__main__"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
+    run = python("-c", code, folder=Path(__file__).resolve().parent.parent)
+    assert run.returncode == 0, run.stderr
 
 
 # Problems of long duration --------------------------------------------------------------------------------------------

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import servocore as run
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.errors import InvalidReference
 
 SCENES: dict[str, Callable[[], sc.Scene]] = {
@@ -96,11 +95,10 @@ def test_large_and_slow_paths_are_taken_and_so_is_every_declared_unit(name: str,
 @pytest.mark.parametrize(
     "line", ["feedforward", "view", "export --trajectory -o T.fmu", "plan --limit F=30 -o p.csv", "effects"]
 )
-def test_the_command_lines_refuse_them(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_lines_refuse_them(line: str, tmp_path: Path) -> None:
     file = table(tmp_path / "path.csv", sc.scenes.overhead_crane(), 1e3, 1.0)
     command, *options = line.split()
-    cli = CommandLine(app, "servocore")
     for reader in ("--reference", "--waypoints"):
-        result = cli(command, "overhead_crane", *options, reader, file)
-        cli.assert_refused(result, "its times look like milliseconds", "write time [ms] into the header")
+        result = run(command, "overhead_crane", *options, reader, file)
+        run.assert_refused(result, "its times look like milliseconds", "write time [ms] into the header")

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from fmu_host import fmu_file, in_a_process
+from processes import python
 
 from crane_fmu.catalogue import KINDS
 
@@ -47,9 +47,7 @@ def test_instances_may_be_stepped_in_threads(name: str) -> None:
 
 @pytest.mark.skipif(not FULL, reason="times are measured by make load; here what they come from is counted")
 def test_a_step_costs_three_times_what_pythonfmu_itself_does_and_an_instance_a_tenth_of_a_second() -> None:
-    script = Path(__file__).parents[1] / "benchmarks" / "fmu_cost.py"
-    command = [sys.executable, str(script), str(fmu_file()), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = python(Path(__file__).parents[1] / "benchmarks" / "fmu_cost.py", fmu_file(), "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     print(found)

@@ -12,11 +12,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_lines import servocore
 from present import present
+from processes import python
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics import vectorized as vectorized_module
 from servocore.numerics.code_cache import CodeCache
@@ -170,15 +170,6 @@ def test_a_path_gives_the_same_bits_as_a_formula(profile: sc.Profile) -> None:
         np.testing.assert_array_equal(found.reshape(order + 1, 3, -1).transpose(2, 0, 1), path.jet(t, order))
 
 
-@pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane"])
-@pytest.mark.usefixtures("compiler")
-def test_a_solution_has_the_same_bits(name: str) -> None:
-    scene = getattr(sc.scenes, name)()
-    interpreted, compiled = (sc.solve(scene, native=native) for native in (False, True))
-    np.testing.assert_array_equal(compiled.values, interpreted.values)
-    assert compiled.statistics == interpreted.statistics
-
-
 def test_many_instants_are_looked_at_in_parts_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(3).standard_normal((3, 1001))
     x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2)
@@ -237,8 +228,6 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch: pytest.MonkeyPa
         found = Vectorized(function, (True, False), None, "difference")(np.arange(20_000.0)[None], np.array([3.0]))
         BACKGROUND.wait()
     np.testing.assert_array_equal(found[0][0], np.arange(20_000.0) - 3.0)
-    with pytest.raises(sc.InvalidSetting, match="machine code needs a C compiler"):
-        Vectorized(function, (True, False), True, "difference")
 
 
 def test_a_compiler_that_starts_while_the_process_ends_is_ended_too(tmp_path: Path) -> None:
@@ -267,13 +256,9 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
         "Vectorized(ca.Function('sc_f', [x, y], [x * y]), (True, False), None, 'f')(np.zeros((1, 20000)), np.ones(1))\n"
         f"while not Path({str(slow)!r} + '.pid').exists(): time.sleep(0.01)\n"
     )
-    environment = {
-        **os.environ,
-        "CC": str(slow),
-        "SERVOCORE_CACHE": str(tmp_path / "cache"),
-        "SERVOCORE_MACHINE_CODE": "",
-    }
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=500)
+    cache = str(tmp_path / "cache")
+    done = python("-c", code, seconds=500, CC=str(slow), SERVOCORE_CACHE=cache, SERVOCORE_MACHINE_CODE="")
+    assert done.returncode == 0, done.stderr
     running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
     assert not running.exists()
 
@@ -336,7 +321,7 @@ def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache: code_ca
     assert "mode 0755: only its user may have access" in own_cache.refusal()
     assert own_cache.find("a" * 40) is None
     assert own_cache.store("b" * 40, b"code") is None
-    refused = CliRunner().invoke(app, ["cache"])
+    refused = servocore("cache")
     assert refused.exit_code == 2
     assert "no machine code is kept" in refused.output.replace("\n", " ")
 
@@ -379,8 +364,8 @@ def test_processes_that_build_the_same_do_not_meet(own_cache: code_cache.CodeCac
 
 def test_the_command_shows_and_clears_the_cache(own_cache: code_cache.CodeCache) -> None:
     own_cache.store("a" * 40, b"code" * 1000)
-    shown = CliRunner().invoke(app, ["cache"])
+    shown = servocore("cache")
     assert "1 library of machine code with 0.004 MB of at most 67.1 MB in" in shown.output
-    cleared = CliRunner().invoke(app, ["cache", "clear"])
+    cleared = servocore("cache", "clear")
     assert "1 library of machine code with 0.004 MB removed" in cleared.output
     assert not own_cache.contents()

@@ -9,8 +9,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -20,6 +18,7 @@ import numpy as np
 import pytest
 from fmpy import read_model_description
 from fmu_host import JET, OUTPUTS, described, fmu_file, in_a_process, scratch
+from processes import in_bare_environment, python
 
 import servocore as sc
 from crane_fmu.build import build_fmu
@@ -197,8 +196,7 @@ def test_every_fmu_runs_in_every_master_with_nothing_connected(master: str, name
 def test_fmutool_finds_no_problems(name: str) -> None:
     required("fmu_manipulation_toolbox")
     code = "import sys; from fmu_manipulation_toolbox.cli.fmutool import fmutool; sys.exit(fmutool())"
-    command = [sys.executable, "-c", code, "-input", str(fmu_file(name)), "-check"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=scratch())
+    done = python("-c", code, "-input", fmu_file(name), "-check", folder=scratch())
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     assert "WARNING" not in said
@@ -214,17 +212,8 @@ def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_pa
     copy = tmp_path / "ecos"  # the package forgets to make it executable
     shutil.copy(program, copy)
     copy.chmod(0o755)
-    table = tmp_path / "table.csv"
-    command = [copy, "simulate", "--path", fmu_file(name), "--stopTime", "1", "--stepSize", "0.1"]
-    done = subprocess.run(
-        [str(each) for each in command],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-        cwd=tmp_path,
-        env={"PATH": os.defpath, "HOME": str(tmp_path)},
-    )
+    options = ("--path", fmu_file(name), "--stopTime", "1", "--stepSize", "0.1")
+    done = in_bare_environment(copy, "simulate", *options, folder=tmp_path, HOME=str(tmp_path))
     assert done.returncode == 0, done.stdout + done.stderr
     (table,) = tmp_path.glob("*.csv")
     head, *rows = [line.split(", ") for line in table.read_text().splitlines()]

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from outside.writing import coordinates, lagrange
 from scipy.optimize import brentq
 
 import servocore as sc
@@ -18,42 +19,30 @@ from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import RestToRest
 
 CRANK, BASE, MASS, GRAVITY = 0.5, 1.1, 2.0, 9.81
-NAMES = ("x1", "y1", "x2", "y2")
 THROUGH = sc.rest_to_rest((0.3,), (np.pi + 0.6,), 4.0)
 
 
 @cache
-def linkage(longer: float = 0.0, guess: str = "parallelogram", freewheel: bool = False) -> sc.MechanicalSystem:
+def linkage(longer: float = 0.0, guess: str = "parallelogram") -> sc.MechanicalSystem:
     """A planar four-bar linkage of two point masses: joints of crank and coupler, coupler and rocker."""
-    coordinates = sc.Coordinates(
-        *(sc.Quantity(name, "m") for name in NAMES), sc.Quantity("theta", "rad"),
-        *([sc.Quantity("w", "m")] if freewheel else []),
-    )  # fmt: skip
-    x1, y1, x2, y2, theta = ca.vertsplit(coordinates.q[:5])
-    n = len(coordinates)
-    gamma = ca.SX.sym("gamma", 1, 25)
-    y = gamma[0, 0]
-    twice = 2 * ca.atan2(-CRANK * ca.sin(y), BASE - CRANK * ca.cos(y))
-    # Beyond the stretched position the other assembly: the parallelogram's corner mirrored at the diagonal.
-    tilt = ca.if_else(y > ca.pi, twice - y, y) if guess == "crossed after" else y
-    near = [CRANK * ca.cos(y), CRANK * ca.sin(y), BASE + CRANK * ca.cos(tilt), CRANK * ca.sin(tilt), y]
-    return sc.MechanicalSystem(
-        name="linkage",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("torque", "N.m"),),
-        outputs=(sc.Quantity("angle", "rad"),),
-        mass=ca.SX(ca.sparsify(ca.diag(ca.vertcat(MASS, MASS, MASS, MASS, 0, *([1.0] if freewheel else []))))),
-        output=theta,
-        input_matrix=ca.sparsify(-ca.SX.eye(n)[4, :]),
+    q = coordinates("x1 y1 x2 y2", "theta")
+    x1, y1, x2, y2, theta = ca.vertsplit(q.q)
+
+    def near(at: ca.SX) -> list[ca.SX]:
+        y = at[0]
+        twice = 2 * ca.atan2(-CRANK * ca.sin(y), BASE - CRANK * ca.cos(y))
+        # Beyond the stretched position the other assembly: the parallelogram's corner mirrored at the diagonal.
+        tilt = ca.if_else(y > ca.pi, twice - y, y) if guess == "crossed after" else y
+        return [CRANK * ca.cos(y), CRANK * ca.sin(y), BASE + CRANK * ca.cos(tilt), CRANK * ca.sin(tilt), y]
+
+    return lagrange(
+        "linkage", q, MASS / 2 * ca.sumsqr(q.v[:4]), {"angle": theta}, {"torque": theta},
         potential=MASS * GRAVITY * (y1 + y2),
         constraints=ca.vertcat(
             x1 - CRANK * ca.cos(theta), y1 - CRANK * ca.sin(theta),
             (x2 - x1) ** 2 + (y2 - y1) ** 2 - BASE**2, (x2 - BASE) ** 2 + y2**2 - (CRANK + longer) ** 2,
         ),
-        gamma=gamma,
-        guess=ca.vertcat(*near, *([0] if freewheel else [])),
-        home=(1.0,),
+        guess=near, home=(1.0,),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from problems import METHODS, problem, scene, solved
-from suite import ZERO, MethodSuite, march, polynomial, small_dae
+from suite import ZERO, MethodSuite, gamma, march, polynomial, small_dae, x, z
 
 import servocore as sc
 from servocore.dae import Dae, Equation, Unknown
@@ -25,14 +25,12 @@ class TestEveryMethod(MethodSuite):
 
 def test_backward_euler_multiplies_by_its_amplification_factor() -> None:
     """x_dot = -3 x: every step divides by 1 + 3 h."""
-    x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     found = march(sc.BackwardEuler(), small_dae(x, z, -3 * z, z - x, gamma), lambda _: [1.0, 1.0], ZERO, 0.2, 6)
     np.testing.assert_allclose(found[:, 0], 1.6 ** -np.arange(7.0), rtol=1e-14)
 
 
 def test_backward_euler_takes_H_at_the_new_instant() -> None:  # noqa: N802
     """2 x x_dot = 1 becomes 2 x1 (x1 - x0) = h, equation (31): x1 = (x0 + sqrt(x0^2 + 2 h))/2."""
-    x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     dae = small_dae(x, z, ca.SX(1), z - x, gamma, H=2 * x)
     found = march(sc.BackwardEuler(), dae, lambda _: [1.0, 1.0], ZERO, 0.3, 3)[:, 0]
     expected = [1.0]
@@ -42,7 +40,6 @@ def test_backward_euler_takes_H_at_the_new_instant() -> None:  # noqa: N802
 
 
 def test_backward_euler_uses_the_reference_at_the_new_instant_only() -> None:
-    x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     dae = small_dae(x, z, gamma[0], z - x, gamma)
     assert sc.BackwardEuler().discretize(dae).nodes == (1.0,)
     found = march(sc.BackwardEuler(), dae, lambda _: [0.0, 0.0], polynomial([0, 1.0]), 0.5, 2)
@@ -180,7 +177,6 @@ def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_da
 
 
 def test_generalized_alpha_refuses_what_is_no_mechanical_system() -> None:
-    x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     with pytest.raises(sc.InvalidModel, match="needs positions with their velocities"):
         sc.GeneralizedAlpha().discretize(small_dae(x, z, gamma[0], z - x, gamma))
 

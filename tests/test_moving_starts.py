@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import warnings
-import zipfile
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
-from fmu_host import fmu_file
+from command_lines import crane_fmu as run
+from fmu_host import fmu_file, members
 from loops import CRANE, FORCES, Case, deviation
 from native_fmu import END, Native, exported
 from numpy.polynomial import Polynomial
@@ -20,11 +19,9 @@ from problems import polynomial_path
 import servocore as sc
 from crane_fmu.build.ssp import SystemOptions, start_values
 from crane_fmu.catalogue import CRANE_PLANT, ORDERS, components
-from crane_fmu.cli.commands import app
 from crane_fmu.run import run_ssp
 from servocore.files import csv_text
 
-run = CommandLine(app, "crane-fmu")
 WHOLE = CRANE.reference
 POSITION, VELOCITY = components("start.position"), components("start.velocity")
 
@@ -175,8 +172,7 @@ def test_a_system_begins_and_ends_in_motion_with_nothing_set_in_the_master(varia
         in done.stderr
     )
     system, path = tmp_path / "out" / "Crane.ssp", sc.from_csv(file)
-    with zipfile.ZipFile(system) as archive:
-        root = ET.fromstring(archive.read("SystemStructure.ssd"))
+    root = ET.fromstring(members(system)["SystemStructure.ssd"])
     bound = {
         each.get("name"): float(each[0].get("value", "")) for each in root.iter() if each.tag.endswith("}Parameter")
     }

@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
+pytestmark = pytest.mark.usefixtures("empty_folder")
 CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 
@@ -19,10 +20,7 @@ def short(path: Path) -> str:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if CODE_BLOCK.search(p.read_text(encoding="utf-8"))], ids=short)
-def test_python_blocks_of_a_page_run_one_after_another(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_python_blocks_of_a_page_run_one_after_another(page: Path, tmp_path: Path) -> None:
     shutil.copy(ROOT / "examples" / "ur5.urdf", tmp_path)
     names: dict[str, object] = {"__name__": "page"}
     text = page.read_text(encoding="utf-8")
@@ -36,9 +34,8 @@ def run(block: str, page: Path, line: int, names: dict[str, object]) -> None:
 
 
 def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = CODE_BLOCK.findall(text)
     assert len([line for line in block.splitlines() if line]) <= 10

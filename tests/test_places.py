@@ -17,15 +17,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from command_lines import CommandLine
+from command_lines import PROGRAMS
 from test_extras import CRANE, LIBRARY, without_extras
 from thinned import thinned
 
-import crane_fmu.cli.commands
-import servocore.cli.commands
 from servocore.cli.kinds import FOLDER
 
-LINES = {"crane-fmu": crane_fmu.cli.commands.app, "servocore": servocore.cli.commands.app}
 CODE = {"crane-fmu": CRANE, "servocore": LIBRARY}
 LINE = "--from 5 0 -5 --to -2 2 -2 --duration 20"
 WAY = "--from 5 0 -5 --to -2 2 -2 --limit F=60"
@@ -81,8 +78,8 @@ EXTRAS = {"fmu": ("fmpy", "jinja2"), "report": ("jinja2", "matplotlib"), "sweep"
 
 def results() -> Iterator[tuple[str, list[list[str]]]]:
     """Every command of both command lines, by the names that one types, and what its options for results are called."""
-    for name, app in LINES.items():
-        for command, found in app.commands.items():
+    for name, line in PROGRAMS.items():
+        for command, found in line.app.commands.items():
             yield (
                 f"{name} {command}",
                 [
@@ -95,8 +92,7 @@ def results() -> Iterator[tuple[str, list[list[str]]]]:
 
 def refused(case: Case, place: str, *words: str) -> None:
     name, *arguments = shlex.split(case.line.replace("@", place))
-    run = CommandLine(LINES[name], name)
-    run.assert_refused(run(*arguments), *words)
+    PROGRAMS[name].assert_refused(PROGRAMS[name](*arguments), *words)
 
 
 @pytest.fixture(autouse=True)

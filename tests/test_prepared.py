@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problems import scene
+from problems import along_its_line, scene
 
 import servocore as sc
 
-CRANE = sc.scenes.rotary_crane().with_reference(
-    sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0, profile=sc.DEGREE13)
-)
+CRANE = along_its_line(sc.scenes.rotary_crane(), 20.0, sc.DEGREE13)
 CAR, ARM, CARS = scene("mass_on_car"), sc.scenes.passive_joint_arm(), sc.scenes.cars(3)
 SLOW = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 6.0)
 

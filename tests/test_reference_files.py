@@ -10,14 +10,6 @@ from present import present
 from test_references import relative_errors
 
 import servocore as sc
-from servocore import (
-    DEGREE13,
-    from_csv,
-    rest_to_rest,
-    three_phase,
-    through,
-    waypoints_from_csv,
-)
 from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.references.piecewise import hermite
@@ -25,8 +17,8 @@ from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 GRAVITY = 9.81
-LINE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
-CURVE = through([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6]], [0, 12, 22, 31, 40])
+LINE = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
+CURVE = sc.through([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6]], [0, 12, 22, 31, 40])
 
 
 def header(groups: int, columns: list[str] | str = "xyz") -> str:
@@ -49,7 +41,7 @@ def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: lis
 def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
     truth: sc.Reference, groups: int, tmp_path: Path
 ) -> None:
-    path = from_csv(write(tmp_path / "path.csv", table(truth, 0.1, groups), groups))
+    path = sc.from_csv(write(tmp_path / "path.csv", table(truth, 0.1, groups), groups))
     assert relative_errors(path, truth, 4).max() < 1e-5
     assert present(path.fit_error) < 2e-12 * 6.0
     assert path.max_order == 9
@@ -62,18 +54,18 @@ def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
 def test_columns_are_those_of_the_scene(scene: sc.Scene, groups: int, tmp_path: Path) -> None:
     columns = [each.name for each in scene.model().outputs]
     file = write(tmp_path / "path.csv", table(scene.reference, 0.01, groups), groups, columns=columns)
-    path = from_csv(file, columns=columns)
+    path = sc.from_csv(file, columns=columns)
     assert scene.with_reference(path).reference.dimension == len(columns)
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, 101)
     np.testing.assert_allclose(path.jet(t, 0), scene.reference.jet(t, 0), atol=1e-11)
     with pytest.raises(InvalidReference, match=r"header time,x,y,z.* was expected"):
-        from_csv(file)
+        sc.from_csv(file)
 
 
 @pytest.mark.parametrize("columns", [[], ["x", "x"], ["time"]])
 def test_columns_need_names_of_their_own(columns: list[str], tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match="position columns with names of their own"):
-        from_csv(tmp_path / "path.csv", columns=columns)
+        sc.from_csv(tmp_path / "path.csv", columns=columns)
 
 
 def test_a_path_is_not_written_into_columns_of_one_name() -> None:
@@ -88,21 +80,21 @@ def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path: 
     columns = ["east", "north", "up"]
     file = write(tmp_path / "bad.csv", rows, 2, columns=columns)
     with pytest.raises(InvalidReference, match=r"line 125 \(time 12.3 s\), column vnorth: "):
-        from_csv(file, columns=columns)
+        sc.from_csv(file, columns=columns)
 
 
 @pytest.mark.parametrize(("order", "smoothness"), [(1, 1), (2, 2), (4, 4)])
 def test_as_many_derivatives_as_are_asked_for_make_a_hermite_path(order: int, smoothness: int, tmp_path: Path) -> None:
-    truth = rest_to_rest(LINE.start, LINE.end, 20.0, polynomial(2 * order + 1))
-    path = from_csv(write(tmp_path / "path.csv", table(truth, 20.0, order + 1), order + 1), rest_order=order)
+    truth = sc.rest_to_rest(LINE.start, LINE.end, 20.0, polynomial(2 * order + 1))
+    path = sc.from_csv(write(tmp_path / "path.csv", table(truth, 20.0, order + 1), order + 1), rest_order=order)
     assert path.smoothness == smoothness
     assert relative_errors(path, truth, 2 * order + 1).max() < 1e-13
 
 
 @pytest.mark.parametrize("step", [2.0, 0.5, 0.1, 0.01, 0.002])
-@pytest.mark.parametrize("profile", [DEGREE13, three_phase(4.0)], ids=lambda p: p.name)
+@pytest.mark.parametrize("profile", [sc.DEGREE13, sc.three_phase(4.0)], ids=lambda p: p.name)
 def test_rows_of_derivatives_keep_their_snap_however_dense_they_are(profile: sc.Profile, step: float) -> None:
-    truth = rest_to_rest(LINE.start, LINE.end, 20.0, profile)
+    truth = sc.rest_to_rest(LINE.start, LINE.end, 20.0, profile)
     rows = table(truth, step, 5)
     path, worst = hermite(rows[:, 0], rows[:, 1:].reshape(-1, 5, 3))
     assert relative_errors(path, truth, 4)[4] < 1e-2  # with every row in use: far above 1 at 2 ms
@@ -128,14 +120,14 @@ def test_rounded_positions_need_a_tolerance(tmp_path: Path) -> None:
     for groups in (1, 2):
         file = write(tmp_path / f"{groups}.csv", table(CURVE, 0.05, groups), groups, fmt="%.6f")
         with pytest.raises(InvalidReference, match="need a tolerance"):
-            from_csv(file)
-        assert relative_errors(from_csv(file, tolerance=1e-6), CURVE, 4).max() < 1e-3
+            sc.from_csv(file)
+        assert relative_errors(sc.from_csv(file, tolerance=1e-6), CURVE, 4).max() < 1e-3
 
 
 @pytest.mark.parametrize("tolerance", [None, 1e-6])
 def test_rounded_rows_of_all_derivatives_are_good_enough_as_they_are(tolerance: float | None, tmp_path: Path) -> None:
     file = write(tmp_path / "path.csv", table(CURVE, 0.05, 5), 5, fmt="%.6f")
-    assert relative_errors(from_csv(file, tolerance), CURVE, 4).max() < 2e-3
+    assert relative_errors(sc.from_csv(file, tolerance), CURVE, 4).max() < 2e-3
 
 
 @pytest.mark.parametrize("groups", [2, 3, 5])
@@ -143,14 +135,14 @@ def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups: int, t
     rows = table(CURVE, 0.1, groups)
     rows[:, -3] *= -1.0
     with pytest.raises(InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"):
-        from_csv(write(tmp_path / "bad.csv", rows, groups))
+        sc.from_csv(write(tmp_path / "bad.csv", rows, groups))
 
 
 def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 1)
     rows[rows[:, 0] > 17.0, 3] += 0.01
     with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17.* in position"):
-        from_csv(write(tmp_path / "rough.csv", rows, 1))
+        sc.from_csv(write(tmp_path / "rough.csv", rows, 1))
 
 
 @pytest.mark.parametrize(
@@ -176,33 +168,31 @@ def test_a_file_that_is_no_path_is_refused_by_name_line_and_column(text: str, se
     file = tmp_path / "bad.csv"
     file.write_text(text)
     with pytest.raises(InvalidReference, match=r"bad\.csv, " + ".*" + sentence):
-        from_csv(file)
+        sc.from_csv(file)
 
 
 def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match="header time,x,y,z, optionally followed by vx,vy,vz, then stop was exp"):
-        waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 3), 3))
+        sc.waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 3), 3))
     with pytest.raises(InvalidReference, match="1 rows of data, but such a path needs at least 2"):
-        waypoints_from_csv(write(tmp_path / "b.csv", table(LINE, 1.0, 1)[:1], 1))
+        sc.waypoints_from_csv(write(tmp_path / "b.csv", table(LINE, 1.0, 1)[:1], 1))
 
 
 # --- the examples -----------------------------------------------------------------------------------------
 
 
 def test_the_sampled_working_cycle_is_the_one_through_the_waypoints() -> None:
-    smooth = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
-    path = from_csv(EXAMPLES / "working_cycle_sampled.csv")
+    smooth = sc.waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
+    path = sc.from_csv(EXAMPLES / "working_cycle_sampled.csv")
     assert relative_errors(path, smooth, 4).max() < 1e-5
     assert present(path.fit_error) < 1e-11
 
 
-def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(tmp_path: Path) -> None:
     script = (EXAMPLES / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     waypoints = (EXAMPLES / "working_cycle_waypoints.csv").read_text()
     (tmp_path / "working_cycle_waypoints.csv").write_text(waypoints)
-    monkeypatch.chdir(tmp_path)
     exec(compile(script, "README.md", "exec"), {})
     made = np.loadtxt("working_cycle_sampled.csv", delimiter=",", skiprows=1)
     kept = np.loadtxt(EXAMPLES / "working_cycle_sampled.csv", delimiter=",", skiprows=1)
@@ -210,7 +200,7 @@ def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(
 
 
 def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go() -> None:
-    path = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
+    path = sc.waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
     jets = path.jet(np.linspace(0.0, path.duration, 2001), 2)
     position, velocity, acceleration = jets[:, 0], jets[:, 1], jets[:, 2]
     assert np.linalg.norm(velocity, axis=1).max() < 0.6

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -13,6 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from present import present
+from processes import python
 
 import servocore as sc
 from servocore import (
@@ -425,7 +424,8 @@ from servocore.references.rest_to_rest import rest_to_rest
 rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
     package = Path(__file__).resolve().parents[1] / "servocore"
-    subprocess.run([sys.executable, "-c", script, str(package)], check=True, timeout=600)
+    run = python("-c", script, package)
+    assert run.returncode == 0, run.stderr
 
 
 # Stretches -----------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from crane_fmu.report.study import INPUTS, MOTION, Cycle, LoadRun, Study, apart,
 from servocore.references.rest_to_rest import RestToRest
 
 STEPS = (0.2, 0.1)
+Sections = dict[str, list[str | Table | Illustration]]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def cycle(crane: sc.Scene) -> Cycle:
 
 
 @pytest.fixture(scope="module")
-def written(crane: sc.Scene, found: Study, cycle: Cycle) -> dict[str, list[str | Table | Illustration]]:
+def written(crane: sc.Scene, found: Study, cycle: Cycle) -> Sections:
     outputs = {"time": found.base.t, **{name: found.base[name] for name in found.base.names}}
     return contents.sections(found, outputs, loop(crane), cycle)
 
@@ -52,14 +53,14 @@ def loop(crane: sc.Scene) -> list[LoadRun]:
 
 
 @pytest.fixture(scope="module")
-def pictures(written: dict[str, list[str | Table | Illustration]]) -> dict[str, bytes]:
+def pictures(written: Sections) -> dict[str, bytes]:
     """Stand-ins for the figures of the page, which take seconds to draw."""
     shown = [part for parts in written.values() for part in parts if isinstance(part, Illustration)]
     return {f"{each.name}.svg": f"<svg>{each.title}</svg>".encode() for each in shown}
 
 
 @pytest.fixture(scope="module")
-def html(found: Study, written: dict[str, list[str | Table | Illustration]], pictures: dict[str, bytes]) -> str:
+def html(found: Study, written: Sections, pictures: dict[str, bytes]) -> str:
     return page(contents.TITLE, contents.facts(found), sc.live_part(found.base), written, pictures)
 
 
@@ -199,7 +200,7 @@ class TestPage:
         assert all(re.findall(r'alt="([^"]*)"', html))
 
     def test_every_table_and_every_figure_says_its_form_and_method_or_that_it_has_none(
-        self, written: dict[str, list[str | Table | Illustration]], html: str
+        self, written: Sections, html: str
     ) -> None:
         shown = [part for parts in written.values() for part in parts if not isinstance(part, str)]
         assert html.count('<span class="by">') == len(shown) == 15
@@ -208,7 +209,7 @@ class TestPage:
             assert computed or "nothing is" in each.by or each.by == "input data", each.title
 
     def test_a_figure_carries_its_form_and_method_where_it_goes_without_its_caption(
-        self, written: dict[str, list[str | Table | Illustration]], monkeypatch: pytest.MonkeyPatch
+        self, written: Sections, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         (closed_loop,) = (part for part in written["The loop of FMUs"] if isinstance(part, Illustration))
         monkeypatch.setattr("crane_fmu.report.figures.figure_file", lambda *_: b"drawn")
@@ -216,9 +217,7 @@ class TestPage:
         assert closed_loop.figure.get_supxlabel() == closed_loop.by
         assert closed_loop.by.endswith("form reduced, exact inversion at every communication step")
 
-    def test_projected_backward_euler_is_called_the_scheme_of_the_paper_and_comes_last(
-        self, written: dict[str, list[str | Table | Illustration]]
-    ) -> None:
+    def test_projected_backward_euler_is_called_the_scheme_of_the_paper_and_comes_last(self, written: Sections) -> None:
         headings = list(written)
         assert headings[-1] == "The scheme of the paper"
         for parts in written.values():

@@ -26,12 +26,6 @@ def scene(count: int = 3) -> sc.Scene:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_n_masses_have_index_2n_plus_1_and_no_internal_dynamics(count: int) -> None:
-    report = sc.analyse(scene(count))
-    assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
-
-
-@pytest.mark.parametrize("count", COUNTS)
 def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
     for this in (scene(count), scene(count).with_parameters(length=0.7, end_mass=0.0, axial_stiffness=60.0)):
         solution = sc.solve(this, sc.Reduced(), step=0.1)

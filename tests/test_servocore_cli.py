@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from command_lines import CommandLine, write
+from command_lines import PROGRAMS, write
+from command_lines import servocore as run
+from processes import python
 
 import servocore as sc
-from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import commands
 from servocore.cli.command import Command
-from servocore.cli.commands import app, described
+from servocore.cli.commands import described
 from servocore.cli.console import advised_here
 from servocore.scenes import REGISTRY
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
 ROOT = Path(__file__).resolve().parents[1]
-run = CommandLine(app, "servocore")
 assert_refused = run.assert_refused
 
 
@@ -54,10 +52,7 @@ class TestScenes:
 
     def test_without_docstrings_the_table_is_still_there(self) -> None:
         code = "from servocore.cli.commands import app; app(['scenes'])"
-        command = [sys.executable, "-OO", "-c", code]
-        found = subprocess.run(
-            command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}
-        )
+        found = python("-OO", "-c", code, COLUMNS="120")
         assert found.returncode == 0, found.stderr
         assert "rotary_crane" in found.stdout
 
@@ -95,7 +90,7 @@ class TestAnalyse:
 def test_a_help_is_as_wide_as_the_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     with pytest.raises(SystemExit):
-        app(["export", "--help"])
+        run.app(["export", "--help"])
     paragraph = next(line for line in capsys.readouterr().out.splitlines() if "needs no Python" in line)
     assert len(paragraph.strip()) > 120
 
@@ -126,11 +121,10 @@ def test_a_module_that_is_none_or_ends_the_process_is_told(name: str, said: str)
 
 def examples() -> list[str]:
     """Return the command lines that stand in the help of both programs."""
-    programs = {"servocore": app, "crane-fmu": crane_app}
     return [
         f"{program.name} {command.name} {example}"
-        for program in programs.values()
-        for command in program.commands.values()
+        for program in PROGRAMS.values()
+        for command in program.app.commands.values()
         if isinstance(command, Command)
         for example in command.examples
     ]
@@ -139,7 +133,7 @@ def examples() -> list[str]:
 @pytest.mark.parametrize("line", examples())
 def test_the_examples_of_the_help_have_options_and_names_that_there_are(line: str) -> None:
     program, name, *words = shlex.split(line)
-    command = {"servocore": app, "crane-fmu": crane_app}[program].commands[name]
+    command = PROGRAMS[program].app.commands[name]
     values = command.make_context(name, words).params  # raises what a wrong option would be refused with
     scene = REGISTRY.get(values.get("scene") or "rotary_crane")
     if scene is not None:
@@ -158,8 +152,7 @@ def test_the_examples_of_the_help_have_options_and_names_that_there_are(line: st
     ],
 )
 def test_a_module_runs_as_its_command(line: str, said: str) -> None:
-    command = [sys.executable, "-m", *line.split()]
-    found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    found = python("-m", *line.split(), folder=ROOT)
     assert found.returncode == 2
     assert found.stderr.startswith(said)
     assert found.stdout == ""

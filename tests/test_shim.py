@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmu_host import JET, OUTPUTS, Host, extracted, fmu_file, in_a_process, scratch
 from native_fmu import c_host, numbers_of
+from processes import in_bare_environment
 
 from crane_fmu.catalogue import FEEDBACK_INPUTS
 
@@ -39,21 +39,13 @@ def guid() -> str:
     return str(read_model_description(str(fmu_file())).guid)
 
 
-def run(folder: Path, *, given: str | None = None, location: str | None = None) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, *, given: str | None = None, location: str | None = None) -> CompletedProcess[str]:
     """Follow a load at rest in a C program, which has no Python, without anything of this process's environment."""
     binary, inputs = folder / "binaries" / PLATFORM / "RotaryCrane.so", len(JET) + len(FEEDBACK_INPUTS)
     where = location or (folder / "resources").as_uri()
     words = [inputs, inputs, inputs, len(OUTPUTS), NO_CHOICE, STEPS, 0.1, 1, where]
     rest = [5.0, 0.0, -5.0, *[0.0] * (inputs - 3)] * (STEPS + 1)
-    return subprocess.run(
-        [str(each) for each in (c_host(2), binary, given or guid(), *words)],
-        input=" ".join(map(str, rest)),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-        env={"PATH": os.defpath},
-    )
+    return in_bare_environment(c_host(2), binary, given or guid(), *words, given=" ".join(map(str, rest)))
 
 
 def expected() -> np.ndarray:

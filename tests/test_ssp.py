@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-import zipfile
+from collections.abc import Mapping
 from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from command_lines import CommandLine
+from command_lines import crane_fmu as run
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import built_once, fmu_file, in_a_process, scratch
+from fmu_host import built_once, fmu_file, in_a_process, members, scratch
 from test_masters import missing
 
 import servocore as sc
 from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, elements_of
 from crane_fmu.catalogue import KINDS
-from crane_fmu.cli.commands import app
 from crane_fmu.run import nothing_left
 from servocore.export.system import Element, packed_system
 from servocore.numerics.compiled_calls import Array
@@ -39,21 +38,28 @@ def system(native: bool = False) -> Path:
     return built_once(f"system{' native' * native}", partial(build_ssp, options=options)) / "Crane.ssp"
 
 
-def deviation(stop: float = 20.0, native: bool = False, /, **parameters: float) -> float:
-    """Largest distance in mm of the load from where it should be, in a run of fmpy's own master."""
+def simulated(file: Path, stop: float, parameters: Mapping[str, float] = {}) -> Any:
+    """Return rows of a run in fmpy's own master."""
     values = [SimpleNamespace(name=name.replace("__", "."), value=value) for name, value in parameters.items()]
     with nothing_left(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
-        rows = simulate_ssp(
-            str(system(native)), stop_time=stop, step_size=STEP, parameter_set=SimpleNamespace(parameters=values)
-        )
+        given = SimpleNamespace(parameters=values)
+        return simulate_ssp(str(file), stop_time=stop, step_size=STEP, parameter_set=given)
+
+
+def load_of(rows: Any, name: str) -> Array:
+    """Return where a component has the load, shape (N, 3)."""
+    return np.array([rows[f"{name}.load.position[{k}]"] for k in (1, 2, 3)]).T
+
+
+def deviation(stop: float = 20.0, native: bool = False, /, **parameters: float) -> float:
+    """Largest distance in mm of the load from where it should be."""
+    rows = simulated(system(native), stop, parameters)
     assert len(rows) >= round(stop / STEP)
-    wanted, found = (
-        np.array([rows[f"{name}.load.position[{k}]"] for k in (1, 2, 3)]) for name in ("trajectory", "plant")
-    )
+    wanted, found = (load_of(rows, name) for name in ("trajectory", "plant"))
     path = sc.scenes.rotary_crane().reference
-    np.testing.assert_allclose(wanted.T, path.jet(rows["time"] + STEP, 0)[:, 0], atol=1e-9)  # rows show ends of steps
-    return 1e3 * float(np.linalg.norm(wanted - found, axis=0).max())
+    np.testing.assert_allclose(wanted, path.jet(rows["time"] + STEP, 0)[:, 0], atol=1e-9)  # rows show ends of steps
+    return 1e3 * float(np.linalg.norm(wanted - found, axis=1).max())
 
 
 def test_feedforward_alone_keeps_the_load_within_5_mm() -> None:
@@ -135,16 +141,15 @@ def test_the_system_has_the_form_that_all_masters_read() -> None:
     assert [each.name for each in read.elements] == list(COMPONENTS.values())
     assert not read.connectors
     assert len(read.connections) == len(connections(elements()))
-    with zipfile.ZipFile(system()) as archive:
-        assert set(archive.namelist()) == {"SystemStructure.ssd", *(f"resources/{name}.fmu" for name in KINDS)}
-        text = archive.read("SystemStructure.ssd")
-    assert b'version="1.0"' in text
-    assert b"ParameterBinding" not in text
+    found = members(system())
+    assert set(found) == {"SystemStructure.ssd", *(f"resources/{name}.fmu" for name in KINDS)}
+    assert b'version="1.0"' in found["SystemStructure.ssd"]
+    assert b"ParameterBinding" not in found["SystemStructure.ssd"]
 
 
 def test_the_default_experiment_ends_with_the_path_to_the_last_digit() -> None:
-    packed = zipfile.ZipFile(BytesIO(packed_system("Crane", elements(), [], 1234567.125)))
-    assert b'stopTime="1234567.125"' in packed.read("SystemStructure.ssd")
+    packed = members(BytesIO(packed_system("Crane", elements(), [], 1234567.125)))
+    assert b'stopTime="1234567.125"' in packed["SystemStructure.ssd"]
 
 
 def test_two_builds_are_equal_byte_by_byte(tmp_path: Path) -> None:
@@ -166,16 +171,15 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> Non
 @pytest.mark.parametrize(
     ("option", "variant"), [("--reference", []), ("--waypoints", []), ("--waypoints", ["--native"])], ids=str
 )
+@pytest.mark.usefixtures("empty_folder")
 def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
-    option: str, variant: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    option: str, variant: list[str], tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
     text = sc.path_to_csv(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
     (tmp_path / "path.csv").write_text(text)
-    line = CommandLine(app, "crane-fmu")
-    refused = line("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
-    line.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
+    refused = run("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
+    run.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
     assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
 
 
@@ -209,7 +213,7 @@ def own_system(native: bool) -> Path:
     given = ["--waypoints", "way.csv", "--native"] if native else ["--reference", "path.csv"]
     options = [*given, "--parameters", "crane.toml", "--targets", "host"]
     with contextlib.chdir(folder):
-        result = CliRunner().invoke(app, ["ssp", "-o", "out", *options])
+        result = run("ssp", "-o", "out", *options)
     assert result.exit_code == 0, result.output
     assert "certificate: proved: one regular motion at all times from 0 s to" in result.stderr
     expected = [*(f"{name}.fmu" for name in KINDS), "Crane.ssp"]
@@ -219,19 +223,15 @@ def own_system(native: bool) -> Path:
 
 @pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master(native: bool) -> None:
-    with nothing_left(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        rows = simulate_ssp(str(own_system(native)), stop_time=11.0, step_size=STEP)
-    found = [rows[f"plant.load.position[{k}]"][-1] for k in (1, 2, 3)]
-    assert np.linalg.norm(np.array(found) - GOAL) < 1e-4
-    places = np.array([rows[f"trajectory.load.position[{k}]"] for k in (1, 2, 3)]).T[:999]
-    np.testing.assert_allclose(places, own_path().jet(rows["time"][:999] + STEP, 0)[:, 0], atol=1e-9)
-    with zipfile.ZipFile(own_system(native)) as archive:
-        root = ET.fromstring(archive.read("SystemStructure.ssd"))
-        members = [
-            zipfile.ZipFile(archive.open(each)).namelist() for each in archive.namelist() if each.endswith(".fmu")
-        ]
-    assert native != any(name.endswith(".py") or "python" in name for each in members for name in each)
+    rows = simulated(own_system(native), 11.0)
+    assert np.linalg.norm(load_of(rows, "plant")[-1] - GOAL) < 1e-4
+    np.testing.assert_allclose(
+        load_of(rows, "trajectory")[:999], own_path().jet(rows["time"][:999] + STEP, 0)[:, 0], atol=1e-9
+    )
+    packed = members(own_system(native))
+    root = ET.fromstring(packed["SystemStructure.ssd"])
+    files = [name for each in packed if each.endswith(".fmu") for name in members(BytesIO(packed[each]))]
+    assert native != any(name.endswith(".py") or "python" in name for name in files)
     bound = {each.get("name"): each[0].get("value") for each in root.iter() if each.tag.endswith("}Parameter")}
     assert bound["load_mass"] == "140.0"
     assert bound["start.position[1]"] == "6.0"
@@ -243,12 +243,9 @@ def test_a_path_beside_a_time_law_is_refused() -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--native"]])
-def test_a_path_that_starts_before_the_run_is_one_sentence_and_no_folder(
-    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_a_path_that_starts_before_the_run_is_one_sentence_and_no_folder(options: list[str], tmp_path: Path) -> None:
     (tmp_path / "early.csv").write_text("time,x,y,z\n-3,5,0,-5\n13,4,3,-5\n")
-    line = CommandLine(app, "crane-fmu")
-    refused = line("ssp", "-o", "out", "--waypoints", "early.csv", *options)
-    line.assert_refused(refused, "the path starts at t = -3 s, but the run of the system")
+    refused = run("ssp", "-o", "out", "--waypoints", "early.csv", *options)
+    run.assert_refused(refused, "the path starts at t = -3 s, but the run of the system")
     assert not (tmp_path / "out").exists()

@@ -7,7 +7,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from outside.writing import coordinates, lagrange
+from outside.writing import coordinates, lagrange, named, rate
 from scipy.integrate import solve_ivp
 
 import servocore as sc
@@ -46,12 +46,12 @@ def angle(steps: int) -> Array:
     """Angle of the pendulum from its own equation, theta'' = -g sin - s'' cos - d theta'."""
     reference = scene().reference
 
-    def rate(t: float, state: Array) -> list[float]:
+    def slopes(t: float, state: Array) -> list[float]:
         theta, omega = state
         return [omega, -9.81 * np.sin(theta) - reference.jet(t, 2)[2, 0] * np.cos(theta) - 0.3 * omega]
 
     t = np.linspace(0.0, DURATION, steps + 1)
-    return np.asarray(solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0])
+    return np.asarray(solve_ivp(slopes, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0])
 
 
 def error(method: sc.Method, steps: int) -> tuple[Array, Statistics]:
@@ -78,24 +78,15 @@ def test_a_system_that_never_needs_another_choice_makes_one() -> None:
 
 def stretching(crank: float, nominal: float) -> sc.Scene:
     """A slider-crank that starts straight, with a rod of 1e6 N/m and twice the crank's length."""
-    coordinates = sc.Coordinates(
-        sc.Quantity("a", "rad"), sc.Quantity("b", "rad"), sc.Quantity("x", "m"), sc.Quantity("e", "m", nominal=nominal)
-    )
-    a, b, x, e = ca.vertsplit(coordinates.q)
+    q = sc.Coordinates(*named("a b", "rad"), *named("x"), sc.Quantity("e", "m", nominal=nominal))
+    (a, b, x, e), (turn, tilt, slide, _) = ca.vertsplit(q.q), ca.vertsplit(q.v)
     rod = (2.0 * crank + e) * ca.vertcat(ca.cos(b), ca.sin(b))
     pin = crank * ca.vertcat(ca.cos(a), ca.sin(a))
-    centre, (turn, tilt, slide, _) = (
-        ca.jtimes(pin + rod / 2.0, coordinates.q, coordinates.v),
-        ca.vertsplit(coordinates.v),
-    )
+    centre = rate(pin + rod / 2.0, q)
     kinetic = 0.04 * ca.sumsqr(centre) + crank**2 * (0.005 * turn**2 + 0.01 * tilt**2) + 0.02 * slide**2
-    system = sc.MechanicalSystem(
-        name="slider-crank", coordinates=coordinates, parameters=sc.Parameters(),
-        inputs=(sc.Quantity("torque", "N.m"),), outputs=(sc.Quantity("angle", "rad"),),
-        mass=ca.sparsify(ca.hessian(kinetic, coordinates.v)[0]), output=a,
-        input_matrix=ca.SX([[-1, 0, 0, 0]]), potential=5e5 * e**2,
-        constraints=pin + rod - ca.vertcat(x + 3.0 * crank, 0),
-        gamma=ca.SX.sym("gamma", 1, 25),
+    system = lagrange(
+        "slider-crank", q, kinetic, {"angle": a}, {"torque": a}, potential=5e5 * e**2,
+        constraints=pin + rod - ca.vertcat(x + 3.0 * crank, 0), guess=lambda _: (0.0,) * 4, home=(1.0,),
     )  # fmt: skip
     return sc.Scene("slider-crank", {"bars": lambda: system}, sc.rest_to_rest((0.0,), (5.0,), 1.0))
 

@@ -19,19 +19,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_lines import CommandLine
+from command_lines import servocore as line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import elbow_arm, vtol
-from present import of_kind, present
+from present import present
+from problems import along_its_line
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
 from servocore.planning.sweep_settings import drawn
 from servocore.planning.sweep_store import Parquet, Zarr
-from servocore.references.rest_to_rest import RestToRest
 
 pytestmark = pytest.mark.skipif(not (find_spec("xarray") and find_spec("zarr")), reason="needs xarray and zarr")
 
@@ -50,9 +49,8 @@ def assert_case_is_its_solution(found: Any, scene: sc.Scene, path: sc.Reference,
     return solution
 
 
-def default_path(duration: float) -> RestToRest:
-    path = of_kind(RestToRest, CRANE.reference)
-    return sc.rest_to_rest(path.start, path.end, duration)
+def default_path(duration: float) -> sc.Reference:
+    return along_its_line(CRANE, duration).reference
 
 
 def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution() -> None:
@@ -389,10 +387,9 @@ def test_draws_fill_the_ranges_evenly_and_come_again() -> None:
 # The command ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
-    monkeypatch.chdir(tmp_path)
-    line = CommandLine(app, "servocore")
     words = ["sweep", "rotary_crane", "--vary", "load_mass=50..150:7", "--vary", "duration=10..20:3", "--limit", "F=60"]
     run = line(*words, "-o", "study")
     assert run.exit_code == 0
@@ -412,9 +409,9 @@ def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path: Path, monk
     assert "sweep.parquet" in (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("empty_folder")
 def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    line, puts, put = CommandLine(app, "servocore"), [], Zarr.put
+    puts, put = list[int](), Zarr.put
 
     def stop(self: Any, number: int, block: Any, found: Any) -> None:
         puts.append(number)
@@ -434,13 +431,13 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
     assert "10100 cases, 0 of them not solved" in run.stdout
 
 
+@pytest.mark.usefixtures("empty_folder")
 def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
     xarray = pytest.importorskip("xarray")
-    monkeypatch.chdir(tmp_path)
     words = ["sweep", "rotary_crane", "--vary", "winch_radius=0.1..0.2", "--vary", "load_mass=50..150", "--sample", "9"]
-    run = CommandLine(app, "servocore")(*words, "-o", "study")
+    run = line(*words, "-o", "study")
     assert run.exit_code == 0, run.stderr
     page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
     assert "Varied: winch_radius from" in page
@@ -453,9 +450,8 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
     assert [str(each.message) for each in recwarn] == []
 
 
+@pytest.mark.usefixtures("empty_folder")
 def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = CommandLine(app, "servocore")
     for package, extra in (("matplotlib.axes", "report"), ("xarray", "sweep"), ("zarr", "sweep")):
         with monkeypatch.context() as without:
             without.setitem(sys.modules, package, None)

@@ -17,19 +17,17 @@ import casadi as ca
 import numpy as np
 import pytest
 from browser import Page, require_browser
-from command_lines import CommandLine
+from command_lines import servocore as run
 from present import present
 from test_machine_code import OPERATIONS, x, y
 
 import servocore as sc
-from servocore.cli.commands import app
 from servocore.model.drawing import picture_of
 from servocore.problem import Problem
 from servocore.stepping.observation import observed
 from servocore.view.javascript import javascript
 from servocore.view.live_model import LiveModel, live_model
 
-run = CommandLine(app, "servocore")
 SCENES = sorted(sc.scenes.REGISTRY)
 LIVE = [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm", "loop_manipulator")]
 LARGEST_PAGE = 6_000_000
@@ -240,10 +238,8 @@ def test_a_part_that_is_none_is_refused_with_a_sentence() -> None:
         sc.Part("rope", ((0, 0, 0),))
 
 
-def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded(tmp_path: Path) -> None:
     assert run("view", "cars", "--limit", "u=0.5").stdout == "cars.html: cars, live\n"
     assert told(tmp_path / "cars.html")["limits"] == [{"output": 0, "low": -0.5, "high": 0.5, "rate": False}]
     assert "mine.html: mass_on_car, as solved: its inputs" in run("view", "mass_on_car", "-o", "mine.html").stdout
@@ -305,12 +301,8 @@ def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -
     with Page(file, tmp_path / "profile", width=width) as page:
         shown = page.run(f"{fields}.map((field) => field.value)")
         assert {"20.25", "12345.6", "1234567", "5.1234", "2.0456", "123456.7", "5.25"} <= {*shown}
-        assert (
-            page.run(
-                f"{fields}.filter((field) => field.scrollWidth > field.clientWidth + 1).map((field) => field.value)"
-            )
-            == []
-        )
+        cut = "(field) => field.scrollWidth > field.clientWidth + 1"
+        assert page.run(f"{fields}.filter({cut}).map((field) => field.value)") == []
         assert page.run("document.documentElement.scrollWidth <= window.innerWidth")
         assert page.errors == []
 

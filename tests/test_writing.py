@@ -96,10 +96,8 @@ def test_a_place_that_can_be_written_is_accepted(tmp_path: Path) -> None:
         ("other", "--plot and --output both name other"),
     ],
 )
-def test_a_place_that_cannot_be_written_is_refused_before_the_work(
-    name: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("empty_folder")
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(name: str, sentence: str) -> None:
     Path("folder").mkdir()
     Path("read").touch()
     os.mkfifo("pipe")

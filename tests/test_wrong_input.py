@@ -42,6 +42,11 @@ def refused(
     assert text.startswith(said.removesuffix("...")) if said.endswith("...") else text == said
 
 
+def chain_refused(said: str, **fields: Any) -> None:
+    """Check that the chain does not exist with these fields, and what is said of it."""
+    refused(sc.InvalidModel, f"actuated chain: {said}", lambda: changed(actuated_chain(), **fields))
+
+
 def factory_of(system: sc.MechanicalSystem) -> Callable[[], sc.MechanicalSystem]:
     return lambda: system
 
@@ -79,7 +84,7 @@ def test_an_entry_that_is_no_finite_number_is_refused_by_name(
     refused(sc.InvalidModel, said, lambda: changed(system, **{field: wrong}))
 
 
-@pytest.mark.parametrize("value", ["80", True, np.True_, None, 1j])
+@pytest.mark.parametrize("value", ["80", True, np.True_, None, 1j, [1.0, 2.0]])
 def test_a_parameter_is_a_number_and_no_text_of_one(value: Any) -> None:
     crane = sc.scenes.rotary_crane()
     said = f"parameter load_mass must be a number, not {value!r}"
@@ -88,21 +93,12 @@ def test_a_parameter_is_a_number_and_no_text_of_one(value: Any) -> None:
 
 @pytest.mark.parametrize("value", NOT_FINITE)
 def test_numbers_of_a_model_are_finite(value: float) -> None:
-    for said, make in {
-        f"actuated chain: home must hold a finite number for y2, not {value}": lambda: changed(
-            actuated_chain(), home=(1.0, value)
-        ),
-        f"actuated chain: home_parameters must hold a finite number for k, not {value}": lambda: changed(
-            actuated_chain(), home_parameters=(value, 1.0)
-        ),
-        f"actuated chain: observable power holds {value}, which is no finite number": lambda: changed(
-            actuated_chain(), observables={sc.Quantity("power"): value}
-        ),
-        f"parameter m must be a finite number, not {value:g} kg": lambda: sc.Parameters(
-            sc.Parameter("m", value, "kg")
-        ).values(),
-    }.items():
-        refused(sc.InvalidModel, said, make)
+    chain_refused(f"home must hold a finite number for y2, not {value}", home=(1.0, value))
+    chain_refused(f"home_parameters must hold a finite number for k, not {value}", home_parameters=(value, 1.0))
+    power = {sc.Quantity("power"): value}
+    chain_refused(f"observable power holds {value}, which is no finite number", observables=power)
+    said, one = f"parameter m must be a finite number, not {value:g} kg", sc.Parameters(sc.Parameter("m", value, "kg"))
+    refused(sc.InvalidModel, said, one.values)
     nominal = (
         "Coordinates(...): a quantity needs a name and a nominal magnitude that is positive and finite, not 'x' and "
     )
@@ -131,8 +127,8 @@ def test_a_guess_without_a_value_at_home_asks_for_another_home() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-1e6, -1e-6))
 def test_a_negative_mass_is_refused(value: float) -> None:
-    said = f"actuated chain: the mass matrix is not positive semidefinite at home: that of x2 is {value:g}"
-    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), mass=np.diag([3.0, value])))
+    said = f"the mass matrix is not positive semidefinite at home: that of x2 is {value:g}"
+    chain_refused(said, mass=np.diag([3.0, value]))
 
 
 @settings(max_examples=25, deadline=None)
@@ -141,12 +137,12 @@ def test_a_coupling_larger_than_the_masses_is_refused(first: float, second: floa
     coupling = factor * np.sqrt(first * second)
     mass = np.array([[first, coupling], [coupling, second]])
     said = (
-        "actuated chain: the mass matrix is not positive semidefinite at home: a motion of x1, x2 has negative kinetic"
+        "the mass matrix is not positive semidefinite at home: a motion of x1, x2 has negative kinetic"
         f" energy (eigenvalue {np.linalg.eigvalsh(mass)[0]:.3g})"
     )
     parts = np.abs(np.linalg.eigh([[1.0, factor], [factor, 1.0]])[1][:, 0])
     assert parts == pytest.approx(np.sqrt(0.5))
-    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), mass=mass))
+    chain_refused(said, mass=mass)
 
 
 @settings(max_examples=25, deadline=None)
@@ -201,7 +197,7 @@ TWINS = (sc.Quantity("twin"),) * 2
     ],
 )
 def test_one_name_for_two_quantities_is_refused(fields: dict[str, Any], said: str) -> None:
-    refused(sc.InvalidModel, f"actuated chain: {said}...", lambda: changed(actuated_chain(), **fields))
+    chain_refused(f"{said}...", **fields)
 
 
 def test_an_output_may_have_the_name_of_the_coordinate_that_it_is() -> None:
@@ -247,36 +243,32 @@ def test_one_input_takes_a_row_as_a_list() -> None:
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"name": 3}, "the name of a system must be a text, not 3"),
-        (
-            {"mass": ca.MX.eye(2)},
-            "actuated chain: mass is a casadi.MX; models are written with the symbols of casadi.SX",
-        ),
-        ({"mass": "2"}, "actuated chain: mass must be a casadi.SX, an array or a real number, not the text '2'"),
-        ({"force": None}, "actuated chain: force must be a casadi.SX, an array or a real number, not None"),
-        ({"output": len}, "actuated chain: output must be a casadi.SX, an array or a real number, not a..."),
-        ({"mass": [[1.0, 2.0], [3.0]]}, "the rows of actuated chain: mass have different lengths: 2, 1"),
-        ({"u": ca.SX.zeros(2)}, "actuated chain: u must be symbols of casadi.SX.sym, not expressions"),
-        ({"inputs": "F"}, "actuated chain: inputs must be a sequence of Quantity, not the text 'F'"),
-        (
-            {"inputs": ("F", "G")},
-            "actuated chain: inputs must be made of Quantity, such as Quantity('x', 'm'), not the...",
-        ),
-        ({"coordinates": ("x", "y")}, "actuated chain: coordinates must be a Coordinates, not a tuple"),
-        ({"parameters": {"k": 1.0}}, "actuated chain: parameters must be a Parameters, not a dict"),
-        ({"observables": [1]}, "actuated chain: observables must be a Mapping, not a list"),
-        ({"home": (1.0,)}, "actuated chain: home has length 1, one number is needed for each of y1, y2"),
-        ({"home": "ab"}, "actuated chain: home must be a tuple of numbers, not the text 'ab'"),
-        ({"home": 1.0}, "actuated chain: home must be a tuple of numbers, not 1.0"),
-        ({"home": (1.0, "2")}, "actuated chain: home must hold a finite number for y2, not the text '2'"),
-        (
-            {"home_parameters": (1.0,)},
-            "actuated chain: home_parameters has length 1, one number is needed for each of...",
-        ),
+        ({"mass": ca.MX.eye(2)}, "mass is a casadi.MX; models are written with the symbols of casadi.SX"),
+        ({"mass": "2"}, "mass must be a casadi.SX, an array or a real number, not the text '2'"),
+        ({"force": None}, "force must be a casadi.SX, an array or a real number, not None"),
+        ({"output": len}, "output must be a casadi.SX, an array or a real number, not a..."),
+        ({"u": ca.SX.zeros(2)}, "u must be symbols of casadi.SX.sym, not expressions"),
+        ({"inputs": "F"}, "inputs must be a sequence of Quantity, not the text 'F'"),
+        ({"inputs": ("F", "G")}, "inputs must be made of Quantity, such as Quantity('x', 'm'), not the..."),
+        ({"coordinates": ("x", "y")}, "coordinates must be a Coordinates, not a tuple"),
+        ({"parameters": {"k": 1.0}}, "parameters must be a Parameters, not a dict"),
+        ({"observables": [1]}, "observables must be a Mapping, not a list"),
+        ({"home": (1.0,)}, "home has length 1, one number is needed for each of y1, y2"),
+        ({"home": "ab"}, "home must be a tuple of numbers, not the text 'ab'"),
+        ({"home": 1.0}, "home must be a tuple of numbers, not 1.0"),
+        ({"home": (1.0, "2")}, "home must hold a finite number for y2, not the text '2'"),
+        ({"home_parameters": (1.0,)}, "home_parameters has length 1, one number is needed for each of..."),
     ],
 )
 def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], said: str) -> None:
-    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), **fields))
+    chain_refused(said, **fields)
+
+
+def test_a_name_that_is_no_text_and_rows_of_different_lengths_are_refused() -> None:
+    rows = [[1.0, 2.0], [3.0]]
+    refused(sc.InvalidModel, "the name of a system must be a text, not 3", lambda: changed(actuated_chain(), name=3))
+    said = "the rows of actuated chain: mass have different lengths: 2, 1"
+    refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), mass=rows))
 
 
 @pytest.mark.parametrize(
